@@ -7,6 +7,7 @@ import sys
 import time
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
@@ -130,21 +131,14 @@ def _began_again(before: RouteSnapshot, now: RouteSnapshot) -> bool:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class FiguresCommand:
-    """A command that prints figures.
+def _print_figures(
+    lines: Callable[[Figures], Iterator[str]], values: Callable[[Figures], dict[str, object]], arguments: Namespace
+) -> int:
+    """Print figures once a second for the count or time in the arguments. Return the exit code.
 
-    Attributes:
+    Args:
         lines: the figures for people.
         values: the figures for programs.
-    """
-
-    lines: Callable[[Figures], Iterator[str]]
-    values: Callable[[Figures], dict[str, object]]
-
-
-def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
-    """Print figures once a second for the count or time in the arguments. Return the exit code.
 
     Raises:
         UsageError: the arguments fit no topic, or several.
@@ -169,9 +163,9 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
                 continue
             printed, messages = printed + 1, messages + figures.messages
             if arguments.json:
-                print_line(json_line(_about(figures) | command.values(figures)))
+                print_line(json_line(_about(figures) | values(figures)))
             else:
-                print_lines("\n".join(command.lines(figures)))  # print_line escapes the tabs
+                print_lines("\n".join(lines(figures)))  # print_line escapes the tabs
             sys.stdout.flush()
         return OK if messages else FAILURE
 
@@ -320,5 +314,5 @@ def _bw_values(figures: Figures) -> dict[str, object]:
     }
 
 
-HZ = FiguresCommand(_hz_lines, _hz_values)
-BW = FiguresCommand(_bw_lines, _bw_values)
+hz = partial(_print_figures, _hz_lines, _hz_values)
+bw = partial(_print_figures, _bw_lines, _bw_values)

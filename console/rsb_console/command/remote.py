@@ -8,6 +8,7 @@ import os
 import sys
 import time
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.echo import echo
-from rsb_console.command.figures import BW, HZ, print_figures
+from rsb_console.command.figures import bw, hz
 from rsb_console.command.formatting import (
     json_event,
     json_line,
@@ -187,14 +188,6 @@ def _echo(arguments: Namespace) -> int:
     )
 
 
-def _hz(arguments: Namespace) -> int:
-    return print_figures(HZ, arguments)
-
-
-def _bw(arguments: Namespace) -> int:
-    return print_figures(BW, arguments)
-
-
 # --- changing
 
 
@@ -211,10 +204,6 @@ def _pause(arguments: Namespace, *, paused: bool = True) -> int:
         found = all_chosen(engine, arguments)
         carried_out([engine.pause(each.key, paused) for each in found])
         return done_with(arguments, found, "paused" if paused else "resumed")
-
-
-def _resume(arguments: Namespace) -> int:
-    return _pause(arguments, paused=False)
 
 
 def _ack(arguments: Namespace) -> int:
@@ -642,7 +631,7 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "edit": _edit,
     "remove": _remove,
     "pause": _pause,
-    "resume": _resume,
+    "resume": partial(_pause, paused=False),
     "ack": _ack,
     "arm": _arm,
     "disarm": _disarm,
@@ -653,8 +642,8 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "report": _report,
     "wait": _wait,
     "echo": _echo,
-    "hz": _hz,
-    "bw": _bw,
+    "hz": hz,
+    "bw": bw,
     "info": print_info,
     "stop": _stop,
 }
