@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.snapshot import State
-from rsb_console.bench.processes import Process, free_port
+from rsb_console.bench.processes import Process
 from rsb_console.bench.results import BenchError, Many, Run, Side, Way
 from rsb_console.session.attaching import attach
+from rsb_console.session.demo_session import free_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

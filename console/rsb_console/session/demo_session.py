@@ -135,7 +135,7 @@ def running_demo() -> Iterator[Demo]:
     with tempfile.TemporaryDirectory(prefix="rsb-demo-") as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         write_key(folder / "demo.key")
-        common = {"name": "demo", "server_ip": _HOST, "server_port": _free_port(), "key_file": "demo.key"}
+        common = {"name": "demo", "server_ip": _HOST, "server_port": free_port(), "key_file": "demo.key"}
         save(Session(role="server", domain_id=robot_domain, **common), folder / "robot.yaml")  # type: ignore[arg-type]
         session = Session(role="client", domain_id=desk_domain, topics=_TOPICS, **common)  # type: ignore[arg-type]
         save(session, folder / "demo.yaml")
@@ -203,7 +203,7 @@ def need_ros() -> None:
         raise EngineError(str(error)) from None
 
 
-def _free_port() -> int:
+def free_port() -> int:
     """Return a port that neither TCP nor UDP uses."""
     while True:
         with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
