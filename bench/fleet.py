@@ -174,7 +174,9 @@ def measure(
         steady = _watch(running, control, listener, plan.watched)
         resident, proportional = control.memory(), _proportional(control.pid)
         a_robot = sum(_proportional(process.pid) for process in running.processes) / count
-        killed = running.kill_control()
+        control.signal(signal.SIGKILL)
+        killed = time.time()
+        control.stop()
         time.sleep(plan.down)
         control = running.start_control()
         returned = listening(control, running.session)
@@ -198,7 +200,7 @@ def measure(
         flood = (running.records()[flooding].published - before) / (time.monotonic() - since)
         return Figures(
             count,
-            running.routes,
+            count * load.routes,
             linked,
             flowing,
             steady,
@@ -220,7 +222,8 @@ def measure(
 def _without_router(running: SimulatedFleet, down: float) -> Delays:
     """Kill the router, and start it again: until when all are linked, and all routes open."""
     assert running.router is not None
-    running.router.kill()
+    running.router.process.signal(signal.SIGKILL)
+    running.router.process.stop()
     time.sleep(down)
     running.router.start()
     returned, routes = time.time(), running.load.routes

@@ -82,7 +82,8 @@ class Watch:
         with contextlib.suppress(OSError, IndexError):  # it has ended
             while not self._over.wait(0.1):
                 self._memory = max(self._memory, self._process.memory())
-                self._descriptors = max(self._descriptors, self._process.descriptors())
+                files = Path(f"/proc/{self._process.pid}/fd").iterdir()
+                self._descriptors = max(self._descriptors, sum(1 for _ in files))
 
     def end(self) -> Watched:
         self._over.set()

@@ -20,7 +20,7 @@ from tests.support.wording import says
 
 from rsb_bridge.control.bridges import serve
 from rsb_bridge.model.benchmark import BenchmarkLimits
-from rsb_console.bench.results import BenchReport, from_json
+from rsb_console.bench.results import BenchReport
 from rsb_console.command.argument_values import domains, sizes, topics, transports
 from rsb_console.command.target import BridgeChoice
 
@@ -106,7 +106,7 @@ def test_a_short_run_on_this_machine(tmp_path: Path, spare_domains: int) -> None
         *TINY, "--quick", "--transports", "tcp", "--domains", f"{near},{near + 1}", "--plot", str(plot)
     )
     assert code == 0, output or errors
-    report = from_json(output)
+    report = msgspec.json.decode(output, type=BenchReport)
     (point,) = report.points
     assert (point.transport, point.size) == ("tcp", 2500)
     assert point.gentle.lossless
@@ -140,7 +140,7 @@ def socket(pair: Callable[..., Pair], tmp_path: Path) -> Iterator[Callable[..., 
 def over_link(socket: str, *options: str, seconds: str = "3") -> tuple[int, BenchReport]:
     code, output, errors = bench("--control", socket, *TINY, "--quick", "--seconds", seconds, *options)
     assert not errors or json.loads(output)["notes"]
-    return code, from_json(output)
+    return code, msgspec.json.decode(output, type=BenchReport)
 
 
 def test_over_the_link_of_a_running_bridge(socket: Callable[..., str]) -> None:
@@ -183,7 +183,7 @@ def test_ctrl_c_prints_what_was_measured_and_leaves_no_process(spare_domains: in
         os.kill(running.pid, 2)
         output, _ = running.communicate(timeout=WITHIN)
     assert running.returncode == 130
-    assert from_json(output).ended == "interrupted"
+    assert msgspec.json.decode(output, type=BenchReport).ended == "interrupted"
     eventually(lambda: not any(_lives(child) for child in children), WITHIN)
 
 

@@ -47,21 +47,6 @@ class Run:
         return self.received >= self.sent
 
     @property
-    def cpu(self) -> float:
-        """Processor time (s) of both bridges together."""
-        return sum(self.sides)
-
-    @property
-    def cpu_per_message(self) -> float:
-        """µs."""
-        return self.cpu / self.sent * 1e6
-
-    @property
-    def delivered(self) -> float:
-        """Received messages a second."""
-        return self.rate * self.received / self.sent if self.sent else 0.0
-
-    @property
     def wire_per_byte(self) -> float | None:
         """Bytes on the wire for each byte of payload."""
         return self.wire / (self.size * self.sent) if self.wire and self.sent else None
@@ -202,15 +187,6 @@ class BenchReport:
 def as_json(report: BenchReport) -> str:
     """Format a report as one line of JSON."""
     return escape_json(msgspec.json.encode(report).decode())
-
-
-def from_json(text: str) -> BenchReport:
-    """Read a report from JSON; the inverse of `as_json`.
-
-    Raises:
-        msgspec.ValidationError: it is no report.
-    """
-    return msgspec.json.decode(text, type=BenchReport)
 
 
 class BenchError(Exception):

@@ -49,11 +49,6 @@ class RobotTraffic(msgspec.Struct, frozen=True):
     def routes(self) -> int:
         return len(self.talks) + len(self.hears)
 
-    @property
-    def rate(self) -> float:
-        """Messages a second that its bridge sends."""
-        return sum(talk.rate for talk in self.talks)
-
 
 class RobotRecord(msgspec.Struct):
     """The record of one robot's bridge. Times are s since the epoch.
@@ -64,8 +59,6 @@ class RobotRecord(msgspec.Struct):
         up: times when it was linked.
         open: times when a route was opened.
         published: number of messages that its node has published.
-        received: number of messages that came for its node.
-        heard: topics with any message.
     """
 
     attempts: list[float] = []
@@ -73,8 +66,6 @@ class RobotRecord(msgspec.Struct):
     up: list[float] = []
     open: list[float] = []
     published: int = 0
-    received: int = 0
-    heard: int = 0
 
 
 class RobotRecords(msgspec.Struct):
@@ -127,10 +118,8 @@ class _Bridged:
 
     def record(self) -> RobotRecord:
         self._follow()
-        robot, ros = self._robot, self.ros
-        robot.published = sum(ros.published.values())
-        robot.received, robot.heard = sum(ros.received.values()), sum(map(bool, ros.received.values()))
-        return robot
+        self._robot.published = sum(self.ros.published.values())
+        return self._robot
 
     def _follow(self) -> None:
         for event in self._engine.events(self._followed) if self._engine is not None else ():

@@ -58,11 +58,6 @@ class Router:
         """Start the router, and return once it listens."""
         self.process = loopback.router(self.endpoint)
 
-    def kill(self) -> None:
-        """End it abruptly, like a power cut."""
-        self.process.signal(signal.SIGKILL)
-        self.process.stop()
-
 
 @dataclass(slots=True)
 class FleetNetwork:
@@ -109,7 +104,6 @@ class SimulatedFleet:
         session: the control side's session file.
         processes: processes of the robots.
         control: the control side's process.
-        started: start of the robots, s since the epoch.
         router: router of the links, or None.
         file: fleet file by which an operator's console reaches all engines over Zenoh, or None without operators.
     """
@@ -118,17 +112,11 @@ class SimulatedFleet:
     names: Sequence[str]
     load: RobotTraffic
     session: Path
-    command: Sequence[str]
     router: Router | None = None
     file: Path | None = None
     processes: list[Process] = field(default_factory=list)
     control: Process | None = None
-    started: float = 0.0
     _in: dict[str, Process] = field(default_factory=dict)
-
-    @property
-    def routes(self) -> int:
-        return len(self.names) * self.load.routes
 
     @property
     def socket(self) -> Path:
@@ -138,22 +126,14 @@ class SimulatedFleet:
         folder = self.folder
         apart = {"XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder)}
         arguments = ("--no-ui", "--control", str(self.socket), str(self.session))
-        self.control = Process(*self.command, "run", *arguments, log=folder / "control.log", environ=apart)
+        self.control = Process("-m", "rsb_console", "run", *arguments, log=folder / "control.log", environ=apart)
         return self.control
 
-    def kill_control(self) -> float:
-        """Kill the control side; return the time, s since the epoch."""
-        assert self.control is not None
-        self.control.signal(signal.SIGKILL)
-        killed = time.time()
-        self.control.stop()
-        return killed
-
-    def start_robots(self, names: Sequence[str], most: int = MOST_IN_ONE) -> None:
-        """Start robots, at most so many in a process."""
+    def start_robots(self, names: Sequence[str]) -> None:
+        """Start robots, at most `MOST_IN_ONE` in a process."""
         load = msgspec.json.encode(self.load).decode()
-        for first in range(0, len(names), most):
-            some = names[first : first + most]
+        for first in range(0, len(names), MOST_IN_ONE):
+            some = names[first : first + MOST_IN_ONE]
             process = Process("-m", ROBOTS, load, *(str(self.folder / f"{name}.yaml") for name in some))
             self.processes.append(process)
             self._in |= dict.fromkeys(some, process)
@@ -210,7 +190,6 @@ def fleet(
     domain: int,
     over: str = "tcp",
     load: RobotTraffic = USUAL,
-    control: Sequence[str] = ("-m", "rsb_console"),
     groups: Sequence[str] = (),
     operated: bool = False,
 ) -> Iterator[SimulatedFleet]:
@@ -219,7 +198,6 @@ def fleet(
     Args:
         domain: the control side's domain.
         over: network of the links, one of `WAYS`.
-        control: the Python command that runs the control side's `rsb-console`.
         groups: groups to assign to the robots in turn, or empty.
         operated: whether each engine accepts an operator over Zenoh.
     """
@@ -254,7 +232,7 @@ def fleet(
         )
         session_file.save(control_side, path)
         file = _operators_file(folder, way.fields["zenoh"]) if operated else None
-        running = SimulatedFleet(folder, names, load, path, control, way.router, file)
+        running = SimulatedFleet(folder, names, load, path, way.router, file)
         try:
             yield running
         finally:
