@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from textual.theme import Theme
-
     from rsb_console.actions import Action
 
 KEY_SIGNS = {
@@ -102,7 +100,6 @@ class Preferences:
 
     def __init__(self, config: Path, theme: str | None) -> None:
         self.problems: list[tuple[str, str]] = []
-        self.themes: dict[str, Theme] = {}
         self.keymap: dict[str, str] = {}
         self.theme = self._load_themes(config, theme)
         self._load_keys(config)
@@ -110,9 +107,7 @@ class Preferences:
         self._load_settings(config / "console.yaml")
 
     def _load_themes(self, config: Path, wanted: str | None) -> str:
-        loaded = load_themes(shipped_path(), config / "themes")
-        self.themes = loaded.found
-        problems = list(loaded.problems)
+        self.themes, problems = load_themes(shipped_path(), config / "themes")
         if wanted is not None and wanted not in self.themes:
             problems.append(PreferenceProblem.UNKNOWN_THEME(theme=wanted, themes=", ".join(self.themes)))
             wanted = None

@@ -14,7 +14,7 @@ from rsb_console.look import themes
 from rsb_console.look.themes import ThemeProblem
 from rsb_console.preferences import PreferenceProblem
 
-SHIPPED = themes.load_themes(themes.shipped_path())
+SHIPPED, PROBLEMS = themes.load_themes(themes.shipped_path())
 
 
 def luminance(color: str) -> float:
@@ -31,13 +31,13 @@ def contrast(one: str, other: str) -> float:
 
 
 def test_four_are_shipped_without_a_mistake() -> None:
-    assert set(SHIPPED.found) == {"dark", "light", "high-contrast", "terminal"}
-    assert SHIPPED.problems == ()
+    assert set(SHIPPED) == {"dark", "light", "high-contrast", "terminal"}
+    assert PROBLEMS == []
 
 
 @pytest.mark.parametrize(("name", "least"), [("dark", 4.5), ("light", 4.5), ("high-contrast", 7.0)])
 def test_what_is_read_stands_out(name: str, least: float) -> None:
-    theme = SHIPPED.found[name]
+    theme = SHIPPED[name]
     assert theme.background is not None
     assert theme.panel is not None
     for look in ("foreground", "success", "warning", "error", "primary", "secondary", "accent"):
@@ -51,7 +51,7 @@ def test_what_is_read_stands_out(name: str, least: float) -> None:
 def test_colours_are_of_the_256(name: str) -> None:
     """A terminal without COLORTERM shows the intended colours."""
     levels = {0, 95, 135, 175, 215, 255}
-    theme = SHIPPED.found[name]
+    theme = SHIPPED[name]
     for key in ("primary", *themes.COLORS):
         color = getattr(theme, key)
         if color is not None:
@@ -61,7 +61,7 @@ def test_colours_are_of_the_256(name: str) -> None:
 
 
 def test_the_terminal_theme_names_the_terminals_own_colours() -> None:
-    theme = SHIPPED.found["terminal"]
+    theme = SHIPPED["terminal"]
     assert theme.ansi
     used = [getattr(theme, key) for key in ("primary", *themes.COLORS)] + list(theme.variables.values())
     assert all(color is None or color.startswith("ansi_") for color in used)
@@ -90,9 +90,8 @@ def test_a_mistake_is_reported(
 ) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(content)
-    loaded = themes.load_themes(tmp_path)
-    assert loaded.found == {}
-    (reported,) = loaded.problems
+    found, (reported,) = themes.load_themes(tmp_path)
+    assert found == {}
     assert reported.startswith(str(path))
     assert says(reported, problem, **parameters)
 
@@ -100,14 +99,14 @@ def test_a_mistake_is_reported(
 def test_a_file_that_is_no_yaml_is_reported_with_the_line(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("primary: [")
-    (reported,) = themes.load_themes(tmp_path).problems
+    _, (reported,) = themes.load_themes(tmp_path)
     assert reported.startswith(str(path))
     assert "line 1" in reported
 
 
 def test_a_users_theme_stands_beside_the_shipped_ones_and_may_replace_one(tmp_path: Path) -> None:
     (tmp_path / "dark.yaml").write_text('primary: "#ffffff"')
-    found = themes.load_themes(themes.shipped_path(), tmp_path).found
+    found, _ = themes.load_themes(themes.shipped_path(), tmp_path)
     assert found["dark"].primary == "#ffffff"
     assert "light" in found
 
@@ -155,4 +154,4 @@ async def test_t_goes_through_all_themes(app: ConsoleApp, pilot: Pilot[None]) ->
     for _ in range(3):
         await pilot.press("t")
         seen.add(app.theme)
-    assert seen == set(SHIPPED.found)
+    assert seen == set(SHIPPED)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import sysconfig
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,18 +46,6 @@ class ThemeProblem(Wording):
     NO_COLOR = '{key}: {value!r} is not a colour; give "#rrggbb" in quotes, or a name'
 
 
-@dataclass(frozen=True, slots=True)
-class Themes:
-    """The themes that were read, and the mistakes of the others.
-
-    Attributes:
-        problems: one line per file that is no theme.
-    """
-
-    found: dict[str, Theme]
-    problems: tuple[str, ...]
-
-
 def config_path() -> Path:
     """Return the user's configuration folder, with ``keys.yaml`` and ``themes/``."""
     return user_config_path("rsb-console")
@@ -72,8 +59,12 @@ def shipped_path() -> Path:
     return Path(sysconfig.get_path("data")) / "share" / "rsb_console" / "themes"
 
 
-def load_themes(*folders: Path) -> Themes:
-    """Read every ``*.yaml`` in `folders`; of two themes of the same name, the later one counts."""
+def load_themes(*folders: Path) -> tuple[dict[str, Theme], list[str]]:
+    """Read every ``*.yaml`` in `folders`; of two themes of the same name, the later one counts.
+
+    Returns:
+        The themes by name, and a line for each file that is no theme.
+    """
     found: dict[str, Theme] = {}
     problems: list[str] = []
     for path in (path for folder in folders for path in sorted(folder.glob("*.yaml"))):
@@ -81,7 +72,7 @@ def load_themes(*folders: Path) -> Themes:
             found[path.stem] = read_theme(path)
         except (ThemeError, OSError, UnicodeDecodeError) as error:
             problems.append(f"{path}: {error}")
-    return Themes(found, tuple(problems))
+    return found, problems
 
 
 class ThemeError(ValueError):
