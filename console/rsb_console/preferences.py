@@ -33,7 +33,7 @@ class PreferenceProblem(Wording):
 
 
 class KeymapError(ValueError):
-    """A mistake in ``keys.yaml``; the message is for the user."""
+    """A mistake in ``keys.yaml`` or ``console.yaml``; the message is for the user."""
 
 
 def load_keymap(path: Path) -> dict[str, str]:
@@ -48,14 +48,7 @@ def load_keymap(path: Path) -> dict[str, str]:
     Raises:
         KeymapError: it cannot be read, names no action of ours, or gives one key to two actions.
     """
-    try:
-        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise KeymapError(f"{path}: {error}") from None
-    if loaded is None:
-        return {}
+    loaded = _read(path)
     if not isinstance(loaded, dict):
         raise KeymapError(PreferenceProblem.NO_KEYMAP(path=path))
     # YAML reads the key 5 as a number.
@@ -65,6 +58,17 @@ def load_keymap(path: Path) -> dict[str, str]:
         raise KeymapError(PreferenceProblem.UNKNOWN_ACTIONS(path=path, actions=", ".join(unknown)))
     _refuse_shared_keys(path, keymap)
     return keymap
+
+
+def _read(path: Path) -> object:
+    """Return a file's content, or an empty mapping if it is missing or empty."""
+    try:
+        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise KeymapError(f"{path}: {error}") from None
+    return {} if loaded is None else loaded
 
 
 def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
@@ -123,13 +127,10 @@ class Preferences:
 
     def _load_settings(self, path: Path) -> None:
         try:
-            loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+            settings = _read(path)
+        except KeymapError as error:
+            self.problems.append(("The default settings are used", str(error)))
             return
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            self.problems.append(("The default settings are used", f"{path}: {error}"))
-            return
-        settings = {} if loaded is None else loaded
         if (
             not isinstance(settings, dict)
             or set(settings) - {"bell"}
