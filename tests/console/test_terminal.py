@@ -36,7 +36,7 @@ from rsb_console import app
 from rsb_console.command.console_command import run_console
 app.ConsoleApp.action_theme = lambda self: 1 / 0
 path = Path(sys.argv[1])
-sys.exit(run_console(path, readonly=False, ascii_only=False, theme=None, on_hangup="stop"))
+sys.exit(run_console(path))
 """
 
 NOISY = """
@@ -46,7 +46,7 @@ from rsb_console import app
 from rsb_console.command.console_command import run_console
 ready = app.ConsoleApp.on_ready
 app.ConsoleApp.on_ready = lambda self: [ready(self)] + [os.write(fd, b"[RTPS Error] no port") for fd in (1, 2)]
-code = run_console(None, readonly=False, ascii_only=False, theme=None, on_hangup="stop")
+code = run_console(None)
 [os.write(fd, b"itself again %d" % fd) for fd in (1, 2)]
 sys.exit(code)
 """

@@ -33,13 +33,12 @@ T = TypeVar("T")
 def run_console(
     path: Path | None,
     *,
-    readonly: bool,
-    ascii_only: bool,
-    theme: str | None,
-    on_hangup: str,
+    readonly: bool = False,
+    ascii_only: bool = False,
+    theme: str | None = None,
+    on_hangup: str = "stop",
     control: Path | None = None,
     attach_to: Path | Attach | None = None,
-    session: Session | None = None,
     mouse: bool = True,
     temporary: bool = False,
     resources: ExitStack | None = None,
@@ -47,13 +46,12 @@ def run_console(
     """Open the console, and return when both it and the engine have ended.
 
     Args:
-        path: session file to run, or None to run `session` or ask.
+        path: session file to run, or None to ask.
         ascii_only: draw only ASCII, even if the terminal can draw more.
         theme: name of the theme, or None for one that suits the terminal.
         on_hangup: ``stop`` or ``continue``: the bridge's reaction when the terminal hangs up.
         control: control socket to serve the engine on, or None for one in the user's folder.
         attach_to: control socket of a bridge to attach to, or a function that attaches to one, or None.
-        session: session to run without `path`.
         mouse: take the mouse from the terminal.
         temporary: the session file is deleted when the session ends, as the demo's is.
         resources: closed when that session ends, or None.
@@ -65,7 +63,7 @@ def run_console(
         SessionError: the session file has mistakes.
     """
     app = ConsoleApp(
-        load(path) if path is not None else session,
+        load(path) if path is not None else None,
         path,
         readonly=readonly,
         ascii_only=ascii_only or prefers_ascii(os.environ),
@@ -128,10 +126,10 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
 def run_fleet(
     fleet: RobotFleet,
     *,
-    readonly: bool,
-    ascii_only: bool,
-    theme: str | None,
-    mouse: bool,
+    readonly: bool = False,
+    ascii_only: bool = False,
+    theme: str | None = None,
+    mouse: bool = True,
     after_quit: str = "",
 ) -> int:
     """Show the fleet, and the robots that the operator opens, until they quit.

@@ -75,15 +75,7 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
 def _in_console(demo: Demo, resources: contextlib.ExitStack) -> int:
     from rsb_console.command.console_command import run_console  # noqa: PLC0415 -- needs Textual
 
-    return run_console(
-        demo.path,
-        readonly=False,
-        ascii_only=False,
-        theme=None,
-        on_hangup="stop",
-        temporary=True,
-        resources=resources,
-    )
+    return run_console(demo.path, temporary=True, resources=resources)
 
 
 def _headless(demo: Demo, signals: Signals, seconds: float | None) -> int:
@@ -189,7 +181,7 @@ def _on_screen(running: Simulated, signals: Signals) -> int:
             return INTERRUPTED
         troubling = aside.submit(trouble, running, over.is_set)
         try:
-            code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True, after_quit=_AFTER_QUIT)
+            code = run_fleet(shown, after_quit=_AFTER_QUIT)
         finally:
             # Without this, the executor's end would wait for `trouble` for ever.
             over.set()

@@ -105,7 +105,6 @@ def attach(arguments: Namespace) -> int:
         readonly=arguments.readonly,
         ascii_only=arguments.ascii,
         theme=arguments.theme,
-        on_hangup="stop",
         mouse=not arguments.no_mouse,
         attach_to=bridge,
     )
