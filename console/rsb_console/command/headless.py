@@ -133,6 +133,7 @@ def bridge_until_told(
         seconds: s after which it stops by itself, or None to run on.
         supervisor: gets reports of the engine's state, or None.
     """
+    supervisor = supervisor or Supervisor({})  # which tells nobody
     format_event = json_event if log_format == "json" else text_event
     status = json_status if log_format == "json" else StatusLines().text
     writer = LogWriter(sys.stdout.fileno(), lambda lost, reason: format_event(_lines_lost(lost, reason)))
@@ -159,14 +160,12 @@ def bridge_until_told(
             next_look = now + _LOOK_EVERY
             snapshot = engine.snapshot()
             reason = reason or _over(engine, snapshot)
-            if supervisor is not None:
-                supervisor.show(snapshot)
+            supervisor.show(snapshot)
             if now >= next_status:
                 next_status = now + status_every
                 writer.write(status(snapshot))
     writer.write(format_event(Event(0, time.time(), Level.INFO, EventCode.ENGINE_STOPPING, f"stopping: {reason}")))
-    if supervisor is not None:
-        supervisor.stopping()
+    supervisor.stopping()
     # After the stop, no engine runs.
     failed = not engine.snapshot().running
     engine.stop(_STOPS_WITHIN)
@@ -192,13 +191,9 @@ def _over(engine: EngineApi, snapshot: Snapshot) -> str:
 
 
 class Reloading:
-    """Reloads an engine on SIGHUP, one reload at a time, and informs systemd. The engine logs the outcome.
+    """Reloads an engine on SIGHUP, one reload at a time, and informs systemd. The engine logs the outcome."""
 
-    Args:
-        supervisor: gets a report of each reload, or None.
-    """
-
-    def __init__(self, engine: EngineApi, supervisor: Supervisor | None) -> None:
+    def __init__(self, engine: EngineApi, supervisor: Supervisor) -> None:
         self._engine = engine
         self._supervisor = supervisor
         self._wanted = False
@@ -209,12 +204,10 @@ class Reloading:
         self._wanted = self._wanted or wanted
         if self._done is not None and self._done.done():
             self._done = None
-            if self._supervisor is not None:
-                self._supervisor.ready()
+            self._supervisor.ready()
         if self._wanted and self._done is None:
             self._wanted = False
-            if self._supervisor is not None:
-                self._supervisor.reloading(time.monotonic_ns())
+            self._supervisor.reloading(time.monotonic_ns())
             with acting(signal.SIGHUP.name):
                 self._done = self._engine.reload()
 
