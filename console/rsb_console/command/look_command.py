@@ -12,8 +12,7 @@ from concurrent.futures import wait
 from typing import TYPE_CHECKING
 
 import msgspec
-from rich.color import ColorSystem
-from rich.console import Console
+from rich.console import COLOR_SYSTEMS, Console
 from rich.style import Style
 
 from rsb_bridge.api import EngineError
@@ -24,11 +23,11 @@ from rsb_bridge.model.text import escape_text, single_cells
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.graphics import DETAIL, ImagePrinter, protocol_of_terminal, why_not
-from rsb_console.command.shell import OK, print_line
+from rsb_console.command.shell import FAILURE, OK, print_line
 from rsb_console.command.target import UsageError, attached, done, failed, other_side
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
-from rsb_console.look.picture_rows import COLOURS, UnreadableError, notes_line, picture_rows, reads_webp
+from rsb_console.look.picture_rows import COLOURS, UnreadableError, picture_rows, reads_webp
 from rsb_console.session.picture_files import FORMATS, picture_file
 
 if TYPE_CHECKING:
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Viewed
     from rsb_console.look.picture_rows import Row
 
-_FAILURE = 1
 _ANSWERED_WITHIN = 60.0  # s, as the help of --timeout says
 _TRIED_AGAIN_AFTER = 1.0  # s. A round figure
 _REDRAWN_AFTER = 1.0  # s; the age in sight is wrong by so much at most
@@ -97,14 +95,14 @@ def _one(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
     if viewed is None or viewed.picture.content is None:
         problem = viewed.picture.problem if viewed is not None else ""
         text = problem or LookText.NOTHING_CAME(topic=arguments.topics[0], seconds=seconds)
-        return failed(arguments, escape_text(text), _FAILURE)
+        return failed(arguments, escape_text(text), FAILURE)
     if arguments.output is None:
         _print(viewed, wish, arguments)
         return OK
     try:
         replace_file(arguments.output, picture_file(viewed.picture.content, arguments.output.suffix))
     except (OSError, ValueError) as error:
-        return failed(arguments, LookText.NOT_WRITTEN(file=arguments.output, error=error), _FAILURE)
+        return failed(arguments, LookText.NOT_WRITTEN(file=arguments.output, error=error), FAILURE)
     if not arguments.json:
         print_line(LookText.WRITTEN(file=arguments.output))
     return done(arguments, file=str(arguments.output))
@@ -275,7 +273,7 @@ def _console(arguments: Namespace) -> Console:
 
 def _encoded(console: Console, row: Row) -> str:
     """Return a row with escape sequences for the terminal's colours."""
-    system = None if console.color_system is None else ColorSystem[_SYSTEMS[console.color_system]]
+    system = None if console.color_system is None else COLOR_SYSTEMS[console.color_system]
     ascii_only = not (sys.stdout.encoding or "").lower().startswith("utf")
     parts = []
     for text, style, background in row:
@@ -289,14 +287,11 @@ def _encoded(console: Console, row: Row) -> str:
     return "".join(parts)
 
 
-_SYSTEMS = {"standard": "STANDARD", "256": "EIGHT_BIT", "truecolor": "TRUECOLOR", "windows": "WINDOWS"}
-
-
 def _status(viewed: Viewed) -> str:
     picture = viewed.picture
     where = viewed.where or "this side"
     age = LookText.AGE(age=formats.age(viewed.age)) if viewed.age is not None else ""
-    parts = (where, age, notes_line(picture), picture.problem)
+    parts = (where, age, " · ".join(picture.notes), picture.problem)
     return escape_text("  ".join(part for part in parts if part))
 
 

@@ -6,13 +6,10 @@ import io
 import warnings
 from importlib.util import find_spec
 from itertools import groupby
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Cells, Pixels, Series
 from rsb_console.look.plot_lines import plot_rows
-
-if TYPE_CHECKING:
-    from rsb_bridge.model.pictures import Picture
 
 RAMP = " .:-=+*#%@"
 """Characters for an image on a terminal without colours, from dark to light."""
@@ -197,8 +194,3 @@ def _cells(cells: Cells) -> list[Row]:
             begin += count
         rows.append(tuple(parts))
     return rows
-
-
-def notes_line(picture: Picture) -> str:
-    """Return the picture's notes as one line."""
-    return " · ".join(picture.notes)

@@ -29,15 +29,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.view_types import VIEWS
 from rsb_console.look import formats
-from rsb_console.look.picture_rows import (
-    COLOURS,
-    Part,
-    UnreadableError,
-    notes_line,
-    picture_rows,
-    reads_webp,
-    with_mark,
-)
+from rsb_console.look.picture_rows import COLOURS, Part, UnreadableError, picture_rows, reads_webp, with_mark
 from rsb_console.look.plot_lines import AXIS
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.drive_screen import drive, full_type, why_not_driven
@@ -343,7 +335,7 @@ class ViewScreen(FullScreen[bool]):
             age = self._viewed.age + time.monotonic() - self._came
             parts.append(ViewText.OLD(age=formats.age(age)))
         parts += [
-            notes_line(picture),
+            " · ".join(picture.notes),
             ViewText.SIDE(side=side),
             ViewText.SIZE(size=formats.byte_count(self._viewed.encoded)),
             ViewText.RATE(rate=self._wish.rate),
