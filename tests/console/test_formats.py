@@ -1,10 +1,12 @@
 """Figures stay within their columns."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.console.scripted import LINK
 
 from rsb_console.look import formats
 
@@ -30,9 +32,9 @@ from rsb_console.look import formats
         (formats.age(720), "12m"),
         (formats.age(3 * 86400), "3d"),
         (formats.clock(724), "00:12:04"),
-        (formats.retry(1, None), ""),
-        (formats.retry(1, 1.2), "retry 1 in 2 s"),
-        (formats.retry(4, 0.0), "retry 4 now"),
+        (formats.next_attempt(LINK), ""),
+        (formats.next_attempt(replace(LINK, retry_in=1.2)), "retry 1 in 2 s"),
+        (formats.next_attempt(replace(LINK, attempts=3, retry_in=0.0)), "retry 4 now"),
         (formats.counted(1, "topic"), "1 topic"),
         (formats.counted(0, "topic"), "0 topics"),
         (formats.byte_count(0), "0 B"),

@@ -5,12 +5,12 @@ from dataclasses import replace
 from tests.console.scripted import LINK, ScriptedEngine, route
 
 from rsb_bridge.model.snapshot import Ledger, RefusedClient, RouteSnapshot, State
-from rsb_console.command.formatting import StatusLines, text_status
+from rsb_console.command.formatting import StatusLines
 
 
 def parts(*routes: RouteSnapshot) -> list[str]:
     """Return each topic's part of the line."""
-    return text_status(replace(ScriptedEngine().snapshot(), routes=routes)).split(" | ")[3:]
+    return StatusLines().text(replace(ScriptedEngine().snapshot(), routes=routes)).split(" | ")[3:]
 
 
 def test_what_does_not_flow_says_why_and_stands_first() -> None:
@@ -37,7 +37,7 @@ def test_what_is_wrong_with_a_link_is_said_once() -> None:
     twice = replace(LINK, warning="a namesake at 10.0.0.9")
     routes = [route(f"/t{number}", State.DOWN, link="robot2", reason="cable pulled") for number in range(5)]
     snapshot = replace(ScriptedEngine().snapshot(), links=(twice, down), routes=(*routes, route("/odom")))
-    line = text_status(snapshot)
+    line = StatusLines().text(snapshot)
     assert line.count("cable pulled") == 1
     assert line.split(" | ")[3:] == [
         "robot1 a namesake at 10.0.0.9",

@@ -16,7 +16,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.telemetry.event_log import EVENT_LENGTH, EventLog
-from rsb_console.command.formatting import json_status, text_event, text_status
+from rsb_console.command.formatting import StatusLines, json_status, text_event
 from rsb_console.session.history_report import export_log
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def test_a_peer_forges_no_line(field: str, bridge: Bridge, tmp_path: Path, monke
         eventually(lambda: happened(server, EventCode.LINK_LOST))
     (lost,) = [event for event in server.events() if event.code == EventCode.LINK_LOST]
     monkeypatch.chdir(tmp_path)
-    lines = [text_event(lost), text_status(server.snapshot()), json_status(server.snapshot())]
+    lines = [text_event(lost), StatusLines().text(server.snapshot()), json_status(server.snapshot())]
     events = server.events()
     exported = export_log(events).read_text(encoding="utf-8").splitlines()
     assert len(exported) == len(events)

@@ -39,16 +39,19 @@ def seconds(text: str) -> float:
     Raises:
         argparse.ArgumentTypeError: it is not a number above 0.
     """
-    return _above_0(text, "number of seconds")
+    return above_0(text, "number of seconds")
 
 
-def above_0(text: str) -> float:
-    """Parse a figure.
+def above_0(text: str, noun: str = "number") -> float:
+    """Parse a figure, whose `noun` is for the message.
 
     Raises:
         argparse.ArgumentTypeError: it is not a number above 0.
     """
-    return _above_0(text, "number")
+    parsed = _number(text)
+    if not 0 < parsed < float("inf"):
+        raise argparse.ArgumentTypeError(ValueProblem.NOT_ABOVE_0(text=text, noun=noun))
+    return parsed
 
 
 def within(least: float, most: float) -> Callable[[str], float]:
@@ -101,13 +104,6 @@ def window_seconds(text: str) -> int:
     if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:4]) <= _REMEMBERED:
         raise argparse.ArgumentTypeError(ValueProblem.NOT_A_WINDOW(text=text, limit=_REMEMBERED))
     return int(text)
-
-
-def _above_0(text: str, what: str) -> float:
-    parsed = _number(text)
-    if not 0 < parsed < float("inf"):
-        raise argparse.ArgumentTypeError(ValueProblem.NOT_ABOVE_0(text=text, noun=what))
-    return parsed
 
 
 def _number(text: str) -> float:

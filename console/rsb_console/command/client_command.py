@@ -23,7 +23,6 @@ from rsb_console.command.shell import OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, Asking, NoBridgeError, UsageError, agreed, chosen_bridge
 from rsb_console.session import client_files
 from rsb_console.session.attaching import attach
-from rsb_console.session.client_files import begin_rotation, finish_rotation
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -138,7 +137,7 @@ def _rekey(arguments: Namespace) -> int:
 
 
 def _begin_rotation(arguments: Namespace, path: Path) -> int:
-    changed = begin_rotation(path, arguments.name)
+    changed = client_files.begin_rotation(path, arguments.name)
     told = _tell(
         arguments,
         path,
@@ -164,7 +163,7 @@ def _finish_rotation(arguments: Namespace, path: Path) -> int:
     linked = link is not None and link.state is State.OK
     if not linked and not arguments.yes:
         _ask_to_finish(arguments, path, name)
-    changed = finish_rotation(path, name)
+    changed = client_files.finish_rotation(path, name)
     told = _tell(
         arguments,
         path,
@@ -250,11 +249,10 @@ def _remove(arguments: Namespace) -> int:
     if arguments.json:
         print_line(json_line({"ok": True, "name": arguments.name, "running": told or None}))
         return OK
-    print_error(
-        ClientEffect.REMOVED_FROM(
-            path=path, name=arguments.name, key=_kept(changed.key_path), effect=told or ClientEffect.NOT_RUNNING()
-        )
-    )
+    key_at = changed.key_path
+    kept = ClientEffect.KEY_FILE_STAYS(path=key_at) if key_at and is_there(key_at) else ""
+    effect = told or ClientEffect.NOT_RUNNING()
+    print_error(ClientEffect.REMOVED_FROM(path=path, name=arguments.name, key=kept, effect=effect))
     return OK
 
 
@@ -423,7 +421,3 @@ def _handed_out(arguments: Namespace, changed: ChangedFile, told: str) -> int:
         print_error(ClientEffect.SAVED(path=file.path, effect=told or ClientEffect.NOT_RUNNING()))
     print_error(f"for {client.name}: {advice}")
     return OK
-
-
-def _kept(key_at: Path | None) -> str:
-    return ClientEffect.KEY_FILE_STAYS(path=key_at) if key_at and is_there(key_at) else ""

@@ -59,11 +59,6 @@ def text_event(event: Event) -> str:
     return f"{clock(event.time)} {event.level:<7} {event.source:<8} {link}{event.text}"
 
 
-def text_status(snapshot: Snapshot) -> str:
-    """Format one line: linked peers, flowing topics, the traffic, and the first faults and topics."""
-    return StatusLines().text(snapshot)
-
-
 class StatusLines:
     """Successive status lines for people: they give a cause when it begins or changes, and then once a minute."""
 
@@ -71,7 +66,7 @@ class StatusLines:
         self._printed: dict[_Subject, tuple[str, float]] = {}
 
     def text(self, snapshot: Snapshot) -> str:
-        """Return the next line, as `text_status` describes it."""
+        """Return the next line: linked peers, flowing topics, the traffic, and the first faults and topics."""
         received = sum(link.rx_bytes_per_second for link in snapshot.links) / 1000
         sent = sum(link.tx_bytes_per_second for link in snapshot.links) / 1000
         parts = [

@@ -43,7 +43,6 @@ from rsb_console.command.target import (
     RouteChoice,
     UsageError,
     all_chosen,
-    ask_history,
     attached,
     carried_out,
     check_link,
@@ -603,7 +602,8 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
     named = arguments.control is not None or arguments.fleet is not None
     # A bridge that runs is asked: its files may be two minutes old (docs/history.md).
     if named or any(name in (None, bridge.name) for bridge in running_bridges()):
-        return ask_history(arguments, seconds)
+        with attached(arguments, read_only=True) as engine:
+            return result(engine.history(seconds))
     # This is a path to the bridge's files. One without a folder differs from a name by its ending only.
     if name is not None and (os.sep in name or name.endswith(EVENTS)):
         path = Path(name)

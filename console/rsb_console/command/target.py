@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from rsb_bridge.config.fleet_file import FleetFile
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import PatternSnapshot
 
@@ -221,12 +220,6 @@ def fleet_file(arguments: Namespace) -> FleetFile:
         return load_fleet(arguments.fleet)
     except (SessionError, KeyFileError) as error:
         raise UsageError(str(error)) from None
-
-
-def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:
-    """Return the history of the bridge that the arguments name, over the last `seconds`."""
-    with attached(arguments, read_only=True) as engine:
-        return result(engine.history(seconds))
 
 
 def given_at(arguments: Namespace) -> float:

@@ -124,30 +124,21 @@ def clock(seconds: float) -> str:
     return f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}"
 
 
-def retry(number: int, seconds: float | None) -> str:
-    """Format the time of a link's next attempt: ``retry 4 in 3 s``, ``retry 4 now``.
-
-    Args:
-        seconds: s until then, rounded up; 0 if the attempt runs now, or None if no attempt is planned.
-    """
-    if seconds is None:
-        return ""
-    return f"retry {number} in {math.ceil(seconds)} s" if seconds else f"retry {number} now"
-
-
 def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
-    """Format the time until a link is tried again, or until its client asks again.
+    """Format the time until a link is tried again, or its client asks again: ``retry 4 in 3 s``, ``retry 4 now``.
 
     Args:
         now: s, so that the seconds change together with `age_since`, or None.
     """
     seconds = link.retry_in
+    if seconds is None:
+        return ""
     if seconds and now is not None:
         # At least 1: 0 means that the attempt runs now.
         seconds = max(1, math.floor(now + seconds) - math.floor(now))
-    if link.cause == LinkCause.SHUT_DOWN and seconds is not None:
+    if link.cause == LinkCause.SHUT_DOWN:
         return f"asks again in {math.ceil(seconds)} s"
-    return retry(link.attempts + 1, seconds)
+    return f"retry {link.attempts + 1} {f'in {math.ceil(seconds)} s' if seconds else 'now'}"
 
 
 def counted(count: int, what: str) -> str:

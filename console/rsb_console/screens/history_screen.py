@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import textwrap
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
@@ -138,7 +137,7 @@ class HistoryTable(SelectableList):
         robot, name = fit_middle(row.robot, _ROBOT - 1), fit_middle(row.topic, topic - 1)
         line = (
             ("▌" if self.is_cursor(index) else " ", "key"),
-            (f"{_moment(row.start, self._now):<{_START}}", "dim"),
+            (f"{history_report.moment(row.start, self._now):<{_START}}", "dim"),
             (f"{row.length:<{_LENGTH}}", ""),
             (f"{robot:<{_ROBOT}}", "strong"),
             (f"{name:<{topic}}", ""),
@@ -225,7 +224,7 @@ class HistoryScreen(ModalScreen[None]):
     def _totals(self, report: HistoryReport, rows: list[HistoryRow]) -> Iterator[Line]:
         if self._problem:
             yield ((self._problem, "down"),)
-        lines = history_report.totals(report)
+        lines = list(history_report.totals(report))
         width = max(20, self.summary.size.width)
         for line in lines[:_SUMMARY_LINES]:
             yield from (((text, ""),) for text in textwrap.wrap(line, width, subsequent_indent="  "))
@@ -307,9 +306,3 @@ def _detail(row: HistoryRow, width: int, span: float) -> Iterator[Line]:
         up = history_report.percent(row.track.up_ratio)
         words = f"  at most {top}; up {up} of the last {history_report.length(span)}"
         yield ((f"{'rate':<{_LABEL}}", "dim"), (picture, "plot"), (words, "dim"))
-
-
-def _moment(moment: float, now: float) -> str:
-    """Format the time of day, with the day if it is not today."""
-    then = time.localtime(moment)
-    return time.strftime("%H:%M:%S" if then.tm_yday == time.localtime(now).tm_yday else "%a %H:%M:%S", then)

@@ -56,7 +56,7 @@ class Ends:
 def plain(key: str, text: str) -> Any:
     """Convert a field's text as a session file would; text in place of a number stays, for the rules to refuse."""
     if key == "qos":
-        return _plain_qos(text)
+        return int(text) if text.isdecimal() else _mapping(text)
     if key == "limits":
         return _plain_limits(text)
     if key == "excepts":
@@ -69,12 +69,6 @@ def plain(key: str, text: str) -> Any:
         except ValueError:
             continue
     return text
-
-
-def _plain_qos(text: str) -> Any:
-    if text.isdecimal():
-        return int(text)
-    return _mapping(text)
 
 
 def _plain_limits(text: str) -> Any:
@@ -184,15 +178,11 @@ def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session
             if foreign:
                 raise TypedError(TypedProblem.KEY_OF_ANOTHER_KIND(text=text, hint=foreign, keys=keys))
             raise TypedError(TypedProblem.UNKNOWN_KEY(text=text, hint=suggestion(key, known), keys=keys))
-        changed[field_of(kind, key)] = _value(key, value)
+        changed[field_of(kind, key)] = DIRECTIONS.get(value, value) if key == "provider" else value
     topic = topic_of(changed)
     if problems := problems_of(topic, session, replaced):
         raise TypedError("; ".join(f"{key_of(kind, field)}: {problem}" for field, problem in problems.items()))
     return topic
-
-
-def _value(key: str, value: str) -> str:
-    return DIRECTIONS.get(value, value) if key == "provider" else value
 
 
 def suggestion(name: str, known: Sequence[str]) -> str:

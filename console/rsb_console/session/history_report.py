@@ -167,7 +167,7 @@ def did(event: Event) -> str:
 def text_report(report: HistoryReport) -> Iterator[str]:
     """Return lines for a hand-over: totals, then outages by robot and topic, then operators' actions."""
     yield f"{report.name} ({report.role}): the last {length(report.span)}, {_from_to(report)}"
-    yield from _totals(report)
+    yield from totals(report)
     yield ""
     outages = own(report.outages)
     yield "Outages" if outages else ReportText.NO_OUTAGES()
@@ -177,8 +177,8 @@ def text_report(report: HistoryReport) -> Iterator[str]:
         for name, found in _by_topic(of_link):
             yield f"    {name}"
             for outage in found:
-                state = outage.state.upper()
-                yield f"      {_moment(report, outage.start)}  {state}  {how_long(outage)}: {why(report, outage)}"
+                start, state = moment(outage.start, report.time), outage.state.upper()
+                yield f"      {start}  {state}  {how_long(outage)}: {why(report, outage)}"
     if report.outages_left_out:
         yield ReportText.OUTAGES_LEFT_OUT(count=report.outages_left_out)
     if report.actions:
@@ -186,17 +186,13 @@ def text_report(report: HistoryReport) -> Iterator[str]:
         yield ReportText.ACTIONS()
         for event in report.actions:
             who = f"{event.who}: " if event.who not in event.text else ""
-            yield f"  {_moment(report, event.time)}  {who}{did(event)}"
+            yield f"  {moment(event.time, report.time)}  {who}{did(event)}"
     if report.actions_left_out:
         yield ReportText.ACTIONS_LEFT_OUT(count=report.actions_left_out)
 
 
-def totals(report: HistoryReport) -> list[str]:
+def totals(report: HistoryReport) -> Iterator[str]:
     """Describe the share of the time in which everything was up, in a few sentences."""
-    return list(_totals(report))
-
-
-def _totals(report: HistoryReport) -> Iterator[str]:
     yield _ran(report)
     links = [track for track in report.tracks if not track.topic]
     for track in links:
@@ -242,9 +238,8 @@ def _ran(report: HistoryReport) -> str:
     stopped = "" if report.running else ReportText.STOPPED()
     if not report.gaps:
         return ReportText.RAN_ALL_THE_TIME(stopped=stopped)
-    gaps = ", ".join(
-        f"{_moment(report, gap.start)} to {_moment(report, gap.start + gap.seconds)}" for gap in report.gaps[-3:]
-    )
+    ends = ((gap.start, gap.start + gap.seconds) for gap in report.gaps[-3:])
+    gaps = ", ".join(f"{moment(start, report.time)} to {moment(end, report.time)}" for start, end in ends)
     earlier = len(report.gaps) - 3
     more = f" and {earlier} {plural(earlier, 'earlier time')}" if earlier > 0 else ""
     share = percent(report.watched / report.span)
@@ -283,9 +278,9 @@ def _from_to(report: HistoryReport) -> str:
     return f"{time.strftime('%a %Y-%m-%d %H:%M:%S', start)} to {time.strftime(f'{date}%H:%M:%S', end)}"
 
 
-def _moment(report: HistoryReport, moment: float) -> str:
-    """Format the time of day, with the day of the week if it is not the day of the report's end."""
-    then, end = time.localtime(moment), time.localtime(report.time)
+def moment(at: float, now: float) -> str:
+    """Format the time of day, with the day of the week if it is not the day of `now`."""
+    then, end = time.localtime(at), time.localtime(now)
     return time.strftime("%H:%M:%S" if then.tm_yday == end.tm_yday else "%a %H:%M:%S", then)
 
 
@@ -318,7 +313,7 @@ def csv_report(report: HistoryReport) -> str:
     table.writerow(CSV_COLUMNS)
     # Rows are sorted by time alone, since cells of two kinds of rows do not compare.
     for _, row in sorted(rows, key=lambda each: each[0]):
-        stamps = ["" if moment is None else _iso(moment) for moment in (row[1], row[2])]  # type: ignore[arg-type]
+        stamps = ["" if each is None else _iso(each) for each in (row[1], row[2])]  # type: ignore[arg-type]
         seconds = "" if row[3] is None else f"{row[3]:.1f}"
         table.writerow([row[0], *stamps, seconds, *map(cell, row[4:])])
     return made.getvalue()
@@ -349,8 +344,7 @@ def export_log(events: Sequence[Event]) -> Path:
     path = _new_file("log", "txt")
     with new_file(path) as file:
         for event in events:
-            stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(event.time))
-            line = f"{stamp} {event.level} {event.source} {event.link or '-'} {event.text}"
+            line = f"{_iso(event.time)} {event.level} {event.source} {event.link or '-'} {event.text}"
             file.write(f"{one_line(line)}\n")
     return path
 
