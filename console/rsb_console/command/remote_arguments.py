@@ -164,9 +164,7 @@ def add_remote_commands(
 
     def remote(name: str, summary: str, more: str = "", *, about_topic: bool = False) -> argparse.ArgumentParser:
         """Add a command for a running bridge, named by ``--bridge`` or, if it takes no other name, by a plain word."""
-        parser = command(
-            name, lazily(name, "local_commands" if name == "attach" else "remote"), summary, more or _EXIT
-        )
+        parser = command(name, lazily(name, "local_commands" if name == "attach" else "remote"), summary, more or _EXIT)
         if not about_topic:
             alone = parser.add_argument(
                 "bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help="short for --bridge NAME"
@@ -207,7 +205,9 @@ def add_remote_commands(
         ("resume", "resume a paused topic or service; all routes of the name"),
     ):
         route_arguments(remote(name, summary, about_topic=True), complete)
-    _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
+    ack = remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True)
+    route_arguments(ack, complete, metavar="TOPIC|LINK")
+    ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
     arm = remote("arm", "arm a topic, a service or an action while this command runs", _EXIT_ARM, about_topic=True)
     held = arm.add_mutually_exclusive_group()
     held.add_argument("--ask", action="store_true", help="ask whoever holds it; without an answer it goes over in 10 s")
@@ -217,8 +217,7 @@ def add_remote_commands(
         remote("disarm", "disarm all routes of a name, also if others armed them", about_topic=True), complete
     )
     retry = remote("retry", "connect now instead of later, and open refused topics again")
-    only = "the link with this client only"
-    complete(retry.add_argument("--link", default="", metavar="CLIENT", help=only), "links")
+    complete(retry.add_argument("--link", default="", metavar="CLIENT", help="the link with this client only"), "links")
     remote("restart", "close the links on both sides and open them again")
     reload = remote("reload", "read the session file again, and change only what differs", _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
@@ -237,7 +236,12 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     )
     report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT)
-    _wait_arguments(wait, complete)
+    wanted = wait.add_argument(
+        "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
+        help="flowing TOPIC, linked [CLIENT], or stopped",
+    )  # fmt: skip
+    complete(wanted, "awaited")
+    wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
     _echo_arguments(echo, complete)
     _look_arguments(
@@ -254,20 +258,6 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
 
 def _drop_arm(parser: argparse.ArgumentParser, about: str) -> None:
     parser.add_argument("--drop-arm", action="store_true", help=about)
-
-
-def _ack_arguments(ack: argparse.ArgumentParser, complete: Complete) -> None:
-    route_arguments(ack, complete, metavar="TOPIC|LINK")
-    ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
-
-
-def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:
-    wanted = wait.add_argument(
-        "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
-        help="flowing TOPIC, linked [CLIENT], or stopped",
-    )  # fmt: skip
-    complete(wanted, "awaited")
-    wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
 
 
 def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
@@ -708,7 +698,7 @@ class CommandParser(argparse.ArgumentParser):
 class _FleetParser(CommandParser):
     """Leaves the words after ``--`` as they are: they have their own options."""
 
-    def parse_known_args(
+    def parse_known_args(  # type: ignore[override]  # as above
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
         own, words = list(args or ()), []
