@@ -49,11 +49,9 @@ _NARROWEST = 40
 class JudgingText(Wording):
     """Verdicts on whether a link carries a session's topics."""
 
-    NOTHING = "No verdict: no topic has a rate and a size yet, or too little was measured."
     CARRIES_ALL = "{over} carries {carried}."
     CARRIES_SOME = "{over} carries {carried}, not {others}."
     CARRIES_NONE = "{over} does not carry {others}."
-    BARELY = "Just enough for {topics}; any further load costs messages."
     UNKNOWN = "Too few rates were tried to judge whether {over} carries {topics}."
     TOGETHER_MOST = "Together they take {percent:.0f} % of it, nearly all its capacity: limit the largest (max_rate)."
     TOGETHER_TOO_MUCH = (
@@ -246,7 +244,7 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
         together: whether all topics run at the same time.
     """
     if not judged:
-        return [JudgingText.NOTHING()]
+        return ["No verdict: no topic has a rate and a size yet, or too little was measured."]
     by = {
         verdict: [_load(each) for each in judged if each.verdict == verdict]
         for verdict in ("carried", "barely", "not", "unknown")
@@ -259,7 +257,7 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
     elif by["not"]:
         lines.append(JudgingText.CARRIES_NONE(over=over, others=join_first(by["not"], _NAMED)))
     if by["barely"]:
-        lines.append(JudgingText.BARELY(topics=join_first(by["barely"], _NAMED)))
+        lines.append(f"Just enough for {join_first(by['barely'], _NAMED)}; any further load costs messages.")
     if by["unknown"]:
         lines.append(JudgingText.UNKNOWN(over=over, topics=join_first(by["unknown"], _NAMED)))
     total = sum(each.share for each in judged)

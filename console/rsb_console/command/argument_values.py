@@ -23,14 +23,6 @@ class ValueProblem(Wording):
     """Reasons why an option's value is refused."""
 
     NOT_ABOVE_0 = "{text!r} is not a {noun} above 0"
-    NOT_WITHIN = "{text!r} is not a number from {least} to {most}"
-    NOT_A_TIMEOUT = "{text!r} is not a number of seconds, 0 or more"
-    NOT_A_COUNT = "{text!r} is not a whole number above 0"
-    NOT_A_WINDOW = "{text!r} is not a whole number of seconds from 1 to {limit}"
-    NOT_A_SIZE = "{text!r} is not a size from {least} bytes to 16M, such as 2500, 10k or 1M"
-    NOT_A_TRANSPORT = "{text!r} is not one of {known}"
-    NOT_A_LIST = "{text!r} is not a list of numbers from 1 to {limit}, or 0"
-    NOT_DOMAINS = "{text!r} is not two different ROS domains from 0 to {limit}"
 
 
 def seconds(text: str) -> float:
@@ -60,7 +52,7 @@ def within(least: float, most: float) -> Callable[[str], float]:
     def parse(text: str) -> float:
         parsed = _number(text)
         if not least <= parsed <= most:
-            raise argparse.ArgumentTypeError(ValueProblem.NOT_WITHIN(text=text, least=f"{least:g}", most=f"{most:g}"))
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number from {least:g} to {most:g}")
         return parsed
 
     return parse
@@ -75,7 +67,7 @@ def timeout(text: str) -> float:
     parsed = _number(text)
     # `Future.result` raises an OverflowError for infinity.
     if not 0 <= parsed < float("inf"):
-        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_TIMEOUT(text=text))
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds, 0 or more")
     return parsed
 
 
@@ -90,7 +82,7 @@ def count(text: str) -> int:
     except ValueError:
         parsed = 0
     if parsed < 1:
-        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_COUNT(text=text))
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
     return parsed
 
 
@@ -102,7 +94,7 @@ def window_seconds(text: str) -> int:
     """
     # `isdigit` takes ², too, which `int` refuses, as it refuses more than 4,300 digits.
     if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:4]) <= _REMEMBERED:
-        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_WINDOW(text=text, limit=_REMEMBERED))
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of seconds from 1 to {_REMEMBERED}")
     return int(text)
 
 
@@ -132,7 +124,7 @@ def _size(part: str) -> int:
     except (ValueError, KeyError, OverflowError):  # 1e999 is infinite, which `round` does not take
         size = 0
     if not _LEAST <= size <= _MOST:
-        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_SIZE(text=part, least=_LEAST))
+        raise argparse.ArgumentTypeError(f"{part!r} is not a size from {_LEAST} bytes to 16M, such as 2500, 10k or 1M")
     return size
 
 
@@ -145,7 +137,7 @@ def transports(text: str) -> tuple[str, ...]:
     named = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",")))
     for name in named:
         if name not in TRANSPORTS:
-            raise argparse.ArgumentTypeError(ValueProblem.NOT_A_TRANSPORT(text=name, known=", ".join(TRANSPORTS)))
+            raise argparse.ArgumentTypeError(f"{name!r} is not one of {', '.join(TRANSPORTS)}")
     return named
 
 
@@ -159,7 +151,7 @@ def topics(text: str) -> tuple[int, ...]:
     if numbers == (0,):
         return ()
     if not numbers or not all(1 <= number <= _MOST_TOPICS for number in numbers):
-        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_LIST(text=text, limit=_MOST_TOPICS))
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers from 1 to {_MOST_TOPICS}, or 0")
     return numbers
 
 
@@ -171,7 +163,7 @@ def domains(text: str) -> tuple[int, int]:
     """
     found = _numbers(text)
     if len(found) != 2 or found[0] == found[1] or not all(0 <= each <= _MOST_DOMAIN for each in found):
-        raise argparse.ArgumentTypeError(ValueProblem.NOT_DOMAINS(text=text, limit=_MOST_DOMAIN))
+        raise argparse.ArgumentTypeError(f"{text!r} is not two different ROS domains from 0 to {_MOST_DOMAIN}")
     return found[0], found[1]
 
 

@@ -45,14 +45,9 @@ class CallProblem(Wording):
     LANE_UNKNOWN = "{topic} has no service {lane!r}{hint}: choose one with --lane ({lanes})"
     NO_ANSWER = "{topic} gave no answer within {seconds:g} s"
     NO_RESULT_YET = "{topic} gave no answer within {seconds:g} s; the goal goes on, so you can ask for its result again"
-    WAITING = "waiting for the result, {seconds:.0f} s: the goal is {state} (Ctrl-C ends the waiting only)"
     UNREADABLE = "the answer of {topic} cannot be read"
     PARAMETER_MISSING = "{node} has no parameter {parameter}, or it has no value"
     PARAMETER_REFUSED = "{node} does not set {parameter}: {reason}"
-    PARAMETER_TYPE_UNKNOWN = "{type} is not a parameter type; choose one of {known}"
-    PARAMETER_VALUE_INVALID = "{value}: {problem}"
-    PARAMETERS_CUT = "{node} may have more parameters than the first {limit:,}"
-    TOO_MUCH_TO_DUMP = "{node} has too much to dump: {note}"
 
 
 def _call(arguments: Namespace) -> int:
@@ -129,7 +124,7 @@ def _awaited(engine: RemoteEngine, route: RouteSnapshot, future: Future[str], ti
             state = _state(engine, route.key, goal)
         if state and (state != told or time.monotonic() - told_at >= _REPORTED_EVERY):
             told, told_at = state, time.monotonic()
-            print_error(CallProblem.WAITING(seconds=waited, state=state))
+            print_error(f"waiting for the result, {waited:.0f} s: the goal is {state} (Ctrl-C ends the waiting only)")
 
 
 def _state(engine: RemoteEngine, key: str, goal: str) -> str:
@@ -173,12 +168,12 @@ def _get(arguments: Namespace) -> int:
 
 def _set(arguments: Namespace) -> int:
     if arguments.type not in ("", *KIND_NAMES):
-        raise UsageError(CallProblem.PARAMETER_TYPE_UNKNOWN(type=arguments.type, known=", ".join(KIND_NAMES)))
+        raise UsageError(f"{arguments.type} is not a parameter type; choose one of {', '.join(KIND_NAMES)}")
     try:
         # An empty word means an empty text; as YAML it would be no value.
         request = set_request(arguments.parameter, arguments.value or "''", arguments.type)
     except FieldError as error:
-        raise UsageError(CallProblem.PARAMETER_VALUE_INVALID(value=arguments.value, problem=error)) from None
+        raise UsageError(f"{arguments.value}: {error}") from None
     with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
         answer = response(engine, route, request.text, "set_parameters")
@@ -227,7 +222,7 @@ def _describe(arguments: Namespace) -> int:
 def names_of(engine: RemoteEngine, route: RouteSnapshot) -> list[str]:
     names: list[str] = _ask(engine, route, "list_parameters", {})["result"]["names"]
     if len(names) >= ITEMS:
-        print_error(CallProblem.PARAMETERS_CUT(node=route.topic, limit=ITEMS))
+        print_error(f"{route.topic} may have more parameters than the first {ITEMS:,}")
     return names
 
 
@@ -236,7 +231,7 @@ def _values(engine: RemoteEngine, route: RouteSnapshot, names: list[str], *, who
     text = response(engine, route, dump_yaml({"names": names}), "get_parameters")
     for note in [line.removeprefix("# ") for line in text.splitlines() if line.startswith("#")]:
         if whole:
-            raise EngineError(CallProblem.TOO_MUCH_TO_DUMP(node=route.topic, note=note))
+            raise EngineError(f"{route.topic} has too much to dump: {note}")
         print_error(note)
     values = _fields(route, text).get("values") or []
     # If one name is unknown, a node in C++ answers with no values at all.

@@ -54,19 +54,16 @@ _NAMED = 6
 class SessionCheckText(Wording):
     """Warnings and hints of `rsb-console check`."""
 
-    NO_CLIENTS = "accepts nobody yet: `rsb-console client add NAME` adds a client"
     MAY_MOVE = "{peer} may publish topics that move a robot: {names}"
     MAY_ACT = "{peer} may call services that move or change a robot: {names}"
     SERVER_MAY_STOP = "the server may shut this bridge down"
     NODES_MAY_STOP = "any ROS node of this domain may shut the bridge down, on {topic}"
-    MAX_AGE_MISSING = "hint: a late command may move a robot when the network recovers: set max_age: 0.5 on {names}"
     NO_OTHER_GUARD = (
         "hint: nothing stops what {names} drives if this bridge is killed or frozen: give the robot's base a timeout"
     )
     LIMITED = ", at most {limits} by hand ({lines})"
     LIMITED_PATTERN = "at most {limits} by hand"
     ENDS_WITH = "; when that ends, the robot gets {message} ({line})"
-    ENDS_BY_TYPE = "; when that ends, the robot gets zero if the type drives robots"
     ENDS_WITH_ZERO = "; when that ends, the robot gets zero"
     CANCELS = "; when that ends, its goals are cancelled ({line})"
     GOALS_GO_ON = "; when that ends, its goals go on, unless on_end is cancel"
@@ -77,9 +74,6 @@ class SessionCheckText(Wording):
     )
     PREFIX_IF_USED = "prefix /{name} if the server has use_name on"
     OWN_PORTS = "ports of its own"
-    MISTAKES = "a session file with mistakes\n{problems}"
-    DOES_NOT_START = "the bridge does not start: {problem}"
-    WARNING = "warning: {problem}"
     KEY_MISSING = "{problem}; without it the bridge does not start"
     KEY = "key {file}, for {users}: {fingerprint}, written {age}"
 
@@ -112,7 +106,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     if session.role == "server" and session.clients is None:
         yield f"  accepts {session.name}: everything"
     if session.clients == ():
-        yield f"  {SessionCheckText.NO_CLIENTS()}"
+        yield "  accepts nobody yet: `rsb-console client add NAME` adds a client"
     for source in filter(lambda each: each.arm, demands.sources):
         yield f"  requires arming on all its routes: {_demanded(source, places or {})}"
 
@@ -150,7 +144,7 @@ def _end_of(demand: Demand, topic: Topic, places: Mapping[SourceKey, str]) -> st
         return SessionCheckText.GOALS_GO_ON()
     type_name = full_type(topic.type)
     if not type_name:
-        return SessionCheckText.ENDS_BY_TYPE()
+        return "; when that ends, the robot gets zero if the type drives robots"
     return SessionCheckText.ENDS_WITH_ZERO() if type_name in DRIVING_TYPES else SessionCheckText.ENDS_WITH_NOTHING()
 
 
@@ -206,7 +200,7 @@ def hints(session: Session) -> Iterator[str]:
         yield SessionCheckText.NO_OTHER_GUARD(names=join_first(alone, _NAMED))
     if old := tuple(dict.fromkeys(without_max_age(session))):
         names = join_first(old, _NAMED)
-        yield f"  {SessionCheckText.MAX_AGE_MISSING(names=names)}"
+        yield f"  hint: a late command may move a robot when the network recovers: set max_age: 0.5 on {names}"
 
 
 def _leaves(session: Session) -> Iterator[str]:
@@ -290,9 +284,9 @@ def check_session(arguments: Namespace) -> int:
     for line in _key_lines(session, keys):
         print_line(line)
     for warning in chain(_warnings(session, keys), fault_command_warnings(session, path)):
-        print_line(SessionCheckText.WARNING(problem=warning))
+        print_line(f"warning: {warning}")
     if problem := _shared_keys(session, keys):
-        print_error(SessionCheckText.DOES_NOT_START(problem=problem))
+        print_error(f"the bridge does not start: {problem}")
         return USAGE
     return NO_KEY if any(isinstance(key, KeyFileError) for key in keys.values()) else OK
 
@@ -300,7 +294,7 @@ def check_session(arguments: Namespace) -> int:
 def print_mistakes(error: SessionError) -> int:
     """Print the mistakes of a session file, as a whole or by line."""
     in_lines = any(problem.line for problem in error.problems)
-    print_error(SessionCheckText.MISTAKES(problems=error) if in_lines else str(error))
+    print_error(f"a session file with mistakes\n{error}" if in_lines else str(error))
     return USAGE
 
 

@@ -39,7 +39,6 @@ class ClientCommandProblem(Wording):
     """Reasons why a change of a server's clients is refused."""
 
     OUTPUT_EXISTS = "{path} exists already: name another file for the robot's session"
-    OUTPUT_UNWRITABLE = "{path}: cannot be written: {reason}"
     OUTPUT_OF_ROTATION = "the client's session file stays as it is: leave out --output and --address"
     OLD_KEY_IN_USE = (
         "{name} is linked with its old key, {fingerprint}: not finished. Copy the new key over the robot's and "
@@ -55,7 +54,6 @@ class ClientCommandProblem(Wording):
     )
     NOT_FINISHED = "not finished: both keys of {name} stay valid"
     SESSION_UNKNOWN = "{problem}: name the server's session file"
-    SESSION_IN_NO_FILE = "{name} runs a session without a file: name the session file"
     BRIDGE_REFUSES = (
         "{path} is saved, but the bridge that runs it refuses: {reason}; restart it, or `rsb-console reload {name}`"
     )
@@ -65,7 +63,6 @@ class ClientEffect(Wording):
     """Effects of a change of clients on the server that runs the session, and the steps that follow."""
 
     NOT_RUNNING = "no server with this file runs here; the change takes effect at its next start"
-    RUNNING = "{name} runs (pid {pid}): {effect}"
     SAVED = "{path} is saved; {effect}"
     ADDED = "it accepts the client from now on"
     REKEYED = "only the new key counts now"
@@ -77,12 +74,6 @@ class ClientEffect(Wording):
     FINISHED_LINK_STAYS = "only the new key counts now, and the link stays"
     REMOVED = "{name} is no longer accepted, and was not linked"
     REMOVED_LINK_CLOSED = "{name} is no longer accepted, and its link is closed"
-    REMOVED_FROM = "{path}: {name} is removed{key}; {effect}"
-    KEY_FILE_STAYS = "; its key file {path} stays: remove it if nothing needs it"
-    KEY_IN = "{name}: {key} is in {path}, fingerprint {fingerprint}"
-    KEY = "{name}: key {path}, fingerprint {fingerprint}"
-    STEP_COPY = "copy the new key over the robot's: `scp -p {path} USER@ROBOT:{key_file}`"
-    STEP_RELOAD = "on the robot: `rsb-console reload` (its link comes back at once)"
     STEP_FINISH = "here: `rsb-console client rekey {name} --finish` (the old key becomes invalid)"
 
 
@@ -147,8 +138,8 @@ def _begin_rotation(arguments: Namespace, path: Path) -> int:
     key_file = changed.client.key_file or changed.file.session.key_file or ""
     name = arguments.name
     steps = (
-        ClientEffect.STEP_COPY(path=changed.key_path, key_file=Path(key_file).name),
-        ClientEffect.STEP_RELOAD(),
+        f"copy the new key over the robot's: `scp -p {changed.key_path} USER@ROBOT:{Path(key_file).name}`",
+        "on the robot: `rsb-console reload` (its link comes back at once)",
         ClientEffect.STEP_FINISH(name=name),
     )
     return _rotated(arguments, changed, told, "the next key", steps)
@@ -219,7 +210,7 @@ def _rotated(arguments: Namespace, changed: ChangedFile, told: str, what: str, s
             )
         )  # fmt: skip
         return OK
-    print_error(ClientEffect.KEY_IN(name=client.name, key=what, path=key_at, fingerprint=fingerprint(key)))
+    print_error(f"{client.name}: {what} is in {key_at}, fingerprint {fingerprint(key)}")
     print_error(ClientEffect.SAVED(path=file.path, effect=told or ClientEffect.NOT_RUNNING()))
     for number, step in enumerate(steps, 1):
         print_error(f"{number}. {step}")
@@ -250,9 +241,8 @@ def _remove(arguments: Namespace) -> int:
         print_line(json_line({"ok": True, "name": arguments.name, "running": told or None}))
         return OK
     key_at = changed.key_path
-    kept = ClientEffect.KEY_FILE_STAYS(path=key_at) if key_at and is_there(key_at) else ""
-    effect = told or ClientEffect.NOT_RUNNING()
-    print_error(ClientEffect.REMOVED_FROM(path=path, name=arguments.name, key=kept, effect=effect))
+    kept = f"; its key file {key_at} stays: remove it if nothing needs it" if key_at and is_there(key_at) else ""
+    print_error(f"{path}: {arguments.name} is removed{kept}; {told or ClientEffect.NOT_RUNNING()}")
     return OK
 
 
@@ -316,7 +306,7 @@ def _session_path(arguments: Namespace) -> Path:
     except NoBridgeError as error:
         raise NoBridgeError(ClientCommandProblem.SESSION_UNKNOWN(problem=error)) from None
     if bridge.info is None or bridge.info.file is None:
-        raise UsageError(ClientCommandProblem.SESSION_IN_NO_FILE(name=bridge.name))
+        raise UsageError(f"{bridge.name} runs a session without a file: name the session file")
     return Path(bridge.info.file)
 
 
@@ -375,7 +365,7 @@ def _tell(
             command(engine).result(ANSWERED_WITHIN)
     except EngineError as error:
         raise EngineError(ClientCommandProblem.BRIDGE_REFUSES(path=path, reason=error, name=bridge.name)) from None
-    return ClientEffect.RUNNING(name=bridge.name, pid=bridge.pid, effect=done(linked))
+    return f"{bridge.name} runs (pid {bridge.pid}): {done(linked)}"
 
 
 def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
@@ -399,9 +389,7 @@ def _handed_out(arguments: Namespace, changed: ChangedFile, told: str) -> int:
         try:
             write_whole(output, text)
         except OSError as error:
-            raise ClientError(
-                ClientCommandProblem.OUTPUT_UNWRITABLE(path=output, reason=why_not_written(error, output))
-            ) from None
+            raise ClientError(f"{output}: cannot be written: {why_not_written(error, output)}") from None
     advice = client_files.copy_advice(client, key_at, output)
     mark = "" if key is None else fingerprint(key)
     if arguments.json:
@@ -416,7 +404,7 @@ def _handed_out(arguments: Namespace, changed: ChangedFile, told: str) -> int:
     if output is None:
         print_lines(text.removesuffix("\n"))
     if key is not None:
-        print_error(ClientEffect.KEY(name=client.name, path=key_at, fingerprint=mark))
+        print_error(f"{client.name}: key {key_at}, fingerprint {mark}")
     if arguments.saves:
         print_error(ClientEffect.SAVED(path=file.path, effect=told or ClientEffect.NOT_RUNNING()))
     print_error(f"for {client.name}: {advice}")

@@ -52,10 +52,6 @@ class HeadlessText(Wording):
     """Reports of a bridge without a console, before its log begins."""
 
     RUNS_ALREADY = "{problem}. To attach to it: {command}"
-    NOT_ATTACHABLE = "the bridge runs, but no console can attach to it: {problem}"
-    CONSOLE_CRASHED = (
-        "the console has crashed; the bridge goes on without it until a signal stops it (Ctrl-C or SIGTERM)"
-    )
 
 
 def run_headless(
@@ -89,7 +85,7 @@ def run_headless(
             print_error(HeadlessText.RUNS_ALREADY(problem=error, command=error.bridge.attach_command))
             return ALREADY_RUNNING
         except ControlError as error:
-            print_error(HeadlessText.NOT_ATTACHABLE(problem=error))
+            print_error(f"the bridge runs, but no console can attach to it: {error}")
         try:
             engine.start()
         except EngineError as error:
@@ -109,7 +105,9 @@ def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
         crashed: the console has crashed, which is reported and makes the exit code non-zero.
     """
     if crashed:
-        print_error(HeadlessText.CONSOLE_CRASHED())
+        print_error(
+            "the console has crashed; the bridge goes on without it until a signal stops it (Ctrl-C or SIGTERM)"
+        )
     with Signals(ignore_hangup=True, has_terminal=True) as signals:
         code = bridge_until_told(engine, signals)
     return FAILURE if crashed else code

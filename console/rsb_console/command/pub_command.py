@@ -47,9 +47,7 @@ _LOOK_EVERY = 0.1
 class PubText(Wording):
     """Texts of the command."""
 
-    NO_MESSAGE = "pub {topic}: the message is missing; --template prints one to begin with"
     PUBLISHED = "published {count} on {topic} ({type_name}): {subscriptions} here{links}"
-    TO_LINKS = ", and over the link to {links}"
     NOT_OVER = "not over the link {link}: {reason}"
     NOBODY = "nobody gets {topic}: it has no subscription here, and no link takes it"
 
@@ -58,7 +56,7 @@ def _pub(arguments: Namespace) -> int:
     if arguments.template:
         return _template(arguments)
     if arguments.message is None:
-        raise UsageError(PubText.NO_MESSAGE(topic=arguments.topic))
+        raise UsageError(f"pub {arguments.topic}: the message is missing; --template prints one to begin with")
     fields = fields_from(arguments, arguments.message)
     with attached(arguments, expires=True) as engine:
         return _publish(engine, arguments, fields)
@@ -175,7 +173,7 @@ def _not_over(engine: RemoteEngine, published: Published, topic: str) -> list[Ro
 def _print(engine: RemoteEngine, arguments: Namespace, published: Published, count: int) -> None:
     topic = escape_text(arguments.topic)
     if published.nodes or published.links:
-        links = PubText.TO_LINKS(links=escape_text(", ".join(published.links))) if published.links else ""
+        links = f", and over the link to {escape_text(', '.join(published.links))}" if published.links else ""
         many = f"{published.nodes} subscription{'' if published.nodes == 1 else 's'}"
         what = "1 message" if count == 1 else f"{count:,} messages"
         print_line(

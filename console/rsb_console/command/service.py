@@ -73,8 +73,6 @@ class ServiceText(Wording):
     )
     NO_UNIT = "{path}: there is no such unit"
     ENABLED = "{name} is enabled; first run: {control} disable --now {name}"
-    FOREIGN_UNIT = "{path}: not written by `service install`; --force removes it"
-    NOT_REMOVED = "{path}: cannot be removed: {reason}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,11 +222,11 @@ def _uninstall(arguments: Namespace) -> int:
             print_error(ServiceText.ENABLED(name=name, control=control))
             return FAILURE
         if not path.read_text(encoding="utf-8").startswith(MARK) and not arguments.force:
-            print_error(ServiceText.FOREIGN_UNIT(path=path))
+            print_error(f"{path}: not written by `service install`; --force removes it")
             return FAILURE
         path.unlink()
     except OSError as error:
-        print_error(ServiceText.NOT_REMOVED(path=path, reason=error.strerror))
+        print_error(f"{path}: cannot be removed: {error.strerror}")
         return FAILURE
     print_lines(f"{path}: removed. Run next:\n  {control} daemon-reload")
     return OK

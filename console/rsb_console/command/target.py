@@ -61,9 +61,6 @@ class BridgeChoice(Wording):
     NONE_RUNS = "no bridge runs here that you may attach to"
     NONE_OF_YOURS_RUNS = "no bridge runs here that you may attach to; some may belong to {user}: {remedy}"
     UNKNOWN = "no bridge {name!r} runs here; these do:{running}"
-    SEVERAL_OF_ONE_NAME = "several bridges with this name run here; choose one:{options}"
-    SEVERAL = "several bridges run here; choose one with --bridge NAME:{running}"
-    UNUSABLE = "{name} (pid {pid}): {problem}"
 
 
 class RouteChoice(Wording):
@@ -72,8 +69,6 @@ class RouteChoice(Wording):
     SEVERAL = "{topic} is bridged {count} times; choose one: {options}"
     OF_ANOTHER_KIND = "{topic} is bridged as {actual}, and not as {wanted}"
     NOT_BRIDGED = "{topic} is not bridged{hint}"
-    SEVERAL_PATTERNS = "{topic} is followed {count} times; choose one: {options}"
-    UNKNOWN_PATTERN = "there is no pattern {topic}{hint}"
     UNKNOWN_LINK = "{bridge} has no link {name!r}, only {known}"
 
 
@@ -161,15 +156,15 @@ def chosen_bridge(arguments: Namespace) -> RunningBridge:
         raise NoBridgeError(BridgeChoice.UNKNOWN(name=name, running=running))
     if len({bridge.name for bridge in chosen}) < len(chosen):  # in folders of several users or services
         paths = "".join(f"\n  --control {bridge.path}  {bridge}" for bridge in chosen)
-        raise UsageError(BridgeChoice.SEVERAL_OF_ONE_NAME(options=paths))
+        raise UsageError(f"several bridges with this name run here; choose one:{paths}")
     if len(chosen) > 1:
-        raise UsageError(BridgeChoice.SEVERAL(running=running))
+        raise UsageError(f"several bridges run here; choose one with --bridge NAME:{running}")
     return _answering(chosen[0])
 
 
 def _answering(bridge: RunningBridge) -> RunningBridge:
     if bridge.info is None:
-        raise ControlError(BridgeChoice.UNUSABLE(name=bridge.name, pid=bridge.pid, problem=bridge.problem))
+        raise ControlError(f"{bridge.name} (pid {bridge.pid}): {bridge.problem}")
     return bridge
 
 
@@ -329,7 +324,7 @@ def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | Patter
     if len(found) == 1:
         return found[0]
     options = (f"--link {each.link} --direction {each.spec.direction} --kind {each.spec.kind}" for each in found)
-    raise UsageError(RouteChoice.SEVERAL_PATTERNS(topic=arguments.topic, count=len(found), options="; ".join(options)))
+    raise UsageError(f"{arguments.topic} is followed {len(found)} times; choose one: {'; '.join(options)}")
 
 
 def all_chosen(engine: RemoteEngine, arguments: Namespace) -> Sequence[RouteSnapshot | PatternSnapshot]:
@@ -404,7 +399,7 @@ def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternS
     if found:
         return found
     names = [each.spec.topic for each in known]
-    raise UsageError(RouteChoice.UNKNOWN_PATTERN(topic=arguments.topic, hint=suggestion(arguments.topic, names)))
+    raise UsageError(f"there is no pattern {arguments.topic}{suggestion(arguments.topic, names)}")
 
 
 def _which(route: RouteSnapshot, others: Sequence[RouteSnapshot]) -> str:

@@ -39,7 +39,6 @@ class ClientFileProblem(Wording):
 
     NOT_A_SERVER = "{path}: this is a client's session; only a server's lists clients"
     KEY_EXISTS = "{path} exists already: give another file, or this one explicitly to use its key"
-    NO_ENCRYPTION = "{path}: encryption is off (use_encryption): there are no keys"
     NEXT_KEY_OF_SERVER = (
         "{name} uses the server's next_key_file, {file}, and has no key of its own: in the session file, give it "
         "as key_file and remove next_key_file, then run `rsb-console reload`"
@@ -54,7 +53,6 @@ class ClientFileProblem(Wording):
 class RobotFileText(Wording):
     """Advice about a robot's own session file."""
 
-    HEAD = "{name}, a client of the server {server}. Its key file belongs in the same folder."
     ADDRESS_GUESSED = "one of the server's addresses; check that this client can reach it"
     SAVE_AS = "save the session there as {file}"
     COPY_SECRET = "copy with `scp -p {files} USER@ROBOT:` (the key is secret: never by mail or chat)"  # noqa: S105 (a text)
@@ -212,7 +210,7 @@ def key_places(file: SessionFile, client: Client) -> list[Path]:
 def check_encrypted(file: SessionFile) -> None:
     """Raise a ClientError if the session has no keys."""
     if not file.session.use_encryption:
-        raise ClientError(ClientFileProblem.NO_ENCRYPTION(path=file.path))
+        raise ClientError(f"{file.path}: encryption is off (use_encryption): there are no keys")
 
 
 def check_own_next_key(of_session: str | None, of_client: str | None, name: str) -> None:
@@ -292,7 +290,7 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
     if guessed:
         at = next(number for number, line in enumerate(lines) if line.startswith("server_ip:"))
         lines[at] += f"   # {RobotFileText.ADDRESS_GUESSED()}"
-    head = f"# {RobotFileText.HEAD(name=client.name, server=session.name)}"
+    head = f"# {client.name}, a client of the server {session.name}. Its key file belongs in the same folder."
     topics = "topics: []   # - {topic: /scan, direction: transmit}"
     return "".join(f"{line}\n" for line in (head, *lines, topics))
 

@@ -147,8 +147,6 @@ class TypedProblem(Wording):
     """Reasons why ``KEY=VALUE`` words make no topic."""
 
     NOT_A_PAIR = "{text}: not KEY=VALUE, as in max_rate=5"
-    UNKNOWN_KEY = "{text}: unknown key{hint} (keys: {keys})"
-    KEY_OF_ANOTHER_KIND = "{text}: {hint} (keys: {keys})"
 
 
 class TypedError(ValueError):
@@ -176,8 +174,8 @@ def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session
         if key not in known:
             foreign, keys = hints_of(kind).get(key), ", ".join(known)
             if foreign:
-                raise TypedError(TypedProblem.KEY_OF_ANOTHER_KIND(text=text, hint=foreign, keys=keys))
-            raise TypedError(TypedProblem.UNKNOWN_KEY(text=text, hint=suggestion(key, known), keys=keys))
+                raise TypedError(f"{text}: {foreign} (keys: {keys})")
+            raise TypedError(f"{text}: unknown key{suggestion(key, known)} (keys: {keys})")
         changed[field_of(kind, key)] = DIRECTIONS.get(value, value) if key == "provider" else value
     topic = topic_of(changed)
     if problems := problems_of(topic, session, replaced):

@@ -60,10 +60,7 @@ class ReportText(Wording):
     RAN_PARTLY = "The bridge ran for {watched} of it ({share}); no record of {gaps}{more}.{stopped}"
     STOPPED = " It does not run now."
     NO_OUTAGES = "No outages."
-    OUTAGES_LEFT_OUT = "  At least {count:,} more, dropped for lack of room."
     ACTIONS = "Operators, and the bridge itself"
-    ACTIONS_LEFT_OUT = "  {count:,} more before these."
-    CAUSE_WITH_FOLLOWERS = "{cause} ({followers} with it)"
 
 
 def parse_span(text: str) -> float:
@@ -142,7 +139,7 @@ def why(report: HistoryReport, outage: Outage) -> str:
     """Return the cause of an outage, and the topics and services that it took down."""
     also = followers(report, outage)
     cause = outage.cause or "no cause known"
-    return ReportText.CAUSE_WITH_FOLLOWERS(cause=cause, followers=also) if also else cause
+    return f"{cause} ({also} with it)" if also else cause
 
 
 def who(event: Event) -> str:
@@ -180,7 +177,7 @@ def text_report(report: HistoryReport) -> Iterator[str]:
                 start, state = moment(outage.start, report.time), outage.state.upper()
                 yield f"      {start}  {state}  {how_long(outage)}: {why(report, outage)}"
     if report.outages_left_out:
-        yield ReportText.OUTAGES_LEFT_OUT(count=report.outages_left_out)
+        yield f"  At least {report.outages_left_out:,} more, dropped for lack of room."
     if report.actions:
         yield ""
         yield ReportText.ACTIONS()
@@ -188,7 +185,7 @@ def text_report(report: HistoryReport) -> Iterator[str]:
             who = f"{event.who}: " if event.who not in event.text else ""
             yield f"  {moment(event.time, report.time)}  {who}{did(event)}"
     if report.actions_left_out:
-        yield ReportText.ACTIONS_LEFT_OUT(count=report.actions_left_out)
+        yield f"  {report.actions_left_out:,} more before these."
 
 
 def totals(report: HistoryReport) -> Iterator[str]:

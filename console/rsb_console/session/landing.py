@@ -21,13 +21,10 @@ class LandingText(Wording):
     """Reports on messages by hand at the other side of a link."""
 
     DELIVERED = "{link}: given to DDS there{age}; {subscribers}"
-    AGE = ", {milliseconds:.0f} ms old"
     SUBSCRIBED = "subscribed by {nodes}"
-    NOT_SUBSCRIBED = "no subscription there"
     DROPPED = "{link}: dropped: {cause}"
     UNREPORTED = "{link}: not reported within {seconds:g} s"
     ANSWERED = "{link}: answered by {nodes} {where}, after {seconds:.3g} s"
-    A_NODE = "a node"
     THERE, HERE = "there", "on this side"
 
 
@@ -65,9 +62,9 @@ class Landing:
             return False, LandingText.DROPPED(link=route.link, cause=cause)
         if route.ledger.delivered <= (0 if before is None else before.delivered):
             return None
-        age = "" if route.latency_p50 is None else LandingText.AGE(milliseconds=route.latency_p50 * 1e3)
+        age = "" if route.latency_p50 is None else f", {route.latency_p50 * 1e3:.0f} ms old"
         nodes = join_first(route.subscribers, _NAMED)
-        subscribers = LandingText.SUBSCRIBED(nodes=nodes) if nodes else LandingText.NOT_SUBSCRIBED()
+        subscribers = LandingText.SUBSCRIBED(nodes=nodes) if nodes else "no subscription there"
         return True, LandingText.DELIVERED(link=route.link, age=age, subscribers=subscribers)
 
 
@@ -77,7 +74,7 @@ def answered(route: RouteSnapshot, seconds: float) -> str:
     Args:
         seconds: from the call to its answer.
     """
-    nodes = join_first(route.subscribers, _NAMED) or LandingText.A_NODE()
+    nodes = join_first(route.subscribers, _NAMED) or "a node"
     where = LandingText.THERE() if route.outgoing else LandingText.HERE()
     return LandingText.ANSWERED(link=route.link, nodes=nodes, where=where, seconds=seconds)
 

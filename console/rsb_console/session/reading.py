@@ -51,7 +51,6 @@ class StampText(Wording):
 class ArrivalText(Wording):
     """Descriptions of when and how a message came."""
 
-    KEPT = "{size}, kept for late joiners"
     FROM_ROS = "{size}, taken from ROS{took} at {moment}"
     OVER_LINK = "{size}, came over the link{took} at {moment}"
 
@@ -202,7 +201,7 @@ def how_it_came(peeked: PeekedMessage) -> str:
     """Return when and how a message came, in words."""
     size = f"{formats.thousands(peeked.size)} B"
     if peeked.is_kept:
-        return ArrivalText.KEPT(size=size)
+        return f"{size}, kept for late joiners"
     moment = f"{formats.time_of_day(peeked.time)}.{int(peeked.time % 1 * 1000):03d}"
     took = "" if peeked.latency is None else f" in {formats.latency(peeked.latency, peeked.clock_uncertainty)}"
     way = ArrivalText.FROM_ROS if peeked.outgoing else ArrivalText.OVER_LINK

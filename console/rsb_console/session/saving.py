@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 class PathProblem(Wording):
     """Reasons why a session cannot be written to a path."""
 
-    MISSING = "missing: name the file"
-    IS_FOLDER = "is a folder: name a file in it"
     NO_FOLDER = "there is no folder {folder}"
-    NOT_WRITABLE = "cannot be written: {error}"
 
 
 def unsaved(saved: Session, now: Session) -> str:
@@ -159,13 +156,13 @@ def path_problem(text: str) -> str:
     """Return the reason why a session cannot be written to a typed path, or an empty string."""
     path = typed_path(text)
     if not text:
-        return PathProblem.MISSING()
+        return "missing: name the file"
     try:
         if path.is_dir():
-            return PathProblem.IS_FOLDER()
+            return "is a folder: name a file in it"
         return "" if path.parent.is_dir() else PathProblem.NO_FOLDER(folder=path.parent)
     except OSError as error:  # a name that is too long, or a folder without permission
-        return PathProblem.NOT_WRITABLE(error=error.strerror)
+        return f"cannot be written: {error.strerror}"
 
 
 def file_of(path: Path, session: Session) -> SessionFile | None:
