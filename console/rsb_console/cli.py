@@ -139,7 +139,7 @@ def _unexpected(error: Exception, *, show: bool) -> int:
     except OSError as full:
         print_error(CommandText.CRASHED_WITHOUT_LOG(problem=message, log=log, reason=why_not_written(full, log)))
     else:
-        print_error(CommandText.CRASHED(problem=message, log=log))
+        print_error(f"{message} (details: {log})")
     return FAILURE
 
 

@@ -49,14 +49,8 @@ _NARROWEST = 40
 class JudgingText(Wording):
     """Verdicts on whether a link carries a session's topics."""
 
-    CARRIES_ALL = "{over} carries {carried}."
-    CARRIES_SOME = "{over} carries {carried}, not {others}."
     CARRIES_NONE = "{over} does not carry {others}."
     UNKNOWN = "Too few rates were tried to judge whether {over} carries {topics}."
-    TOGETHER_MOST = "Together they take {percent:.0f} % of it, nearly all its capacity: limit the largest (max_rate)."
-    TOGETHER_TOO_MUCH = (
-        "Together they take {percent:.0f} % of it, more than its capacity: limit the largest (max_rate)."
-    )
 
 
 def lines_of(report: BenchReport) -> Iterator[str]:
@@ -251,9 +245,8 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
     }
     lines = []
     if by["carried"]:
-        text = JudgingText.CARRIES_SOME if by["not"] else JudgingText.CARRIES_ALL
-        carried, others = join_first(by["carried"], _NAMED), join_first(by["not"], _NAMED)
-        lines.append(text(over=over, carried=carried, others=others))
+        others = f", not {join_first(by['not'], _NAMED)}" if by["not"] else ""
+        lines.append(f"{over} carries {join_first(by['carried'], _NAMED)}{others}.")
     elif by["not"]:
         lines.append(JudgingText.CARRIES_NONE(over=over, others=join_first(by["not"], _NAMED)))
     if by["barely"]:
@@ -263,8 +256,8 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
     total = sum(each.share for each in judged)
     # Shares that are upper bounds only do not add up to a verdict.
     if together and len(judged) > 1 and not by["not"] and total > BARELY and not any(each.at_most for each in judged):
-        text = JudgingText.TOGETHER_TOO_MUCH if total > 1 else JudgingText.TOGETHER_MOST
-        lines.append(text(percent=100 * total))
+        taken = f"{100 * total:.0f} % of it, {'more than' if total > 1 else 'nearly all'} its capacity"
+        lines.append(f"Together they take {taken}: limit the largest (max_rate).")
     return [line[0].upper() + line[1:] for line in lines]
 
 

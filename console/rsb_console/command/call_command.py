@@ -43,8 +43,6 @@ class CallProblem(Wording):
     NO_LANES = "{topic} is one service: leave out --lane"
     LANE_MISSING = "{topic} has several services: choose one with --lane ({lanes})"
     LANE_UNKNOWN = "{topic} has no service {lane!r}{hint}: choose one with --lane ({lanes})"
-    NO_ANSWER = "{topic} gave no answer within {seconds:g} s"
-    NO_RESULT_YET = "{topic} gave no answer within {seconds:g} s; the goal goes on, so you can ask for its result again"
     UNREADABLE = "the answer of {topic} cannot be read"
     PARAMETER_MISSING = "{node} has no parameter {parameter}, or it has no value"
     PARAMETER_REFUSED = "{node} does not set {parameter}: {reason}"
@@ -116,8 +114,8 @@ def _awaited(engine: RemoteEngine, route: RouteSnapshot, future: Future[str], ti
         waited = time.monotonic() - began
         if timeout is not None and waited >= timeout:
             future.cancel()
-            problem = CallProblem.NO_RESULT_YET if goal else CallProblem.NO_ANSWER
-            raise EngineError(problem(topic=route.topic, seconds=timeout))
+            more = "; the goal goes on, so you can ask for its result again" if goal else ""
+            raise EngineError(f"{route.topic} gave no answer within {timeout:g} s{more}")
         try:
             return future.result(_CHECKED_EVERY if timeout is None else min(_CHECKED_EVERY, timeout - waited))
         except TimeoutError:

@@ -44,14 +44,6 @@ class ClientCommandProblem(Wording):
         "{name} is linked with its old key, {fingerprint}: not finished. Copy the new key over the robot's and "
         "run `rsb-console reload` there; or end its link now: `rsb-console client rekey {name}`"
     )
-    NEW_KEY_UNUSED = (
-        "{name} is not linked, and the server's log does not show that it has ever used the new key. Without it, it "
-        "cannot link any more. Finish?"
-    )
-    OLD_KEY_LAST = (
-        "{name} is not linked, and used its old key last, on {when}. Without the new one, it cannot link any more. "
-        "Finish?"
-    )
     NOT_FINISHED = "not finished: both keys of {name} stay valid"
     SESSION_UNKNOWN = "{problem}: name the server's session file"
     BRIDGE_REFUSES = (
@@ -70,8 +62,6 @@ class ClientEffect(Wording):
     BOTH_KEYS = "both keys count from now on"
     BOTH_KEYS_LINK_STAYS = "both keys count from now on, and the link stays"
     USED = "{name} is not linked; it used the new key last, on {when}"
-    FINISHED = "only the new key counts now, and {name} needs it"
-    FINISHED_LINK_STAYS = "only the new key counts now, and the link stays"
     REMOVED = "{name} is no longer accepted, and was not linked"
     REMOVED_LINK_CLOSED = "{name} is no longer accepted, and its link is closed"
     STEP_FINISH = "here: `rsb-console client rekey {name} --finish` (the old key becomes invalid)"
@@ -159,7 +149,7 @@ def _finish_rotation(arguments: Namespace, path: Path) -> int:
         arguments,
         path,
         lambda engine: engine.change_client(changed.client),
-        lambda linked: (ClientEffect.FINISHED_LINK_STAYS if linked else ClientEffect.FINISHED)(name=name),
+        lambda linked: f"only the new key counts now, and {'the link stays' if linked else f'{name} needs it'}",
     )
     return _rotated(arguments, changed, told, "the key")
 
@@ -178,14 +168,15 @@ def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
     keys = (client_files.fingerprint_or_problem(place)[0] for place in client_files.key_places(file, client))
     old, new = ("" if key is None else fingerprint(key) for key in keys)
     used = _last_key(file.session.name, name, {old, new})
-    when = "" if used is None else clock(used.time)
     if used is not None and used.new == new:
-        print_error(ClientEffect.USED(name=name, when=when))
+        print_error(ClientEffect.USED(name=name, when=clock(used.time)))
         return
     if arguments.json:
         raise UsageError(Asking.NOBODY())
-    question = ClientCommandProblem.NEW_KEY_UNUSED if used is None else ClientCommandProblem.OLD_KEY_LAST
-    if not agreed(question(name=name, **({} if used is None else {"when": when}))):
+    last = "and the server's log does not show that it has ever used the new key. Without it, it"
+    if used is not None:
+        last = f"and used its old key last, on {clock(used.time)}. Without the new one, it"
+    if not agreed(f"{name} is not linked, {last} cannot link any more. Finish?"):
         raise EngineError(ClientCommandProblem.NOT_FINISHED(name=name))
 
 

@@ -85,12 +85,10 @@ class RemoteProblem(Wording):
     OPERATOR_MACHINE = "The machine of this command, {host}, now (rsb-console doctor):"
     NOT_REACHED = "not {condition} within {seconds:g} s{reason}"
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
-    NOT_BRIDGED = "{topic} is not bridged{hint}; `rsb-console add` adds a topic"
     NOT_BROUGHT = "no client has brought {topic} so far{hint}"
     NO_CLIENT = "add {topic}: the server has no client yet; `rsb-console client add NAME` adds one"
     CLIENT_MISSING = "add {topic}: several clients; choose one with --link {links}"
     RATE_WITHOUT_DRY_RUN = "add {topic}: --rate and --size are for --dry-run, which adds nothing"
-    DRY_RUN_OF_CALLS = "add {topic}: --dry-run is for topics only; calls go first and have no budget"
     NOTHING_TO_CHANGE = "edit {topic}: nothing to change; for example: max_rate=5"
     PROVIDER_OF_A_TOPIC = (
         "add {topic}: a topic has a direction, and no provider; --service adds a service. transmit takes it from the "
@@ -112,13 +110,10 @@ class RemoteProblem(Wording):
         "add {topic}: {word!r} is no KEY=VALUE. The provider is the side whose node answers, client or server, for "
         "example: rsb-console add {topic} --kind {kind} --provider client"
     )
-    DISARMED = "{topic} is no longer armed: {reason}"
     HELD_BY_ANOTHER = "{topic} has gone over to {who}"
     ASKED_FOR = "{who} asks for {topic}: Enter keeps it; without an answer it goes over in {seconds:g} s"
     NO_MORE_MESSAGES = "no more messages of {topic} within {seconds:g} s{reason}"
-    NOTHING_TO_REPORT = "no bridge runs here, and there is no history file that you may read"
     NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of that name"
-    SEVERAL_TO_REPORT = "no bridge runs here, but several have history files; choose one:{found}"
 
 
 # --- looking
@@ -311,7 +306,7 @@ def _refuse_what_cannot_be(engine: RemoteEngine, wanted: list[str]) -> None:
         case ["flowing", topic] if now.role == "client":
             known = [route.topic for route in now.routes]
             if not named(now.routes, topic):
-                raise UsageError(RemoteProblem.NOT_BRIDGED(topic=topic, hint=suggestion(topic, known)))
+                raise UsageError(f"{topic} is not bridged{suggestion(topic, known)}; `rsb-console add` adds a topic")
         case ["linked", name]:
             check_link(engine, name)
 
@@ -383,7 +378,7 @@ def _add(arguments: Namespace) -> int:
 def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: str) -> int:
     """Print the cost of a topic. Return the exit code."""
     if topic.kind != "topic":
-        raise UsageError(RemoteProblem.DRY_RUN_OF_CALLS(topic=topic.topic))
+        raise UsageError(f"add {topic.topic}: --dry-run is for topics only; calls go first and have no budget")
     now = engine.snapshot()
     sends_here = (topic.direction == "transmit") == (now.role == "client")
     # The sending side may know the topic by any of these names.
@@ -524,7 +519,7 @@ def _hold(engine: RemoteEngine, route: RouteSnapshot, keys: TypedKeys) -> tuple[
         now = next((each for each in engine.snapshot().routes if each.key == route.key), None)
         if now is None or now.arming is None or not now.arming.armed or engine.unreachable:
             reason, cause = _why_disarmed(engine, now)
-            return RemoteProblem.DISARMED(topic=topic, reason=reason), cause
+            return f"{topic} is no longer armed: {reason}", cause
         if time.monotonic() - lost_at > _SHOWN_WITHIN:
             return RemoteProblem.HELD_BY_ANOTHER(topic=topic, who=escape_text(now.arming.by)), "held_by_another"
         if holds and now.arming.asked_by != asked_by:
@@ -612,11 +607,11 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
         kept = [files for files in kept_bridges(os.environ) if name in (None, files.stem)]
     if not kept:
         if name is None:
-            raise NoBridgeError(RemoteProblem.NOTHING_TO_REPORT())
+            raise NoBridgeError("no bridge runs here, and there is no history file that you may read")
         raise NoBridgeError(RemoteProblem.NOTHING_OF_BRIDGE_TO_REPORT(name=name))
     if len(kept) > 1:
         found = "".join(f"\n  {files.stem}: {files.history}" for files in kept)
-        raise UsageError(RemoteProblem.SEVERAL_TO_REPORT(found=found))
+        raise UsageError(f"no bridge runs here, but several have history files; choose one:{found}")
     try:
         return history_files.report(kept[0], time.time(), seconds)
     except HistoryFileError as error:

@@ -24,7 +24,6 @@ class CommandText(Wording):
     """Reports of a command line that is misspelt, or whose command crashed."""
 
     MISSPELT = "{word}: neither a command nor a file; did you mean `rsb-console {command}`?"
-    CRASHED = "{problem} (details: {log})"
     CRASHED_WITHOUT_LOG = "{problem} (details: again with --debug; {log}: {reason})"
 
 
