@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import bed
+from rsb_bridge.config import session_file
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.results import BenchError
@@ -191,7 +192,7 @@ def measure(
             for name, robot in robots.items()
             if len(ups := [each for each in robot.up if each > killed]) > 1
         ]
-        routed = _without_router(running, plan.down) if running.router is not None else None
+        routed = _without_router(running, plan.down, stack) if running.router is not None else None
         _wait_until_heard(listener)
         time.sleep(plan.settles)
         before, since = running.records()[flooding].published, time.monotonic()
@@ -219,13 +220,15 @@ def measure(
         )
 
 
-def _without_router(running: SimulatedFleet, down: float) -> Delays:
+def _without_router(running: SimulatedFleet, down: float, stack: ExitStack) -> Delays:
     """Kill the router, and start it again: until when all are linked, and all routes open."""
+    network = session_file.load(running.session).zenoh
+    assert network is not None
     assert running.router is not None
-    running.router.process.signal(signal.SIGKILL)
-    running.router.process.stop()
+    running.router.signal(signal.SIGKILL)
+    running.router.stop()
     time.sleep(down)
-    running.router.start()
+    stack.enter_context(loopback.router(network.connect[0]))
     returned, routes = time.time(), running.load.routes
     robots = running.wait(lambda robot: len(robot.open) >= 3 * routes, _WITHIN)
     return Delays.of((robot.up[-1] for robot in robots.values()), returned)

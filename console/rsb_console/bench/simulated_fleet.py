@@ -42,55 +42,24 @@ _LOOK_EVERY = 0.25
 _READY_WITHIN = 60.0
 
 
-class Router:
-    """A Zenoh router in a separate process, which may be killed and started again.
-
-    Attributes:
-        endpoint: endpoint that it listens on.
-        process: the one that runs, or ran last.
-    """
-
-    def __init__(self) -> None:
-        self.endpoint = f"tcp/{_HOST}:{_free_port()}"
-        self.start()
-
-    def start(self) -> None:
-        """Start the router, and return once it listens."""
-        self.process = loopback.router(self.endpoint)
-
-
-@dataclass(slots=True)
-class FleetNetwork:
-    """The network of the links.
-
-    Attributes:
-        fields: fields of all sessions.
-        router: router of the links, or None.
-    """
-
-    fields: dict[str, Any]
-    router: Router | None = None
-
-
 @contextlib.contextmanager
-def tcp() -> Iterator[FleetNetwork]:
+def tcp() -> Iterator[tuple[dict[str, Any], None]]:
     """Robots connect to the control side."""
-    yield FleetNetwork({"server_ip": _HOST, "server_port": _free_port()})
+    yield {"server_ip": _HOST, "server_port": _free_port()}, None
 
 
 @contextlib.contextmanager
-def zenoh() -> Iterator[FleetNetwork]:
+def zenoh() -> Iterator[tuple[dict[str, Any], Process]]:
     """Robots and the control side connect to a router."""
-    router = Router()
-    try:
-        settings = ZenohSettings((router.endpoint,), fleet="simulated")
-        yield FleetNetwork({"server_ip": ZENOH_HOST, "zenoh": settings}, router)
-    finally:
-        router.process.stop()
+    endpoint = f"tcp/{_HOST}:{_free_port()}"
+    with loopback.router(endpoint) as router:
+        yield {"server_ip": ZENOH_HOST, "zenoh": ZenohSettings((endpoint,), fleet="simulated")}, router
 
 
-WAYS: dict[str, Callable[[], AbstractContextManager[FleetNetwork]]] = {"tcp": tcp, "zenoh": zenoh}
-"""Networks of the links by name; each starts the processes that it needs."""
+WAYS: dict[str, Callable[[], AbstractContextManager[tuple[dict[str, Any], Process | None]]]] = {
+    "tcp": tcp, "zenoh": zenoh,
+}  # fmt: skip
+"""Networks of the links by name. Each starts the router that it may need, and gives the fields of all sessions, too."""
 
 
 @dataclass(slots=True)
@@ -112,7 +81,7 @@ class SimulatedFleet:
     names: Sequence[str]
     load: RobotTraffic
     session: Path
-    router: Router | None = None
+    router: Process | None = None
     file: Path | None = None
     processes: list[Process] = field(default_factory=list)
     control: Process | None = None
@@ -168,9 +137,7 @@ class SimulatedFleet:
             if not late:
                 return robots
             if time.monotonic() > deadline:
-                raise BenchError(
-                    f"{len(late)} of {len(robots)} robots are not ready within {within:.0f} s: {late[0]}"
-                )
+                raise BenchError(f"{len(late)} of {len(robots)} robots are not ready within {within:.0f} s: {late[0]}")
             time.sleep(_LOOK_EVERY)
 
     def stop(self) -> None:
@@ -206,8 +173,7 @@ def fleet(
         *(Topic(topic=talk.topic, direction="transmit", type=talk.type) for talk in load.talks),
         *(Topic(topic=topic, direction="receive", type=STRING) for topic in load.hears),
     )
-    with WAYS[over]() as way:
-        common = dict(way.fields)
+    with WAYS[over]() as (common, router):
         if operated:
             write_key(folder / _OPERATOR_KEY)
             common["operators"] = (Operator(_OPERATOR, _OPERATOR_KEY, "change"),)
@@ -231,8 +197,8 @@ def fleet(
             name="control", role="server", domain_id=domain, use_name=True, clients=clients, **common
         )
         session_file.save(control_side, path)
-        file = _operators_file(folder, way.fields["zenoh"]) if operated else None
-        running = SimulatedFleet(folder, names, load, path, way.router, file)
+        file = _operators_file(folder, common["zenoh"]) if operated else None
+        running = SimulatedFleet(folder, names, load, path, router, file)
         try:
             yield running
         finally:
