@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 from tests.fuzz.editing import behind, edit_frames, edit_msgpack, split_frames
 from tests.fuzz.parser import Parser, check_text
-from tests.wire.links import CONTROL_HEADER, established
-from tests.wire.test_messages import HELLO, PLAIN, WELCOME
+from tests.wire.links import CONTROL_HEADER, HELLO, WELCOME, established
+from tests.wire.test_messages import PLAIN
 
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import is_clean
