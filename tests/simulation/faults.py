@@ -361,7 +361,8 @@ def _befall_flows(world: World, robot: Robot, pause: float) -> Coroutine[None, N
 
 def _befall_services(world: World, robot: Robot, pause: float) -> Coroutine[None, None, None]:
     def victim(random: Random) -> ServiceFlow | ActionFlow:
-        return random.choice([*robot.service_flows, *robot.action_flows])
+        called: list[ServiceFlow | ActionFlow] = [*robot.service_flows, *robot.action_flows]
+        return random.choice(called)
 
     return _befall(world, f"{robot.name}'s services", pause, _EXCHANGE, victim)
 

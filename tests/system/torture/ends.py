@@ -31,7 +31,7 @@ VELOCITY = 0.2
 _WITNESS_RATE = 50.0
 _ARRIVAL = struct.Struct("<HIddd")
 _POLL = 0.003
-_PIPES = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+_PIPES: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
 
 
 class Arrival(NamedTuple):
