@@ -81,11 +81,6 @@ def requests_of(remote: RemoteEngine) -> Any:
     return remote._requests
 
 
-def requests_of(remote: RemoteEngine) -> Any:
-    """Return the requests that wait for an answer."""
-    return remote._requests
-
-
 def slow_line(remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
     """Let the tickets that the console has grow old."""
     remote._ticket -= int(seconds * 1e3)
