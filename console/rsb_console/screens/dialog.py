@@ -83,7 +83,7 @@ class FullScreen(ModalScreen[T]):
         self.app.call_later(self.app.run_action, f"screen.{action}")
 
 
-class ConfirmScreen(GuardedScreen, ModalScreen[bool]):
+class ConfirmScreen(ModalScreen[bool], GuardedScreen):
     """Yes or No, with the focus on No; escape is No.
 
     A message for which the screen has no room scrolls; the buttons stay in sight. If Yes has an effect, keys that were
