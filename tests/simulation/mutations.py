@@ -239,11 +239,8 @@ MUTATIONS = (
              ((UdpChannel, "close", nothing),), "left open", STORM, 3, 2.0),
     Mutation("what the other side makes of a topic is not taken in",
              ((CombinedVerdict, "receive", nothing),), "do not agree on", _SILENT, 1, 0.5),
-    Mutation(
-        "a link takes as much as its buffers hold",
-        ((Window, "limit", _no_limit),),
-        "s after it was published", STILL, 1, 0.05, _tunnel,
-    ),
+    Mutation("a link takes as much as its buffers hold",
+             ((Window, "limit", _no_limit),), "s after it was published", STILL, 1, 0.05, _tunnel),
     Mutation("receipts that are late leave the window as it is",
              ((Window, "acknowledge", _took_in_time),), "s after it was published", STILL, 1, 0.05, _tunnel),
     Mutation("messages that are late are taken for ok",
@@ -269,11 +266,9 @@ MUTATIONS = (
              "comes after other calls", _GOALS, 1, 0.05, cancelled_while_cut),
     Mutation("cancels that were asked while the link was down are not delivered",
              ((KeptCalls, "keep", _keep_no_cancel),), "is to be cancelled", _GOALS, 1, 0.05, cancelled_while_cut),
-    Mutation(
-        "a call that waited for the action to be reached again is not counted when it is given up",
-        ((CallingActionRoute, "_give_up_waiting", nothing),),
-        "calls in flight, and has", replace(ACTIONS, faults=20.0), 4, 0.2,
-    ),
+    Mutation("a call that waited for the action to be reached again is not counted when it is given up",
+             ((CallingActionRoute, "_give_up_waiting", nothing),),
+             "calls in flight, and has", replace(ACTIONS, faults=20.0), 4, 0.2),
     Mutation("a call that waits for a goal's answer is not forgotten with its opening",
              ((KeptAnswers, "is_over", nothing),), "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1),
 )

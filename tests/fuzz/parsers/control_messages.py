@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 from tests.fuzz.editing import behind, edit_frames, edit_msgpack, split_frames
@@ -15,17 +16,11 @@ from tests.wire.test_messages import PLAIN
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
-from rsb_bridge.wire.events import DataFrame, Failed, MessageReceived, StreamRefused
+from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, StreamRefused
 from rsb_bridge.wire.framing import HEADER, pack_frame
 from rsb_bridge.wire.messages import Report
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import CipherSuite, Sealer
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from rsb_bridge.wire.events import Event
-
 
 _EXAMPLES = [decode(msgspec.msgpack.encode(each)) for each in PLAIN]
 
