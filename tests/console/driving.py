@@ -94,8 +94,10 @@ def is_shown(app: App[Any], words: str | Wording, **parameters: object) -> bool:
     if isinstance(words, str):
         return words in text(app)
     lines = text(app).splitlines()
-    unwrapped = " ".join(line.strip(_BORDERS) for line in lines)
-    return any(says(each, words, **parameters) for each in (*lines, unwrapped))
+    boxes = [dialog.region for dialog in app.screen.query(".dialog")]  # what is below stays in sight beside them
+    parts = [lines, *([line[box.x : box.right] for line in lines[box.y : box.bottom]] for box in boxes)]
+    unwrapped = (" ".join(line.strip(_BORDERS) for line in part) for part in parts)
+    return any(says(each, words, **parameters) for each in (*lines, *unwrapped))
 
 
 async def shown(pilot: Pilot[None], words: str | Wording, seconds: float = 180.0, **parameters: object) -> None:

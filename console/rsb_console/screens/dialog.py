@@ -178,7 +178,9 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
 
 async def is_meant(console: ConsoleShell, app: App[Any], title: str, message: str, yes: str) -> bool:
     """Whether the operator means a key that lets messages cross: it is young, or they say so."""
-    return InputGate.of(app).is_young or bool(await console.ask(ConfirmScreen(title, message, yes, Effect.MOVES)))
+    if InputGate.of(app).is_young:
+        return True
+    return await console.ask(ConfirmScreen(title, message, yes, Effect.MOVES)) is True
 
 
 class ArmScreen(ConfirmScreen):
