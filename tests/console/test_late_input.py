@@ -393,7 +393,7 @@ def with_terminal(app: ConsoleApp, *, young: bool) -> None:
     """Let an operator who has read the list press the next key."""
     app.input_gate.pulse = Pulse({}, Time())
     app.input_gate.is_young = young
-    app.main.topics._slid_at -= SEEN_AFTER
+    app.main.topics.slid_at -= SEEN_AFTER
 
 
 async def resume(app: ConsoleApp, pilot: Pilot[None], *, young: bool) -> None:
@@ -457,7 +457,7 @@ async def test_a_key_is_not_for_a_topic_that_has_just_slid_under_the_cursor(
     await pilot.press("p")
     await notified(pilot, LateInput.LIST_MOVED)
     assert engine_of(app).commands == []
-    app.main.topics._slid_at -= SEEN_AFTER
+    app.main.topics.slid_at -= SEEN_AFTER
     await pilot.press("p")
     await until(pilot, lambda: engine_of(app).commands == [("pause", "/b", True)], "paused")
     put(app, *engine_of(app).now.routes[1:])

@@ -49,7 +49,7 @@ class SelectableList(LiveLines, can_focus=True):
         self.keys: Sequence[str] = ()
         self._cursor = 0
         self._moved = False
-        self._slid_at = float("-inf")
+        self.slid_at = float("-inf")
 
     @property
     def follows_top(self) -> bool:
@@ -83,12 +83,12 @@ class SelectableList(LiveLines, can_focus=True):
         self.sync()
         if self.cursor_key != before:
             if before is not None:
-                self._slid_at = time.monotonic()
+                self.slid_at = time.monotonic()
             self.post_message(self.CursorMoved(self))
 
     def is_seen(self) -> bool:
         """Whether a key can be for the item under the cursor, and not for one that was there a moment ago."""
-        return InputGate.of(self.app).was_seen(self._slid_at)
+        return InputGate.of(self.app).was_seen(self.slid_at)
 
     def hold(self) -> None:
         """Keep the cursor on its item from now on, as the operator has chosen it."""
