@@ -346,6 +346,15 @@ async def test_the_pictures_of_a_question_say_when_its_keys_count(app: ConsoleAp
     await until(pilot, lambda: answers == [True], "the answer")
 
 
+def test_a_question_that_moves_nothing_can_be_answered_over_a_slow_line() -> None:
+    clock = Time()
+    gate, screen = gate_of(clock), ConfirmScreen("Quit?", "", "Quit", Effect.LOSES)
+    screen.drawn_at = clock.now
+    clock.now += 3.0
+    assert gate.refuses(key("y", screen.drawn_at - 0.1), screen)
+    assert not gate.refuses(key("y", screen.drawn_at + 0.1), screen)
+
+
 def test_a_question_that_opens_by_itself_waits_until_the_operator_has_stopped_typing() -> None:
     clock = Time()
     gate, screen = gate_of(clock), ConfirmScreen("Give it?", "", "Give", Effect.MOVES)

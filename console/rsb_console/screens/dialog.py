@@ -113,6 +113,7 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
         super().__init__()
         self._title, self._message, self._yes = title, message, yes
         self.is_guarded = bool(effect)
+        self.moves = Effect.MOVES in effect
         # Not to be focused: ← and → go from button to button.
         self._scrolled = VerticalScroll(classes="message", can_focus=False)
         self._takes_keys = True

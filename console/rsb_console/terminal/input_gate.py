@@ -1,4 +1,4 @@
-"""Keeps late keys from screens on which a key moves a robot, or takes something away."""
+"""Keeps keys that came late, or were meant for what was there before, from screens on which a key has an effect."""
 
 from __future__ import annotations
 
@@ -32,17 +32,19 @@ class LateInput(Wording):
 
 
 class GuardedScreen(Screen[Any]):
-    """A screen that takes young input only, if it is guarded.
+    """A screen whose keys count only once the operator may have seen it, if it is guarded.
 
     Attributes:
-        SAFE_KEYS: keys that are taken however late they come.
-        is_guarded: whether its keys have an effect that must not come late.
+        SAFE_KEYS: keys that always count.
+        is_guarded: whether its keys have an effect.
+        moves: whether that may move a robot: then only young input counts. Any other answer may take its time.
         seen_after: s from its first picture until other keys count.
         opens_itself: whether it opens over whatever the operator does: then that time begins again with each key.
     """
 
     SAFE_KEYS: ClassVar[frozenset[str]] = frozenset()
     is_guarded = True
+    moves = True
     opens_itself = False
     seen_after = 0.0
     drawn_at: float | None = None
@@ -93,7 +95,7 @@ class InputGate:
         if isinstance(event, events.Key) and event.key in screen.SAFE_KEYS:
             return False
         # Without a note: while a question's keys do not count yet, it shows … in their place.
-        if not self.is_late(event):
+        if not (screen.moves and self.is_late(event)):
             seen = self._was_seen(screen, heard_before(event))
             if not seen and screen.opens_itself and screen.drawn_at is not None:
                 screen.drawn_at = self._clock()  # whoever types on has not read it
@@ -124,7 +126,7 @@ class InputGate:
 
 
 def is_guarded(screen: Screen[Any]) -> TypeGuard[GuardedScreen]:
-    """Whether a screen takes young input only."""
+    """Whether keys on a screen have an effect."""
     return isinstance(screen, GuardedScreen) and screen.is_guarded
 
 

@@ -22,6 +22,9 @@ class SelectableList(LiveLines, can_focus=True):
     """A list of keyed items, one a line, below `sticky` lines of heading.
 
     `show_keys` sets the items; a subclass draws each in `line`.
+
+    Attributes:
+        slid_at: s, when another item slid below the cursor, or minus infinity.
     """
 
     BINDINGS = bindings(Group.MOVE)
