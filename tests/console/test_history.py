@@ -88,24 +88,22 @@ async def test_the_span_the_order_and_the_filter(app: ConsoleApp, pilot: Pilot[N
 
 
 @on_main()
-async def test_what_is_not_known_is_said(app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine_of(app), "history", lambda _: refused("no bridge"))
+async def test_what_is_not_known_is_said(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).history = lambda seconds: refused("no bridge")  # type: ignore[method-assign]
     await pilot.press("h")
     await shown(pilot, HistoryText.NOT_KNOWN, error="no bridge")
 
 
 @on_main()
-async def test_a_report_that_takes_long_is_waited_for(
-    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_report_that_takes_long_is_waited_for(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Another one is asked for before only if it is to be about another span."""
     asked: list[Future[HistoryReport]] = []
 
-    def ask(_: float) -> Future[HistoryReport]:
+    def ask(seconds: float) -> Future[HistoryReport]:
         asked.append(Future())
         return asked[-1]
 
-    monkeypatch.setattr(engine_of(app), "history", ask)
+    engine_of(app).history = ask  # type: ignore[method-assign]
     await pilot.press("h")
     await until(pilot, lambda: len(asked) == 1, "a question")
     assert isinstance(app.screen, HistoryScreen)

@@ -420,10 +420,8 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
 
 
 @on_main(landmark="p pause")
-async def test_a_refused_command_is_said_in_words(
-    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(engine_of(app), "pause", lambda *_: refused("route gone"))
+async def test_a_refused_command_is_said_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).pause = lambda *_: refused("route gone")  # type: ignore[method-assign]
     await pilot.press("p")
     await shown(pilot, "route gone")
 

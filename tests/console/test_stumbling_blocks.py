@@ -27,10 +27,8 @@ def test_what_is_chosen_and_what_is_not_differ_in_ascii() -> None:
 
 
 @on_main()
-async def test_a_refused_topic_comes_back_with_its_values_and_the_reason(
-    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(engine_of(app), "add_topic", lambda *_: refused("robot1 does not allow /added"))
+async def test_a_refused_topic_comes_back_with_its_values_and_the_reason(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).add_topic = lambda *_: refused("robot1 does not allow /added")  # type: ignore[method-assign]
     await pilot.press("a")
     await shown(pilot, "Add a topic")
     await fill(pilot, topic="/added", max_rate="7")

@@ -294,10 +294,10 @@ async def test_a_form_that_stood_open_takes_back_nothing_of_somebody_elses(
 
 @on_scan()
 async def test_an_edit_ends_though_its_form_is_left_and_can_be_undone(
-    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     under_way: Future[str] = Future()
-    monkeypatch.setattr(engine, "edit_topic", lambda *_, **__: under_way)
+    engine.edit_topic = lambda *_, **__: under_way  # type: ignore[method-assign]
     await pilot.press("e")
     await fill(pilot, max_rate="2.5")
     await pilot.press("enter")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.console.scripted import EVENTS, ScriptedEngine, refused, route
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.inside import attached_to, bytes_for, is_sending
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
@@ -315,7 +315,7 @@ def test_a_bridge_whose_state_takes_long_is_not_called_silent(
     async def still_on_its_way(_: AttachedConsole) -> None:
         """Send nothing."""
 
-    monkeypatch.setattr(AttachedConsole, "_show", still_on_its_way)
+    replaced.CONSOLE_SHOW.set(monkeypatch, still_on_its_way)
     constants.ANSWERS_WITHIN.set(monkeypatch, 0.5)
     eventually(lambda: not remote.snapshot().running)
     engine.happened.append(replace(EVENTS[-1], number=len(EVENTS) + 1))

@@ -22,6 +22,8 @@ from rsb_bridge.model.commands import AnswerAsker, ArmTopic, AskHolder, Call, Pa
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tests.support.control import Machine
 
     from rsb_bridge.control.remote_engine import RemoteEngine
@@ -76,9 +78,20 @@ def test_what_changes_a_bridge_states_its_effect() -> None:
     assert [kind for kind in changing if not {"always", "effect"} & vars(kind).keys()] == []
 
 
-def requests_of(remote: RemoteEngine) -> Any:
-    """Return the requests that wait for an answer."""
-    return remote._requests
+def each_again(
+    remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, before: Callable[[], object], after: Callable[[Any], object]
+) -> None:
+    """Do something before each request is repeated, and after that with it."""
+    requests = remote._requests
+    again = requests.again
+
+    def repeat(message: Any) -> Any:
+        before()
+        waiting = again(message)
+        after(waiting)
+        return waiting
+
+    monkeypatch.setattr(requests, "again", repeat)
 
 
 def slow_line(remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
@@ -115,14 +128,7 @@ def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command
 def test_a_refused_command_that_is_given_up_is_not_repeated(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)
-    again = requests_of(remote).again
-
-    def give_up(message: Any) -> Any:
-        waiting = again(message)
-        waiting.future.cancel()
-        return waiting
-
-    monkeypatch.setattr(requests_of(remote), "again", give_up)
+    each_again(remote, monkeypatch, lambda: None, lambda waiting: waiting.future.cancel())
     slow_line(remote, monkeypatch, TICKET_LIFE + 0.5)
     eventually(remote.do(ArmTopic("/scan")).cancelled)
     remote.do(PauseTopics("/scan", paused=True)).result(60)
@@ -140,14 +146,11 @@ def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
     stood = (TICKET_LIFE if rest else OLD_AFTER) + 0.1
     now = [Clock.steady()]
     replaced.STEADY_CLOCK.set(monkeypatch, staticmethod(lambda: now[0]))
-    requests = requests_of(remote)
-    again = requests.again
 
-    def stand_still(message: Any) -> Any:
+    def stand_still() -> None:
         now[0] += stood
-        return again(message)
 
-    monkeypatch.setattr(requests, "again", stand_still)
+    each_again(remote, monkeypatch, stand_still, lambda _: None)
     slow_line(remote, monkeypatch, TICKET_LIFE + 0.5)
     with pytest.raises(EngineError, match=pattern(RequestProblem.TOO_LATE)):
         remote.do(Publish("/scan", "{}", rest=rest)).result(60)

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 import pytest
 from tests.console.scripted import LINK, NOW, SESSION, route
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.waiting import eventually
 
-from rsb_bridge.engine import fault_hook
 from rsb_bridge.engine.fault_hook import (
     EVERY,
     FOR_LINKS,
@@ -217,8 +216,7 @@ def test_one_that_cannot_be_ended_holds_up_no_other(hooked: Hooked, monkeypatch:
     constants.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.1)
     hooked.open("cat >> told; exec cat go")
     os.mkfifo(hooked.folder / "go")
-    with monkeypatch.context() as patch:
-        patch.setattr(fault_hook, "_signal_group", lambda *_: None)
+    with replaced.SIGNAL_GROUP.during(lambda *_: None):
         hooked.sees(SLOW)
         eventually(lambda: hooked.told)
         hooked.clock.skipped += RUNS_FOR

@@ -29,7 +29,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.rights import DeniedText
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.engine.viewing import LookProblem
-from rsb_bridge.link.link_views import VIEWS_OF_PEER, LinkViews, ViewRefused
+from rsb_bridge.link.link_views import VIEWS_OF_PEER, ViewRefused
 from rsb_bridge.link.topic_view import TopicView, ViewProblem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import EndLook
@@ -318,9 +318,7 @@ def test_a_view_that_was_given_up_while_it_opened_is_opened_again(
         opens.set()
         await asyncio.Event().wait()
 
-    owner, name = (LinkViews, "open") if link else (TopicView, "check")
-    with monkeypatch.context() as patch:
-        patch.setattr(owner, name, hang)
+    with (replaced.OPEN_VIEW if link else replaced.CHECK_VIEW).during(hang):
         given_up = server.next_picture("me", ("/pose",), WISH, link)
         assert opens.wait(60)
         given_up.cancel()

@@ -6,6 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.virtual_time import set_clock
 
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.wire.messages import Pong
@@ -93,13 +94,13 @@ def test_a_profile_s_patience(loop: VirtualLoop, context: Context) -> None:
 
 
 @pytest.mark.parametrize("step", [0, -5])
-def test_how_long_a_ping_takes(step: int, loop: VirtualLoop, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_how_long_a_ping_takes(step: int, loop: VirtualLoop, context: Context) -> None:
     """The last answer's time, or how long the oldest ping has waited for one, though a clock is set meanwhile."""
-    keepalive, wall = Keepalive(context, list), context.clock.time_ns
+    keepalive = Keepalive(context, list)
     assert keepalive.round_trip is None
     ping = keepalive.tick()
     wait(loop, 0.3)
-    monkeypatch.setattr(context.clock, "time_ns", lambda: wall() + step * 10**9)
+    set_clock(context.clock, step)
     keepalive.answered(Pong(n=ping.n, sent=ping.sent, received=ping.sent, answered=ping.sent))
     assert keepalive.round_trip == pytest.approx(0.3, abs=0.01)
     for _ in range(3):

@@ -8,6 +8,7 @@ import pytest
 from tests.route.test_loop_filter import FIRST, SECOND, World, world
 from tests.route.test_unpacking import OnePublisher, opened
 from tests.support.offline import FakePeer, half_of
+from tests.support.virtual_time import set_clock
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.qos import Qos
@@ -232,17 +233,16 @@ def test_the_fresh_sieve_asks_the_publishers_stamps(make_context: Callable[..., 
 
 @pytest.mark.parametrize(("max_age", "passed"), [(0.5, 0), (None, 1)])
 def test_without_a_sure_clock_nothing_passes_that_has_to_be_young(
-    max_age: float | None, passed: int, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
+    max_age: float | None, passed: int, make_context: Callable[..., Context]
 ) -> None:
     """A lifespan promises less, and drops what is surely older."""
     context, ledger = make_context(), RouteLedger()
     age = MessageAge(context, FakePeer())
     age.settle((max_age,), armed=False, lifespan=0.5)
-    wall = context.clock.time_ns() + 100 * A_SECOND
-    monkeypatch.setattr(context.clock, "time_ns", lambda: wall)
+    set_clock(context.clock, 100.0)
     for second in range(3):
         age.tick(second, float(second))
-        stamped = age.stamped([RawMessage(b"young", wall)] * 10)
+        stamped = age.stamped([RawMessage(b"young", context.wall_ns())] * 10)
         assert len(FreshSieve(age, ledger).passing(stamped)) == 10 * passed
     assert (ledger.offered, ledger.expired) == (30 - 30 * passed, 30 - 30 * passed)
     age.tick(3, 3.0)

@@ -72,6 +72,12 @@ class VirtualClock(Clock):
         return self._loop.time()
 
 
+def set_clock(clock: Clock, seconds: float) -> None:
+    """Set a context's wall clock forward, or back."""
+    assert isinstance(clock, VirtualClock)
+    clock.epoch += seconds
+
+
 @contextlib.contextmanager
 def virtual_loop() -> Iterator[VirtualLoop]:
     """A loop for the length of a `with`; its tasks are cancelled at the end."""

@@ -305,7 +305,7 @@ class ArmingCommands:
 
     async def disarm(self, command: DisarmTopic) -> None:
         link, route = self._find(command.key)
-        # What is to arm it in a moment would do so afterwards; who asks its holder gets it if that one disarms it.
+        # A command about to arm it would do so afterwards; who asks its holder gets it if the holder disarms it.
         if command.own or not route.arming.held:
             link.table.arming.withdraw(route, console() if command.own else None)
         if not command.own or route.arming.console == console():

@@ -390,11 +390,16 @@ class ClientLink(Link):
         name = self.channels.next_name(own, large=large)
         connection = DataConnection(self.keys, name)
 
+        control = self.control
+
         def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+            if self.control is not control:  # lost in this turn of the loop; the attempt is cancelled in the next one
+                stream.abort("the link was lost")
+                return
             self.channels.attach(stream, name, transport, port, connection.leftover())
 
         # The address that the control connection reached: the server's name may resolve to another by now.
-        host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
+        host = control.stream.host if transport is self.transport else transport.host(self.context.session)
         # Ranks as of topics: over Zenoh, small messages go ahead of large ones.
         rank = -1 if large and not transport.multiplexed else 0
         return await self._open(transport, host, port, connection, let_in, rank, self.keys.sample_secret)

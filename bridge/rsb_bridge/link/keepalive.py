@@ -86,7 +86,7 @@ class Keepalive:
     @property
     def round_trip(self) -> float | None:
         """Seconds of the last answered ping, or of the wait for the next answer if that is longer; None if unknown."""
-        # By the clock of stamps: a wall clock that is set while a ping is under way would make it as short as none.
+        # By the clock of stamps: a wall clock that is set during a ping would make it as short as none.
         if self.stamps.rtt is None:
             return None
         return max(self.stamps.rtt, self.ping_wait)

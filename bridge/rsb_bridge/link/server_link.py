@@ -447,7 +447,7 @@ class ServerLink(Link):
         shared = self.shared_port()
         port = event.name.port or shared
         is_own = not event.name.port  # a channel of another transport may have the number of the link's own port
-        # Of those that have their streams, too: the client may have lost one, and the kernel here not know that yet.
+        # Of routes that have their streams, too: the client may have lost one, and the kernel here not know that yet.
         fitting = [
             (transport, waits)
             for (transport, at), waits in self._stream_users().items()

@@ -171,7 +171,7 @@ class Ledger:
 
     @property
     def lost(self) -> int:
-        """Messages that were too old or dropped, except for those that an operator or the bridge wants to drop."""
+        """Messages that were too old or dropped, without the drops that an operator or the bridge wants."""
         return self.expired + sum(count for cause, count in self.dropped.items() if cause not in _MEANT)
 
 

@@ -158,7 +158,7 @@ class RateLimitedEventLog:
                 self._report(link, link_status=link_status)
 
     def forget(self, link: str) -> None:
-        """Forget a link that was removed, after a last report of what was left out."""
+        """Forget a link that was removed, after a last report of the lines left out."""
         for link_status in (False, True):
             self._report(link, link_status=link_status)
             self._quotas.pop((link, link_status), None)

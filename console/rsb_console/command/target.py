@@ -264,7 +264,7 @@ def agreed(question: str) -> bool:
     """
     if not sys.stdin.isatty():
         raise UsageError(Asking.NOBODY())
-    # What was typed ahead is for something else. Not every input that calls itself a terminal can be flushed.
+    # Lines that were typed ahead are for something else. Not every input that calls itself a terminal can be flushed.
     with contextlib.suppress(OSError, termios.error):
         termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
     print_line(f"{question} [y/N]")

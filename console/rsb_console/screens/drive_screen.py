@@ -410,7 +410,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         self._asking = None
 
     def _now_holds(self) -> None:
-        # The next answer to a sign of life says so, too; until then, A would ask for what this screen has just armed.
+        # The next answer to a sign of life has it, too; until then, A would ask for the topic that is armed here.
         self.console.deadman.held |= {self._route.key}
 
     def action_answer(self, gives: bool) -> None:
@@ -436,7 +436,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         if self._asking is not None:
             self._asking.cancel()
         engine = self.console.engine
-        # Whatever is shown: the arming may be under way. A topic that A has armed on the list of topics stays armed.
+        # Also if it is not shown as armed: it may be about to be. A topic that A has armed on the list stays armed.
         if self._has_armed and engine is not None:
             engine.disarm(self._route.key, own=True)
 

@@ -182,7 +182,7 @@ class HistoryScreen(ModalScreen[None]):
         self._ask()
 
     def renew(self) -> None:
-        """Ask again, unless the answer is still on its way, perhaps over a thin line."""
+        """Ask again, unless an answer is still due, perhaps over a thin line."""
         if self._fetching.is_finished:
             self._ask()
 

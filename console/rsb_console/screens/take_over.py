@@ -111,7 +111,7 @@ class HandOverScreen(ConfirmScreen):
         who: the operator who asks.
     """
 
-    # Not even n and escape: they may be for what it has opened over, and would decide for the holder.
+    # Not even n and escape: they may be for the screen below, and would decide for the holder.
     SAFE_KEYS = frozenset({"ctrl+c"})
     opens_itself = True
 

@@ -1,4 +1,4 @@
-"""Keeps keys that came late, or were meant for what was there before, from screens on which a key has an effect."""
+"""Keeps keys that came late, or were meant for the screen before, from screens on which a key has an effect."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class GuardedScreen(Screen[Any]):
         is_guarded: whether its keys have an effect.
         moves: whether that may move a robot: then only young input counts. Any other answer may take its time.
         seen_after: s from its first picture until other keys count.
-        opens_itself: whether it opens over whatever the operator does: then that time begins again with each key.
+        opens_itself: whether it opens while the operator does something else: each key restarts that time then.
     """
 
     SAFE_KEYS: ClassVar[frozenset[str]] = frozenset()
@@ -98,7 +98,7 @@ class InputGate:
         if not (screen.moves and self.is_late(event)):
             seen = self._was_seen(screen, heard_before(event))
             if not seen and screen.opens_itself and screen.drawn_at is not None:
-                screen.drawn_at = self._clock()  # whoever types on has not read it
+                screen.drawn_at = self._clock()  # an operator who types on has not read it
             return not seen
         if self._clock() - self._told_at > _TOLD_EVERY:
             self._told_at = self._clock()
