@@ -118,7 +118,7 @@ def test_a_publisher_that_does_not_come_is_a_fault_where_the_entry_says_so(
     """Without one, type and QoS are unknown, so that nothing is described and there is no channel."""
     world = World(loop, make_context(), **fields)
     world.route.channel = None
-    world.wait(3)
+    world.wait(12)
     assert world.route.verdict().state is State.WAITING
     world.wait(20)
     assert (world.route.verdict().state, world.route.verdict().cause) == (state, Cause.NO_PUBLISHER)

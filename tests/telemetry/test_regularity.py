@@ -58,7 +58,9 @@ def watched(
             sent += 1
         meter.tick(now)
         publisher = b"%d" % sum(end <= now for _, end in outages)
-        flow = Flow(True, meter.last or 0.0, meter.rate, given, meter.usual_rate, 0.0, frozenset([publisher]), Ledger())
+        flow = Flow(
+            True, True, meter.last or 0.0, meter.rate, given, meter.usual_rate, 0.0, frozenset([publisher]), Ledger()
+        )
         health.tick(flow, now)
         said.append(health.added_to(said[0]))
         if said[-1].stopped_since is not None and said[-2].stopped_since is None:

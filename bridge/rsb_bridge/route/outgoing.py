@@ -50,12 +50,16 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.watches import Loss
 
 _LIMITED = "they are limited to the messages sent"
+_NODES_START_IN = 10.0
+"""s from an opening for which a topic without a publisher only waits: nodes that start with the bridge are up by then.
+A round figure: nothing was measured; with a tenth of it, each boot of a robot would begin with faults."""
 
 
 class Flow(NamedTuple):
     """The figures of a route's messages that `Health` watches.
 
     Attributes:
+        flowing: whether messages could cross now.
         awaited: whether messages are missing if none come.
         last: time (s) of the last message, or when the first one was missing.
         given_rate: Hz that an operator expects, or 0 for none.
@@ -64,6 +68,7 @@ class Flow(NamedTuple):
         publishers: ids of the topic's publishers.
     """
 
+    flowing: bool
     awaited: bool
     last: float
     rate: float
@@ -102,7 +107,7 @@ class Health:
             self._slow.reset()
             return
         self._stop.tick(flow.last, expected, now, flow.publishers, promised=bool(flow.given_rate))
-        if self._stop.since is not None:
+        if self._stop.since is not None or not flow.flowing:
             self._slow.reset()
         elif not self._stop.quiet:  # a pause is not slow
             self._slow.tick(flow.rate, expected, now)
@@ -337,6 +342,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         # Before `super().tick`, whose verdict needs it.
         self._health.tick(
             Flow(
+                self.flowing,
                 self._subscription.receives if self.flowing else self.awaited,
                 self.silence.quiet_since,
                 self.meter.rate,
@@ -471,7 +477,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             return True
         # Type and QoS are a publisher's, so that without one nothing is described, and nothing flows.
         unpublished = self._resolver.unresolved is not None and not self.endpoints
-        return unpublished and self.life.accepted and self.may_cross
+        started = self.context.now() - self.opened_at >= _NODES_START_IN
+        return unpublished and started and self.life.accepted and self.may_cross
 
     @property
     def silence_counts(self) -> bool:
