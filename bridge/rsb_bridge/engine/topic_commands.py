@@ -305,9 +305,8 @@ class ArmingCommands:
 
     async def disarm(self, command: DisarmTopic) -> None:
         link, route = self._find(command.key)
-        # A command about to arm it would do so afterwards; who asks its holder gets it if the holder disarms it.
-        if command.own or not route.arming.held:
-            link.table.arming.withdraw(route, console() if command.own else None)
+        # A command that is about to arm it would do so afterwards.
+        link.table.arming.withdraw(route, console() if command.own else None)
         if not command.own or route.arming.console == console():
             await self._disarm(link, route)
 

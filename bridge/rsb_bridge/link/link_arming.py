@@ -318,7 +318,7 @@ class LinkArming:
 
     @contextmanager
     def waiting(self, route: Route, console: Hashable) -> Iterator[WaitingCommand]:
-        """Have a console's command, which is to arm a route, withdrawn if the console goes meanwhile, or disarms it.
+        """Have a console's command, which is to arm a route, withdrawn if the console goes or the route is disarmed.
 
         Raises:
             LinkError: at the end, if it was withdrawn.
