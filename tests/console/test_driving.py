@@ -214,6 +214,13 @@ def velocities(app: ConsoleApp) -> list[str]:
     return [each.fields for each in sent(app)]
 
 
+async def arm(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+
+
 async def pressed(pilot: Pilot[None], clock: Clock, *keys: str) -> None:
     """Press keys, once no command has put the screen's clock ahead of the keys' own."""
     await until(pilot, lambda: time.monotonic() >= clock.now, "the keys' clock")
@@ -380,10 +387,7 @@ def arming(*, here: bool = True, by: str = "anna") -> ArmingSnapshot:
 async def test_leaving_the_screen_disarms_what_it_has_armed(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock, shown_as: RouteSnapshot
 ) -> None:
-    await pilot.press("A")
-    await shown(pilot, "Arm /cmd_vel of robot1?")
-    await pilot.press("y")
-    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+    await arm(app, pilot)
     put(app, shown_as)
     await pilot.press("escape")
     await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/cmd_vel", "own")], "disarmed")
@@ -545,10 +549,7 @@ async def test_a_second_key_disarms_what_the_first_has_just_armed(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(app.deadman, "keep", lambda *_: None)  # no answer says yet that this console holds it
-    await pilot.press("A")
-    await shown(pilot, "Arm /cmd_vel of robot1?")
-    await pilot.press("y")
-    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+    await arm(app, pilot)
     put(app, ARMED)
     await pilot.press("A")
     await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/cmd_vel")], "disarmed")

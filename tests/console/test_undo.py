@@ -226,13 +226,18 @@ def other(number: int, code: EventCode = EventCode.OPERATOR_EDITED, who: str = "
     return Event(number, NOW, Level.INFO, code, "/scan: …", link="robot1", topic="/scan", who=who)
 
 
+async def paused_and_resumed(engine: ChangingEngine, pilot: Pilot[None]) -> None:
+    """Pause a topic, which somebody else then resumes."""
+    await pilot.press("p")
+    await until(pilot, lambda: engine.spec("/scan").paused, "paused")
+    engine.happened += [other(5, EventCode.OPERATOR_PAUSED, "me"), other(6, EventCode.OPERATOR_RESUMED)]
+
+
 @on_scan()
 async def test_what_somebody_else_has_changed_since_is_left_alone(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
-    await pilot.press("p")
-    await until(pilot, lambda: engine.spec("/scan").paused, "paused")
-    engine.happened += [other(5, EventCode.OPERATOR_PAUSED, "me"), other(6, EventCode.OPERATOR_RESUMED)]
+    await paused_and_resumed(engine, pilot)
     engine.put("/scan", SCAN)
     await refused(app, pilot, "anna on pts/3")
     assert engine.undone == []
@@ -244,9 +249,7 @@ async def test_what_somebody_else_has_changed_since_is_left_alone(
 async def test_a_pause_that_somebody_else_has_ended_and_begun_again_is_theirs(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
-    await pilot.press("p")
-    await until(pilot, lambda: engine.spec("/scan").paused, "paused")
-    engine.happened += [other(5, EventCode.OPERATOR_PAUSED, "me"), other(6, EventCode.OPERATOR_RESUMED)]
+    await paused_and_resumed(engine, pilot)
     engine.happened.append(other(7, EventCode.OPERATOR_PAUSED))
     await refused(app, pilot, "anna on pts/3")
     assert engine.spec("/scan").paused

@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 import time
-from functools import partial
+from functools import cache, partial
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,7 +28,7 @@ from rsb_bridge.model.verdict import clocks_differ
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.control.bridges import RunningBridge
@@ -82,26 +82,29 @@ def checks(
         root: in place of ``/`` for ``/sys``.
         base_timeouts: command that prints what `rsb_bridge.ros.base_timeouts` prints.
     """
+    running = cache(partial(_running, path, environ))  # three checks ask it
     return (
         Check("ports", "ports", partial(_ports, session, path, environ)),
         Check("keys", "keys", partial(_keys, session, path)),
         Check("session", "session", partial(_transports, session, root)),
         Check("session", "session", partial(_advice, session, environ)),
-        Check("ros_domain", "ROS domain", partial(_domain, session, path, environ)),
-        Check("clock", "clock", partial(_peers_clocks, path, environ)),
-        Check("base", "base", partial(_base, session, path, environ, base_timeouts)),
+        Check("ros_domain", "ROS domain", partial(_domain, session, running, environ)),
+        Check("clock", "clock", partial(_peers_clocks, running)),
+        Check("base", "base", partial(_base, session, running, environ, base_timeouts)),
     )
 
 
-def _base(session: Session, path: Path, environ: Mapping[str, str], command: Sequence[str]) -> Iterator[Finding]:
+def _base(
+    session: Session, running: Callable[[], Snapshot | None], environ: Mapping[str, str], command: Sequence[str]
+) -> Iterator[Finding]:
     """Find out whether what this bridge lets move stops by itself: the bridge cannot stop it if it is killed."""
     names = tuple(dict.fromkeys(guarded_here_alone(session)))
     if not names:
         return
     finding = partial(Finding, "base", subject="base")
     try:
-        running = _running(path, environ)
-        domain = domain_of(session, environ.get("ROS_DOMAIN_ID")) if running is None else running.domain_id
+        bridge = running()
+        domain = domain_of(session, environ.get("ROS_DOMAIN_ID")) if bridge is None else bridge.domain_id
         ran = subprocess.run(  # noqa: S603 -- own program
             [*command, str(domain), *names], capture_output=True, text=True, timeout=_ASKED_FOR, check=True
         )
@@ -138,22 +141,24 @@ def _running(path: Path, environ: Mapping[str, str]) -> Snapshot | None:
         return engine.snapshot()
 
 
-def _domain(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
+def _domain(session: Session, running: Callable[[], Snapshot | None], environ: Mapping[str, str]) -> Iterator[Finding]:
     """Tell of a bridge in another domain than this shell: a service has the domain of its own environment."""
-    running, here = _running(path, environ), environ.get("ROS_DOMAIN_ID")
-    if running is not None and (domain := domain_of(session, here)) != running.domain_id:
-        text = NeedText.OTHER_DOMAIN(running=running.domain_id, domain=domain)
-        remedy = NeedText.OTHER_DOMAIN_REMEDY(running=running.domain_id)
-        yield Finding("ros_domain", Grade.WARNING, "ROS domain", text, remedy, {"running": running.domain_id})
+    bridge, here = running(), environ.get("ROS_DOMAIN_ID")
+    if bridge is not None and (domain := domain_of(session, here)) != bridge.domain_id:
+        text = NeedText.OTHER_DOMAIN(running=bridge.domain_id, domain=domain)
+        remedy = NeedText.OTHER_DOMAIN_REMEDY(running=bridge.domain_id)
+        yield Finding("ros_domain", Grade.WARNING, "ROS domain", text, remedy, {"running": bridge.domain_id})
 
 
-def _peers_clocks(path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
+def _peers_clocks(running: Callable[[], Snapshot | None]) -> Iterator[Finding]:
     """Compare this machine's clock with the peers', as the session's bridge has measured them if it runs."""
-    running = _running(path, environ)
-    for link in () if running is None else running.links:
-        if link.clock_offset is None or running is None:
+    bridge = running()
+    if bridge is None:
+        return
+    for link in bridge.links:
+        if link.clock_offset is None:
             continue
-        peer = other_side(running.role, link.name)
+        peer = other_side(bridge.role, link.name)
         facts = {"link": link.name, "offset": link.clock_offset, "uncertainty": link.clock_uncertainty}
         finding = partial(Finding, "clock", subject="clock", facts=facts)
         if warning := clocks_differ(peer, link.clock_offset, link.clock_uncertainty):
