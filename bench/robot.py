@@ -38,6 +38,8 @@ from bench.bed import FAR, NEAR, ROOT
 from bench.robot_ends import GOAL, NODE, PARAMETERS, RESULT
 from tests.network.hosts import Host, NoHostError
 
+from rsb_bridge.ros.memory import PROFILE_VARIABLES
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -51,6 +53,8 @@ _AFTER_GAP = 3.0
 _DRAINS = 5.0
 """s in which the last messages arrive after the robot has stopped."""
 _MATCHES_WITHIN = 30.0
+_PROFILE = ROOT / "configs" / "fastdds-large-messages.xml"
+"""Without it, DDS hands on hardly one image of 6 MB a minute in full, and small topics late, on the same machine."""
 _NO_BRIDGE = ("bare", "dds")
 _TYPE = "std_msgs/msg/String"
 _LOST = re.compile("link with the server at .* lost: ")
@@ -322,8 +326,9 @@ class _Child:
         output = log.open("w") if log else subprocess.PIPE
         # Hosts have a network of their own, so that what DDS sends to a peer, it sends there only.
         finds = {"ROS_STATIC_PEERS": peer, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"} if peer else {}
+        variables = {**os.environ, **dict.fromkeys(PROFILE_VARIABLES, str(_PROFILE)), **finds}
         self.process = host.start(
-            sys.executable, *command, stdin=subprocess.PIPE, stdout=output, stderr=output, env={**os.environ, **finds}
+            sys.executable, *command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=variables
         )
 
     def tell(self, line: str) -> None:

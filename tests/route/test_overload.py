@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, cast
+
 import pytest
 
 from rsb_bridge.channel.channel import Pace
@@ -10,6 +12,12 @@ from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.sending import Outbox, Overload, QueueLimits
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.messages import Propose
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.channel.channel import SendingChannel
+    from rsb_bridge.wire.framing import Message
 
 AUTO = Qos(depth=500)
 """As the engine chooses it before it knows the rate."""
@@ -20,26 +28,71 @@ def outbox(qos: Qos | None = None) -> Outbox:
     return Outbox(default_transports()["tcp"], proposal, RouteLedger(), lambda *_: None)
 
 
-def flood(box: Outbox, seconds: int, pace: Pace, qos: Qos = AUTO) -> QueueLimits:
-    """Queue 10 messages a second, of which none is sent; the limits at the end."""
-    limits = box.limits(qos, 0, pace, 0.0)
+class FullChannel:
+    """It takes one message in a turn.
+
+    Attributes:
+        sent: what it took.
+    """
+
+    batch_bytes = 1
+    congested = False
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+
+    def send(self, batch: Sequence[Message]) -> None:
+        self.sent += [payload for payload, _, _ in batch]
+        self.congested = True
+
+    def ask(self) -> None:
+        """The test gives the turns."""
+
+
+def flood(
+    box: Outbox, seconds: int, pace: Pace, qos: Qos = AUTO, *, turn_every: int = 0, size: int = 0
+) -> tuple[QueueLimits, list[bytes]]:
+    """Queue 10 messages a second, each of which says its number; the limits at the end, and what was sent."""
+    limits, channel = box.limits(qos, 0, pace, 0.0), FullChannel()
     for tick in range(10 * seconds):
         limits = box.limits(qos, 0, pace, tick / 10)
-        box.add([(b"", 0, 0)], tick / 10, b"", limits)
-    return limits
+        box.add([(b"%d" % tick + bytes(size), 0, 0)], tick / 10, b"", limits)
+        if turn_every and not tick % turn_every:
+            channel.congested = False
+            box.flush(cast("SendingChannel", channel))
+    return limits, channel.sent
 
 
 def test_overload_keeps_only_new_messages() -> None:
     box = outbox()
-    assert flood(box, 10, Pace.SLOW).younger_than == 1.0
+    limits, sent = flood(box, 20, Pace.SLOW, turn_every=3)
+    assert limits.younger_than == 1.0
     assert len(box) <= 11
+    assert int(sent[-1]) > 180, "no message is sent late"
 
 
 def test_stall_keeps_messages_for_seconds() -> None:
     box = outbox()
-    limits = flood(box, 4, Pace.STOPPED)
+    limits, _ = flood(box, 4, Pace.SLOW)
     assert (limits.depth, limits.younger_than) == (500, 5.0)
     assert len(box) == 40
+
+
+def test_live_topic_sends_what_is_newest_once_some_have_to_be_left_out() -> None:
+    """Otherwise each one would wait for the whole depth of the queue."""
+    qos = Qos(reliability="best_effort", depth=5)
+    _, sent = flood(outbox(), 20, Pace.SLOW, qos, turn_every=3, size=100)
+    assert [int(payload.rstrip(bytes(1))) for payload in sent[-3:]] == [191, 194, 197]
+    _, sent = flood(outbox(qos), 20, Pace.SLOW, qos, turn_every=3, size=100)
+    assert int(sent[-1].rstrip(bytes(1))) == 194, "a depth that is promised is kept"
+
+
+def test_live_topic_loses_nothing_in_a_short_stall() -> None:
+    box, channel = outbox(), FullChannel()
+    limits = box.limits(Qos(reliability="best_effort", depth=5), 0, Pace.SLOW, 0.0)
+    box.add([(b"%d" % number, 0, 0) for number in range(5)], 0.0, b"", limits)
+    box.flush(cast("SendingChannel", channel))
+    assert channel.sent == [b"0"]
 
 
 @pytest.mark.parametrize("pace", Pace)
@@ -57,7 +110,8 @@ def test_live_topic_sends_nothing_old(pace: Pace) -> None:
 )
 def test_depths_that_are_promised_are_kept(own: Qos | None, qos: Qos) -> None:
     box = outbox(own)
-    assert flood(box, 10, Pace.SLOW, qos).depth == 20
+    limits, _ = flood(box, 10, Pace.SLOW, qos)
+    assert limits.depth == 20
     assert len(box) >= 20
 
 
@@ -70,16 +124,18 @@ def test_keep_all_keeps_all() -> None:
 def test_queue_that_drains_after_a_stall_is_no_overload() -> None:
     overload = Overload()
     for tick in range(30):
-        overload.judge(tick / 10, 0.0, tick, moves=False)
+        overload.judge(tick / 10, 0.0, tick)
     for tick in range(30, 60):
-        overload.judge(tick / 10, (tick - 30) / 10 * 2, 30 - (tick - 30), moves=True)
+        overload.turns += 1
+        overload.judge(tick / 10, (tick - 30) / 10 * 2, 30 - (tick - 30))
         assert not overload.lasts
 
 
 def test_overload_ends_with_the_queue() -> None:
     overload = Overload()
     for tick in range(40):
-        overload.judge(tick / 10, 0.0, tick, moves=True)
+        overload.turns += 1
+        overload.judge(tick / 10, 0.0, tick)
     assert overload.lasts
     overload.over()
     assert not overload.lasts
