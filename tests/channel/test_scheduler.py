@@ -130,6 +130,23 @@ async def test_what_fits_is_fresh_beside_what_does_not(rate: int) -> None:
         assert late[-1] < 2.0
 
 
+@pytest.mark.parametrize(("every", "full"), [(0.5, False), (0.1, True)])
+async def test_a_queue_that_never_empties_is_told_from_one_that_does(every: float, full: bool) -> None:
+    """A route alone, with messages that take 0.2 s each; by turns, it is in the queue and is not."""
+    route = Route(1, outgoing=True)
+    async with connected(route, open_streams=Radio(_PACE).open) as (near, far):
+        waits: list[float] = []
+        for step in range(200):
+            route.send(bytes(10_000))
+            await asyncio.sleep(every)
+            if step % 5 == 4:
+                near.tick()
+                far.tick()
+            waits.append(near.scheduler.waits_for(now()))
+        assert (min(waits[100:]) > 1.0) is full
+        assert full or max(waits) < every
+
+
 class Holding(StreamHandler):
     """Keeps what comes on a data stream, until `release`."""
 

@@ -210,17 +210,9 @@ def test_figures_of_the_other_side_count_for_as_long() -> None:
 @pytest.mark.parametrize("mistake", [float("nan"), float("inf"), -float("inf"), 1e9])
 def test_what_cannot_be_a_delay_is_no_report(mistake: float) -> None:
     delays = SendersDelay()
-    delays.receive(mistake, 0.0, 1.0)
+    delays.receive(mistake, 1.0)
     assert (delays.reported, delays.tick(0.5, 0.0, 1.0)) == (None, None)
-    delays.receive(0.2, 0.0, 1.0)
-    delays.receive(mistake, 0.0, 1.5)
+    delays.receive(0.2, 1.0)
+    delays.receive(mistake, 1.5)
     assert delays.tick(0.0, 0.05, 2.0) == 0.2
     assert delays.least == pytest.approx(0.15)
-    assert delays.longer == 0.0
-
-
-def test_a_path_that_became_longer_is_no_queue() -> None:
-    delays = SendersDelay()
-    for seconds, now, longer in ((0.2, 1.0, 0.0), (0.6, 2.0, 0.4), (0.6, 4000.0, 0.0)):
-        delays.receive(seconds, 0.0, now)
-        assert delays.longer == pytest.approx(longer)

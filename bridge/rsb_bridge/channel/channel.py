@@ -110,13 +110,6 @@ class SendingChannel(DataChannel, Protocol):
     def datagrams(self, size: int) -> int:
         """Return how many datagrams a message of `size` bytes takes now, or 0 on a stream; only once it is ready."""
 
-    def arrival_rate(self) -> float:
-        """Return the datagrams/s that arrive by the last receipts, or 0 without receipts of late."""
-
-    @property
-    def arrived_share(self) -> float | None:
-        """The share of its datagrams that arrives, by the last receipts, or None before the first or on a stream."""
-
     @property
     def unheard_for(self) -> float:
         """Seconds since a receipt told of further datagrams; infinite before the first, and on a stream."""

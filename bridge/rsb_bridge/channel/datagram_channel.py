@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.channel import Counts, Pace
@@ -27,11 +26,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.sealing import Buffer
 
-_RATE_OVER, _RATE_LASTS = 1.0, 2.5
-"""s between the receipts from which the rate of arrival is computed, and s for which it counts: a receiver sends one a
-second, of which one may get lost."""
-_MOST_RECEIPTS = 64
-"""Receipts that are kept; where they come more often, the newest replaces the one before."""
 _REPEATS, _REPEATED_AFTER = 5, 0.1
 """How often the last command is sent again, and s from one to the next: no further one makes up for a lost stop. On a
 link that loses 30 %, its first two copies get lost once in 11 times, and all seven once in 4,500."""
@@ -74,7 +68,6 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         self._counted = self._missing = 0  # datagrams that are no longer in transit, and how many of them have not come
         self._receipted = (-1, 0)  # the newest datagram of the last receipt, and how many had arrived
         self._receipted_at = float("-inf")
-        self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # time (s), arrivals by then
         self._command: Sequence[bytes] = ()  # the last one, which may be sent again
         self._repeats = 0  # of it, that are left
         self._repeat_at = 0.0
@@ -190,14 +183,11 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         # A peer may claim more than was sent.
         newest = min(arrived.newest, self._codec.sequence - 1)
         opened = min(arrived.opened, newest + 1)
-        before, opened_before = self._receipted
+        before, _ = self._receipted
         if newest <= before:
             return  # another one has overtaken it
-        share = max(0.0, min((opened - opened_before) / (newest - before), 1.0))
-        self.arrived_share = share if self.arrived_share is None else (share + self.arrived_share) / 2
         self._receipted = newest, opened
         self._receipted_at = self._loop.time()
-        self._note_arrivals(opened, self._receipted_at)
         # After a write-off, more are counted than a late receipt tells of.
         self._count(max(newest + 1, self._counted), newest + 1 - opened)
         if buffer < RECEIVE_BUFFER and self._codec.largest > buffer // WINDOW:
@@ -223,23 +213,6 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         """Return the counts of datagrams, by the last receipt."""
         newest, opened = self._receipted
         return PacketCounts(newest + 1, max(0, newest + 1 - opened), newest + 1, 0, 0)
-
-    def _note_arrivals(self, opened: int, now: float) -> None:
-        arrivals = self._arrivals
-        while len(arrivals) > 1 and now - arrivals[1][0] >= _RATE_OVER:
-            arrivals.popleft()
-        if len(arrivals) < _MOST_RECEIPTS:
-            arrivals.append((now, opened))
-        else:
-            arrivals[-1] = now, opened
-
-    def arrival_rate(self) -> float:
-        if len(self._arrivals) < 2:
-            return 0.0
-        (began, before), (at, opened) = self._arrivals[0], self._arrivals[-1]
-        if at - began < _RATE_OVER or self._loop.time() - at > _RATE_LASTS:
-            return 0.0
-        return max(0.0, (opened - before) / (at - began))
 
 
 class DatagramReceiver(_DatagramChannel):

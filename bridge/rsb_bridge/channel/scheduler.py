@@ -119,6 +119,7 @@ class Scheduler:
         sent: bytes sent so far, on all streams.
         chunk: bytes of a message in one turn.
         acknowledged: bytes that have arrived, or were written off.
+        arrived: bytes that have arrived.
     """
 
     def __init__(self, book: ReceiptBook, window: Window) -> None:
@@ -128,10 +129,11 @@ class Scheduler:
         self._book = book
         self._now = book.now
         self._window = window
-        self.acknowledged = 0
+        self.acknowledged = self.arrived = 0
         self._acknowledged_at = float("-inf")
         self._carriers: list[Carrier] = []
         self._waiting = 0
+        self._waits_since: float | None = None
         self._order = 0
         self._time = 0  # virtual: bytes
         self._passing = False
@@ -184,6 +186,8 @@ class Scheduler:
     def _push(self, end: Turns) -> None:
         end.queued = True
         self._waiting += 1
+        if self._waits_since is None:
+            self._waits_since = self._now()
         # Ends that begin at the same time take turns as they came. Without a number, heapq would compare the ends.
         self._order += 1
         heapq.heappush(end.via.queue, (end.start, self._order, end))
@@ -224,7 +228,10 @@ class Scheduler:
         """Give turns while streams and window take bytes."""
         # A turn asks its route for messages, which leads back here. And where the next pass is due already, it has to
         # wait for the other links' work.
-        if self._passing or self._next_pass is not None or not self._waiting:
+        if self._passing or self._next_pass is not None:
+            return
+        if not self._waiting:
+            self._waits_since = None
             return
         self._passing = True
         left = _A_PASS
@@ -233,7 +240,9 @@ class Scheduler:
                 left -= self._give_turns(*found)
         finally:
             self._passing = False
-        if left <= 0 and self._waiting:
+        if not self._waiting:  # and not whenever none is queued: a route alone leaves the queue in each of its turns
+            self._waits_since = None
+        elif left <= 0:
             self._next_pass = asyncio.get_running_loop().call_soon(self._continue)
 
     def _continue(self) -> None:
@@ -312,6 +321,7 @@ class Scheduler:
         """Adapt to a receipt of `gained` further bytes; return the bytes after which the next one is wanted."""
         now = self._now()
         self.acknowledged += gained
+        self.arrived += gained
         if gained:
             self._acknowledged_at = now
         window = self._window
@@ -345,6 +355,10 @@ class Scheduler:
                 self.written_off(size)
 
     # --- figures
+
+    def waits_for(self, now: float) -> float:
+        """Return for how long (s) something has waited all the time."""
+        return 0.0 if self._waits_since is None else now - self._waits_since
 
     @property
     def stalls_after(self) -> float:

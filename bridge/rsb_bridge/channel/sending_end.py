@@ -27,7 +27,6 @@ class SendingEnd:
     """
 
     via: Carrier
-    arrived_share: float | None = None
 
     def __init__(self, scheduler: Scheduler, route: RouteSink, via: Carrier) -> None:
         self.start = 0
@@ -79,9 +78,6 @@ class SendingEnd:
 
     def datagrams(self, size: int) -> int:
         return 0
-
-    def arrival_rate(self) -> float:
-        return 0.0
 
     @property
     def unheard_for(self) -> float:

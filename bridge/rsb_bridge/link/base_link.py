@@ -439,7 +439,8 @@ class BaseLink(ABC):
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
             self._tick_path(self.control)  # first: a path that loses packets is not taken for a full one
-            self.fullness_watch.tick(self.keepalive, self.peer_name, lossy=self.path.loss.lossy > 0)
+            if (scheduler := self.channels.scheduler) is not None:
+                self.fullness_watch.tick(scheduler, self.peer_name, lossy=self.path.loss.lossy > 0)
             self.send(self.keepalive.tick())
             self.channels.tick()
         for each in self._extensions:

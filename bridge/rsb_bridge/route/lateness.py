@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.telemetry.meters import Shortest
 
 if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
@@ -34,8 +33,6 @@ REPORTED_LATELY = 2.5
 """s for which a delay that the receiver has reported counts: one of its reports may be late or lost."""
 _LONGEST_DELAY = 3600.0
 """s; a longer delay counts as a mistake, as in `telemetry.meters`."""
-_JITTERS = 2.0
-"""Times the jitter by which a message may take longer without a cause: with less, an uneven path would seem full."""
 _LONGEST_UNDER_WAY = 60.0
 """s; a message that takes longer counts as lost."""
 _REPORTED_EVERY = 1.0
@@ -187,23 +184,19 @@ class SendersDelay:
     Attributes:
         reported: s that they took by the receiver's last report, or None before the first.
         least: s that they take at least now, or 0 while nothing flows.
-        longer: s that they take beyond the shortest time of an hour and their jitter, as reported.
     """
 
     def __init__(self) -> None:
         self.reported: float | None = None
-        self.least = self.longer = 0.0
+        self.least = 0.0
         self._reported_at = 0.0
-        self._shortest = Shortest()
         self._unreported = Unreported()
 
-    def receive(self, seconds: float, jitter: float, now: float) -> None:
+    def receive(self, seconds: float, now: float) -> None:
         """Take a delay that the receiver reports."""
         if not math.isfinite(seconds) or abs(seconds) > _LONGEST_DELAY:
             return
         self.reported, self._reported_at = seconds, now
-        # In a queue one message takes as long as the next; where they do not, the path is uneven, not full.
-        self.longer = max(0.0, seconds - self._shortest.add(seconds, now) - _JITTERS * max(0.0, jitter))
 
     def with_report(self, report_delay: float) -> float:
         """Return the estimated s that a message and its report take together."""
@@ -231,8 +224,6 @@ class SendersDelay:
             The latest report, or None.
         """
         measured = self.reported if now - self._reported_at <= REPORTED_LATELY else None
-        if measured is None:
-            self.longer = 0.0
         self.least = max(own, (measured or 0.0) - uncertainty)
         return measured
 

@@ -420,7 +420,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._resolver.hint = TypeVersion(report.type, report.type_hash)
             self.advance()
         if report.latency is not None:
-            self.delays.receive(report.latency, report.jitter or 0.0, self.context.now())
+            self.delays.receive(report.latency, self.context.now())
         self.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
 
     @property

@@ -491,9 +491,6 @@ class OutgoingPath:
                 return
         traffic.packed(len(messages), size)
         if outbox.pass_on(messages, size, channel):
-            # Otherwise nothing changes, and nearly every message saves a call.
-            if channel.congested or traffic.busy_since is not None:
-                traffic.busy(channel.congested, now)
             return
         if route.arming.required and route.on_end not in ("", NONE):
             # It is a state: after a stall, a robot would follow all the old ones before the present one.
@@ -505,11 +502,8 @@ class OutgoingPath:
 
     def flush(self) -> None:
         """Send the waiting messages while the channel takes them."""
-        channel = self._route.channel
-        if channel is None:
-            return
-        self._outbox.flush(channel)
-        self._route.traffic.busy(channel.congested or bool(self._outbox), self._context.now())
+        if (channel := self._route.channel) is not None:
+            self._outbox.flush(channel)
 
     # --- switches
 
@@ -523,7 +517,6 @@ class OutgoingPath:
 
     def clear(self) -> int:
         """Drop the queued messages, and the volatile one that waits for the rate limit, and return their number."""
-        self._route.traffic.busy(False, self._context.now())
         return self._outbox.clear() + self._last_later.follow(None)
 
     def waits(self, now: float) -> float:
