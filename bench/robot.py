@@ -244,6 +244,12 @@ LINKS = {
     "many": Link("20 0 0 20000000 400000 0 0", tuple(Spoken(f"/topic{number}", 1, 300) for number in range(500))),
 }
 
+_WIFI = LINKS["wifi"]
+# An operator who wants whole images sooner than pictures of the camera.
+LINKS["raw-first"] = _WIFI._replace(
+    topics=tuple(each._replace(priority="normal") if each.name == "/raw" else each for each in _WIFI.topics)
+)
+
 
 @dataclass
 class Run:

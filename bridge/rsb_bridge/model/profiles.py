@@ -2,10 +2,10 @@
 
 One table: `PROFILES`. Without a profile, and on a ``lan``, a link is as it always was. The other figures follow.
 
-- ``wifi`` stalls for some tenths of a second, again and again. A best-effort message that has waited behind five others
-  or 1 MiB (0.2 s at 5 MB/s) is better replaced by a newer one.
+- ``wifi`` stalls for some tenths of a second, again and again. A best-effort message that has waited behind 1 MiB
+  (0.2 s at 5 MB/s) is better replaced by a newer one.
 - ``lte`` is slow upwards (some 500 kB/s), is paid for by the byte, and has gaps of up to some 10 s between cells. So
-  messages are compressed, half a second of them waits (256 KiB, three messages), and sensors cross at 10 Hz. The link
+  messages are compressed, half a second of them waits (256 KiB), and sensors cross at 10 Hz. The link
   is given up after 15 s of silence instead of 5, so that a gap costs no new connection.
 - ``bluetooth`` is what RFCOMM links are set to anyway (50 kB/s: zstd, and 64 KiB of best effort), and sensors cross at
   5 Hz, which leaves a message 10 kB.
@@ -24,7 +24,6 @@ class LinkProfile(NamedTuple):
 
     Attributes:
         compression: of topics, services and actions that name none, or None for the transport's.
-        depth: best-effort messages of a topic that wait, where its QoS names no depth.
         queue_bytes: of a best-effort topic that wait; one message always may. None for the transport's.
         max_rate: Hz of a best-effort topic that names none, or None for any rate.
         patience: s without a byte until the link is given up, and for which a reliable topic's messages are kept
@@ -32,7 +31,6 @@ class LinkProfile(NamedTuple):
     """
 
     compression: Compression | None = None
-    depth: int = 10
     queue_bytes: int | None = None
     max_rate: float | None = None
     patience: float | None = None
@@ -43,8 +41,8 @@ PLAIN: Final = LinkProfile()
 
 PROFILES: Final[dict[ProfileName, LinkProfile]] = {
     "lan": PLAIN,
-    "wifi": LinkProfile(depth=5, queue_bytes=1024 * 1024),
-    "lte": LinkProfile("zstd", depth=3, queue_bytes=256 * 1024, max_rate=10.0, patience=15.0),
+    "wifi": LinkProfile(queue_bytes=1024 * 1024),
+    "lte": LinkProfile("zstd", queue_bytes=256 * 1024, max_rate=10.0, patience=15.0),
     "bluetooth": LinkProfile("zstd", queue_bytes=64 * 1024, max_rate=5.0),
 }
 
@@ -63,10 +61,11 @@ def compression_of(own: Compression | None, profile: LinkProfile, transport: Com
 
 def described(profile: LinkProfile) -> str:
     """Describe a profile in a line."""
-    size = f" or {profile.queue_bytes // 1024:,} KiB" if profile.queue_bytes else ""
+    rate = f"{profile.max_rate:g} Hz" if profile.max_rate else "any rate"
+    size = f", {profile.queue_bytes // 1024:,} KiB wait" if profile.queue_bytes else ""
     parts = [
         f"{profile.compression or 'no'} compression",
-        f"best effort: {f'{profile.max_rate:g} Hz, ' if profile.max_rate else ''}{profile.depth} messages{size} wait",
+        f"best effort: {rate}{size}",
         f"given up after {profile.patience or 5:g} s of silence",
     ]
     return "; ".join(parts)

@@ -19,6 +19,7 @@ from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
 from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
+from rsb_bridge.route.route import rank_of
 from rsb_bridge.route.throttle import LastLater, LatestLater, Throttle
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message
 
@@ -291,18 +292,16 @@ class Outbox:
         size = QUEUE_BYTES + self.largest
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
-        oldest = math.inf
         if best_effort and self._automatic and qos is not None and not qos.latched:
-            oldest = _FRESH if now - self._dropped_at < WAITS else WAITS
+            return QueueLimits(0, 0.0, size, _FRESH if now - self._dropped_at < WAITS else WAITS)
         if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
-            return QueueLimits(0, 0.0, size, oldest)
+            return QueueLimits(0, 0.0, size)
         automatic = self._automatic and not best_effort
         # A latched topic keeps its depth, because late joiners get its history.
         if automatic and self._overload.lasts and not qos.latched:
             return QueueLimits(1, WAITS, size)
-        most = qos.depth or (profile.depth if best_effort else AUTO_DEPTH)
         kept_for = AUTO_SECONDS if profile.patience is None else profile.patience
-        return QueueLimits(max(depth, most), kept_for if automatic else 0.0, size, oldest)
+        return QueueLimits(max(depth, qos.depth or AUTO_DEPTH), kept_for if automatic else 0.0, size)
 
     def too_large(self, size: int) -> None:
         """Count a message of so many bytes, which the transport does not carry, and tell operators."""
@@ -346,6 +345,7 @@ class OutgoingPath:
             # Only on a change: `limit` restarts the beat, and gates are composed for other reasons, too.
             self._last_later.flush()
             self._throttle.limit(rate)
+        self._route.rank = rank_of(self._route.proposal, armed=self._route.arming.required)
         self.gates = gates = sending_gates(
             self._route, self._ledger, self._throttle, self._last_later, self._loop_filter, self._outbox
         )
