@@ -66,7 +66,7 @@ def test_in_a_gap_the_last_figures_stay() -> None:
     before = bed.fullness.out
     assert bed.look(*[0.0] * 8)
     assert bed.fullness.out == before
-    assert bed.look(25e3)
+    assert bed.look(*[25e3] * 8)
     assert bed.events == [EventCode.LINK_FULL]
 
 

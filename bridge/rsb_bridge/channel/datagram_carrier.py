@@ -188,6 +188,7 @@ class DatagramCarrier:
         self._now = self._loop.time()
         self._datagrams = 0  # sent so far
         self._counted = self._missing = 0  # datagrams that are no longer in transit, and how many of them have not come
+        self._told = (0, 0)  # the two by the last receipt
         self._proven = self._tried = False
         self._began: float | None = None
         self._heard = False
@@ -274,7 +275,11 @@ class DatagramCarrier:
         self._tried = False
         self._pause = _FIRST_PAUSE
         self.moved_at = now
-        self._scheduler.acknowledge(before - self._pacer.in_transit)
+        (datagrams, missing), self._told = self._told, (self._counted, self._missing)
+        datagrams, missing = self._counted - datagrams, self._missing - missing
+        gained = before - self._pacer.in_transit
+        lost = gained * max(0, missing) // datagrams if datagrams > missing else gained
+        self._scheduler.acknowledge(gained, lost)
 
     def write_off(self) -> None:
         """Count what is in transit no longer, and send little until a receipt comes."""

@@ -317,11 +317,15 @@ class Scheduler:
 
     # --- receipts
 
-    def acknowledge(self, gained: int) -> int:
-        """Adapt to a receipt of `gained` further bytes; return the bytes after which the next one is wanted."""
+    def acknowledge(self, gained: int, lost: int = 0) -> int:
+        """Adapt to a receipt of `gained` further bytes, of which some are lost on the way of datagrams.
+
+        Returns:
+            The bytes after which the next receipt is wanted.
+        """
         now = self._now()
         self.acknowledged += gained
-        self.arrived += gained
+        self.arrived += gained - lost
         if gained:
             self._acknowledged_at = now
         window = self._window

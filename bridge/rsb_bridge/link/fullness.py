@@ -100,7 +100,7 @@ class LinkFullness:
         self._arrived.append(arrived)
         carried = sum(self._arrived) / len(self._arrived)
         carries_all = carried >= _ALL * asked
-        over = full and carried > 0.0 and not self._stalled and not carries_all
+        over = full and carried > 0.0 and not carries_all and (was or not self._stalled)
         self._other = self._other + 1 if over != was else 0
         if (was and carries_all) or self._other >= _TICKS:
             self._other = 0  # the decision is made: the next one takes as many ticks again

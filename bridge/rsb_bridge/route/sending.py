@@ -43,11 +43,11 @@ _LOOKS_EVERY, _TURNS = 1.0, 2
 """s, and turns of the topic, at least between the two looks at a queue that an overload takes."""
 WAITS = 1.0
 """s that an overloaded topic's queue keeps a message, unless it is the only one."""
-_FRESH = 0.1
-"""The same for a live topic that has left out messages within the last `WAITS`: what waits ahead only makes each one
-late. On the Wi-Fi of `bench.robot`, a camera's pictures came after 0.54 s with a queue of ten, and after 0.30 s with
-this. With the newest alone they came after 0.22 s, but a topic that has nothing to send for a moment loses its turns:
-by Zenoh, 26 % of them crossed instead of 44."""
+_FRESH, _FRESH_FOR = 0.1, 10.0
+"""s that a live topic's queue keeps a message while more is published than its turns carry, and s for which that holds
+after it has shown: what waits ahead only makes each one late. On the Wi-Fi of `bench.robot`, a camera's pictures came
+after 0.54 s with a queue of ten, and after 0.30 s with this. With the newest alone they came after 0.22 s, but a topic
+that has nothing to send for a moment loses its turns: by Zenoh, 26 % of them crossed instead of 44."""
 _SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
 _BATCH = 16
 _ZSTD_LEVEL = 3
@@ -225,7 +225,8 @@ class Outbox:
         self.largest = transport.largest_message
         self._queue = SendQueue()
         self._overload = Overload()
-        self._dropped_at = -math.inf
+        self._turned = False  # since the last drop
+        self._dropped_at = self._overloaded_at = -math.inf
 
     def pass_on(self, messages: Sequence[Message], size: int, channel: SendingChannel) -> bool:
         """Send messages of `size` bytes together past the empty queue, or return False: they have to wait in it."""
@@ -244,13 +245,17 @@ class Outbox:
         self._queue.add(messages, now, publisher)
         if dropped := self._queue.trim(limits, now, publisher):
             self._ledger.drop("queue full", dropped)
-            self._dropped_at = now
+            # Two drops with a turn between them: in a gap there are no turns.
+            if self._turned and now - self._dropped_at < WAITS:
+                self._overloaded_at = now
+            self._turned, self._dropped_at = False, now
 
     def flush(self, channel: SendingChannel) -> None:
         """Send while the channel takes messages."""
         queue = self._queue
         while queue.waiting and not channel.congested:
             self._overload.turns += 1
+            self._turned = True
             batch: Sequence[Message] = queue.take(_BATCH, channel.batch_bytes)
             if self.leaving is not None:
                 batch = self.leaving(batch)
@@ -293,7 +298,7 @@ class Outbox:
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
         if best_effort and self._automatic and qos is not None and not qos.latched:
-            return QueueLimits(0, 0.0, size, _FRESH if now - self._dropped_at < WAITS else WAITS)
+            return QueueLimits(0, 0.0, size, _FRESH if now - self._overloaded_at < _FRESH_FOR else WAITS)
         if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
             return QueueLimits(0, 0.0, size)
         automatic = self._automatic and not best_effort
