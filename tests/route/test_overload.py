@@ -126,16 +126,29 @@ def test_queue_that_drains_after_a_stall_is_no_overload() -> None:
     for tick in range(30):
         overload.judge(tick / 10, 0.0, tick)
     for tick in range(30, 60):
-        overload.turns += 1
+        overload.turn()
         overload.judge(tick / 10, (tick - 30) / 10 * 2, 30 - (tick - 30))
-        assert not overload.lasts
+        assert not overload.lasts(tick / 10)
 
 
 def test_overload_ends_with_the_queue() -> None:
     overload = Overload()
     for tick in range(40):
-        overload.turns += 1
+        overload.turn()
         overload.judge(tick / 10, 0.0, tick)
-    assert overload.lasts
+    assert overload.lasts(4.0)
     overload.over()
-    assert not overload.lasts
+    assert not overload.lasts(4.0)
+
+
+@pytest.mark.parametrize(("turns", "lasts"), [(True, True), (False, False)])
+def test_what_drops_again_in_spite_of_turns_is_overloaded(turns: bool, lasts: bool) -> None:
+    """As where a tunnel's window opens each few seconds, and lets through all that waits."""
+    overload = Overload()
+    overload.turn()
+    overload.dropped(10.0)
+    if turns:
+        overload.turn()
+    overload.dropped(16.0)
+    assert overload.lasts(16.0) is lasts
+    assert not overload.lasts(27.0)

@@ -39,15 +39,18 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
-_LOOKS_EVERY, _TURNS = 1.0, 2
-"""s, and turns of the topic, at least between the two looks at a queue that an overload takes."""
+_LOOKS_EVERY = 1.0
+"""s at least between the two looks at a queue that an overload takes. A round figure."""
 WAITS = 1.0
 """s that an overloaded topic's queue keeps a message, unless it is the only one."""
-_FRESH, _FRESH_FOR = 0.1, 10.0
-"""s that a live topic's queue keeps a message while more is published than its turns carry, and s for which that holds
-after it has shown: what waits ahead only makes each one late. On the Wi-Fi of `bench.robot`, a camera's pictures came
-after 0.54 s with a queue of ten, and after 0.30 s with this. With the newest alone they came after 0.22 s, but a topic
-that has nothing to send for a moment loses its turns: by Zenoh, 26 % of them crossed instead of 44."""
+_FRESH = 0.1
+"""The same for a live topic: what waits ahead only makes each one late. On the Wi-Fi of `bench.robot`, a camera's
+pictures came after 0.54 s with a queue of ten, and after 0.30 s with this. With the newest alone they came after
+0.22 s, but a topic that has nothing to send for a moment loses its turns: by Zenoh, 26 % of them crossed instead of
+44."""
+_LASTS = 10.0
+"""s for which a topic that has dropped messages in spite of turns is overloaded. A round figure, longer than a tunnel
+of 2 kB/s keeps its window closed."""
 _SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
 _BATCH = 16
 _ZSTD_LEVEL = 3
@@ -162,18 +165,30 @@ class Overload:
     """A steady overload of one topic, as distinguished from a link that stalls for a moment.
 
     With ``qos: auto`` a reliable topic keeps messages for some seconds, so that a link that stalls loses none. In a
-    steady overload the topic has its turns, and yet its queue gets longer and older. Then every message would arrive
-    late, so the queue keeps only new ones.
-
-    Attributes:
-        lasts: whether more is published than the channel delivers.
-        turns: in which the queue has given messages since the last look.
+    steady overload the topic has its turns, and yet its queue gets longer and older, or drops messages again. Then
+    every message would arrive late, so the queue keeps only new ones.
     """
 
     def __init__(self) -> None:
-        self.lasts = False
-        self.turns = 0
+        self._grows = False
+        self._turned = False  # since the last look
         self._before: tuple[float, float, int] | None = None  # when (s), the oldest message's age (s), the length
+        self._turned_since_drop = False
+        self._dropped_at = self._shown_at = -math.inf
+
+    def lasts(self, now: float) -> bool:
+        """Whether more is published than the channel delivers, at `now` (s)."""
+        return self._grows or now - self._shown_at < _LASTS
+
+    def turn(self) -> None:
+        """Note that the queue gives messages."""
+        self._turned = self._turned_since_drop = True
+
+    def dropped(self, now: float) -> None:
+        """Note that the queue has dropped messages."""
+        if self._turned_since_drop and now - self._dropped_at < _LASTS:
+            self._shown_at = now
+        self._turned_since_drop, self._dropped_at = False, now
 
     def judge(self, now: float, oldest_since: float | None, length: int) -> None:
         """Judge the queue. Called whenever a message is queued.
@@ -187,16 +202,16 @@ class Overload:
         age = now - oldest_since
         # Without turns the link stands still, which says nothing about its speed. And a queue that is young now may
         # have got old at one stroke by then, while the link stood still.
-        if self._before is None or not self.turns or age < WAITS:
-            self._before, self.turns = (now, age, length), 0
-        elif self.turns >= _TURNS and now - self._before[0] >= _LOOKS_EVERY:
+        if self._before is None or not self._turned or age < WAITS:
+            self._before, self._turned = (now, age, length), False
+        elif now - self._before[0] >= _LOOKS_EVERY:
             _, age_before, length_before = self._before
-            self.lasts = self.lasts or (age >= age_before and length >= length_before)
-            self._before, self.turns = (now, age, length), 0
+            self._grows = self._grows or (age >= age_before and length >= length_before)
+            self._before, self._turned = (now, age, length), False
 
     def over(self) -> None:
         """End the overload: the queue is empty."""
-        self.lasts, self._before, self.turns = False, None, 0
+        self._grows, self._before, self._turned = False, None, False
 
 
 class Outbox:
@@ -225,8 +240,6 @@ class Outbox:
         self.largest = transport.largest_message
         self._queue = SendQueue()
         self._overload = Overload()
-        self._turned = False  # since the last drop
-        self._dropped_at = self._overloaded_at = -math.inf
 
     def pass_on(self, messages: Sequence[Message], size: int, channel: SendingChannel) -> bool:
         """Send messages of `size` bytes together past the empty queue, or return False: they have to wait in it."""
@@ -245,17 +258,13 @@ class Outbox:
         self._queue.add(messages, now, publisher)
         if dropped := self._queue.trim(limits, now, publisher):
             self._ledger.drop("queue full", dropped)
-            # Two drops with a turn between them: in a gap there are no turns.
-            if self._turned and now - self._dropped_at < WAITS:
-                self._overloaded_at = now
-            self._turned, self._dropped_at = False, now
+            self._overload.dropped(now)
 
     def flush(self, channel: SendingChannel) -> None:
         """Send while the channel takes messages."""
         queue = self._queue
         while queue.waiting and not channel.congested:
-            self._overload.turns += 1
-            self._turned = True
+            self._overload.turn()
             batch: Sequence[Message] = queue.take(_BATCH, channel.batch_bytes)
             if self.leaving is not None:
                 batch = self.leaving(batch)
@@ -298,12 +307,12 @@ class Outbox:
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
         if best_effort and self._automatic and qos is not None and not qos.latched:
-            return QueueLimits(0, 0.0, size, _FRESH if now - self._overloaded_at < _FRESH_FOR else WAITS)
+            return QueueLimits(0, 0.0, size, _FRESH if self._overload.lasts(now) else WAITS)
         if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
             return QueueLimits(0, 0.0, size)
         automatic = self._automatic and not best_effort
         # A latched topic keeps its depth, because late joiners get its history.
-        if automatic and self._overload.lasts and not qos.latched:
+        if automatic and self._overload.lasts(now) and not qos.latched:
             return QueueLimits(1, WAITS, size)
         kept_for = AUTO_SECONDS if profile.patience is None else profile.patience
         return QueueLimits(max(depth, qos.depth or AUTO_DEPTH), kept_for if automatic else 0.0, size)
