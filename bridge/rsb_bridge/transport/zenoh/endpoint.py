@@ -24,8 +24,7 @@ from urllib.parse import quote, unquote
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.threads import in_thread
-from rsb_bridge.transport.zenoh.outbox import SampleOutbox
-from rsb_bridge.transport.zenoh.sample import LENGTHS, Header, SampleKind
+from rsb_bridge.transport.zenoh.outbox import HEADER_LENGTHS, Header, SampleKind, SampleOutbox
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:
@@ -267,7 +266,7 @@ class ZenohEndpoint:
         end = self._streams.get((sender, stream))
         if end is None and not (_ADDRESS.fullmatch(sender) and _ADDRESS.fullmatch(stream)):
             return
-        if attachment is None or len(attachment) not in LENGTHS:
+        if attachment is None or len(attachment) not in HEADER_LENGTHS:
             return
         if length > (STRANGER_LIMIT if end is None else end.longest):
             self._strangers.turn_away()

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST
-from rsb_bridge.transport.zenoh.sample import Header, SampleKind
+from rsb_bridge.transport.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST, Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.sealing import SampleTags
 

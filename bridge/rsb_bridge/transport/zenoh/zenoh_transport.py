@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.transport.zenoh.endpoint import Seen, ZenohEndpoint
     from rsb_bridge.transport.zenoh.network import Network
-    from rsb_bridge.transport.zenoh.sample import Header
+    from rsb_bridge.transport.zenoh.outbox import Header
 
 SERVER, CLIENT = "server", "client"
 """The services by which the two sides of links announce themselves."""
