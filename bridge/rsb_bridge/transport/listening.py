@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.tasks import in_thread
 from rsb_bridge.transport.descriptors import SHORTAGES
 from rsb_bridge.transport.streams import os_error_message
-from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from urllib.parse import quote, unquote
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.threads import in_thread
+from rsb_bridge.tasks import in_thread
 from rsb_bridge.transport.zenoh.outbox import HEADER_LENGTHS, Header, SampleKind, SampleOutbox
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.tasks import in_thread
 from rsb_bridge.transport import tcp
-from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, ZenohEndpoint
 
 if TYPE_CHECKING:
