@@ -98,19 +98,3 @@ class Canvas:
             characters[cell] = character
         rows = ("".join(characters[row * self.width : (row + 1) * self.width]) for row in range(self.height))
         return Cells(tuple(rows), bytes(self.styles), tuple(self._palette), scale)
-
-
-def lines_to_cells(lines: list[list[tuple[str, str]]], width: int, height: int) -> Cells:
-    """Return text as a picture.
-
-    Args:
-        lines: lines of parts, each with its style; longer ones are cut off.
-        height: cells; further lines are left out.
-    """
-    canvas = Canvas(width, max(1, min(height, len(lines))))
-    for row, line in enumerate(lines[:height]):
-        column = 0
-        for part, style in line:
-            canvas.write(column, row, part, style)
-            column += len(part)
-    return canvas.cells()
