@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.view.canvas import Canvas
-from rsb_bridge.view.drawing import Drawn, UndrawableError, View, elements, number, text
+from rsb_bridge.view.drawing import Canvas, Drawn, UndrawableError, View, elements, number, text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
