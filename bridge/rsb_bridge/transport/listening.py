@@ -26,7 +26,7 @@ _AT_ONCE = 16
 """Connections accepted before the I/O loop turns to other work. Two such batches later the first one has been read: few
 enough that a client which has spoken is read before those behind it are too many (`link.pending_connections`)."""
 _SHORT_FOR = 0.25
-"""s until accepting is tried again where descriptors or memory are lacking."""
+"""s until accepting is tried again where descriptors or memory are lacking: a round figure."""
 
 FoundAddresses = Sequence[tuple[int | socket.AddressFamily, int | socket.SocketKind, int, str, tuple[Any, ...]]]
 

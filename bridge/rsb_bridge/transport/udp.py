@@ -51,7 +51,7 @@ _RECEIVED_SIZE = struct.Struct("=i")
 _SIZE_HOLDS = 1.0
 """s until the kernel is asked again for the path's MTU, which ICMP may have changed, or to cut what is sent at once."""
 _SIZES_KEPT = 256
-"""Addresses whose path's MTU is kept; a peer that roams has a new one each time."""
+"""Addresses whose path's MTU is kept; a peer that roams has a new one each time. Both are round figures."""
 _BACKLOG_LIMIT = 16 * 1024 * 1024
 """Bytes that wait for the kernel. A round figure: senders of messages stop while the socket is congested, so that only
 probes, receipts and urgent messages come on top."""
@@ -221,6 +221,7 @@ class Udp(UdpTraits, DatagramTransport):
     """UDP over IPv4 and IPv6."""
 
     largest_message = 8 * 1024 * 1024
+    """A round figure: one lost fragment loses the message."""
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> _Bound:
         sockets = await bind(host, port, socket.SOCK_DGRAM)

@@ -67,7 +67,7 @@ _BRAILLE = 0x2800
 _STYLES = 256
 """A cell's style is a byte."""
 _LINE_DOTS = 500_000
-"""Dots of all lines; of further lines, only the ends are drawn."""
+"""Dots of all lines; of further lines, only the ends are drawn. A round figure."""
 
 
 class TakenMessage(NamedTuple):

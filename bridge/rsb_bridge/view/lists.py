@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 _MOST_FRAMES, _MOST_STATUSES, _MOST_LOG_LINES = 1000, 2000, 2000
 """Frames, statuses, and lines of the log that are remembered: round figures."""
 _ELEMENTS = 8
-"""Elements of an array that are shown."""
+"""Elements of an array that are shown: a round figure."""
 _FIELD_LINES = 2_000
 """A round figure: a message may have any number of fields, and each picture goes through all lines."""
 _FRAME_OLD = 1.0
-"""s without a new transform after which a frame is late."""
+"""s without a new transform after which a frame is late: a round figure."""
 _TIMES = 20
-"""Newest times of a frame by which its rate is taken; as many parents and authors of it are remembered."""
+"""Newest times of a frame, for its rate, and parents and authors of it, that are remembered: a round figure."""
 _DEEPEST = 30
-"""Steps by which a frame is indented at most."""
+"""Steps by which a frame is indented at most: 60 columns, which leave 20 of 80 to its name."""
 _STATUS_OLD = 5.0
 """s after which a status is stale, as in rqt_robot_monitor."""
 _VALUES = 20

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 FRAMES = 500
-"""Frames that are remembered."""
+"""Frames that are remembered: a round figure."""
 POSES = 5_000
-"""Poses of a path that are drawn; of more, every second, third … is."""
+"""Poses of a path that are drawn; of more, every second, third … is. A round figure."""
 MOST_CELLS = 64 << 20
 """Cells of a grid that is drawn at most. A round figure: copies of it must fit into `worker.MEMORY_LIMIT`."""
 _OCCUPIED = 65
@@ -37,13 +37,13 @@ _LETHAL = 253
 """The same of a nav2_msgs/msg/Costmap."""
 _UNKNOWN_COST = 255
 _DEPTH = 64
-"""Transforms from a frame to another at most."""
-_MARGIN = 1.1
+"""Transforms from a frame to another at most: a round figure."""
+_MARGIN = 1.1  # so that nothing touches the edge
 _ARROWS = "▶▲◀▼"
 _FAR = 1e7
-"""m; coordinates beyond are wrong."""
+"""m, a quarter of the way around the Earth: coordinates beyond are wrong."""
 _NAMED = 12
-"""Frames that are shown with their names."""
+"""Frames that are shown with their names: a round figure."""
 
 
 class MapProblem(Wording):

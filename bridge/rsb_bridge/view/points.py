@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 MOST_POINTS = 200_000
 """Points that are drawn; of more, every second, third … is. 100,000 take 15 ms (bench/README, Pictures)."""
 _FAR = 98.0
-"""Percentile of the distances that fits the picture with zoom 1."""
-_LEAST_SPAN = 0.1  # m
+"""Percentile of the distances that fits the picture with zoom 1: few far points may not shrink the rest."""
+_LEAST_SPAN = 0.1  # m; a round figure
 _COLOURS = (
     "#30123b", "#4145ab", "#4675ed", "#39a2fc", "#1bcfd4", "#24eca6", "#61fc6c", "#a4fc3c",
     "#d1e834", "#f3c63a", "#fe9b2d", "#f36315", "#d93806", "#b11901", "#7a0402",

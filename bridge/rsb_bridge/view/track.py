@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from rsb_bridge.view.drawing import TakenMessage
 
 POSITIONS = 5000
-"""Positions that are remembered; when there are more, every second one is forgotten."""
+"""Positions that are remembered; when there are more, every second one is forgotten. A round figure."""
 _EARTH = 6_378_137.0
 """m, equatorial radius (WGS 84)."""
-_LEAST_SPAN = 2.0  # m
+_LEAST_SPAN = 2.0  # m; a round figure
 _STATUS = {-1: "no fix", 0: "fix", 1: "satellite-based fix", 2: "ground-based fix"}
 
 

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from rsb_bridge.view.drawing import View
 
 MEMORY_LIMIT = 1 << 30
-"""Bytes of address space that drawing may add to that of the started process."""
+"""Bytes of address space that drawing may add to that of the started process: a round figure."""
 VIEWS_AT_MOST = 64
-"""Views whose messages are remembered."""
+"""Views whose messages are remembered: a round figure, as are the next two."""
 TYPES_AT_MOST = 64
 """Descriptions that are remembered."""
 _ELEMENTS, _STEPS = 100_000, 500_000
@@ -39,7 +39,7 @@ _ELEMENTS, _STEPS = 100_000, 500_000
 _NICE = 10
 """On a busy core, the bridge's messages come before pictures."""
 _SECONDS = 60
-"""Longest time for one picture: the process ends, even if the process that started it is gone."""
+"""s, more than the renderer waits: the process ends, even if the process that started it is gone."""
 _LENGTH_BYTES = 4
 
 

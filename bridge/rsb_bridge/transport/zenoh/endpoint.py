@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 
 ROOT = "rsb_console"
 RECEIVE_BUFFER = 32 * 1024 * 1024
-"""Bytes of peers that may wait for the loop; more are lost, as in a kernel's full buffer."""
+"""Bytes of peers that may wait for the loop; more are lost, as in a kernel's full buffer. A round figure."""
 ASKED_WITHIN = 2.0
-"""s that announcements are waited for."""
+"""s that announcements are waited for: a round figure, as is the next one."""
 MOST_SEEN = 10_000
 """Announcements that are kept; who is in a network may make any number of them."""
 
@@ -62,15 +62,15 @@ _LABEL_LENGTH = 300
 _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
 _AT_A_TIME = 256
-"""Samples of peers that are taken in one turn of the loop."""
+"""Samples of peers that are taken in one turn of the loop: a round figure."""
 _STRANGERS_AT_A_TIME = 16
-"""Samples of strangers that are taken in one turn of the loop; each may cost a handshake."""
+"""Samples of strangers that are taken in one turn of the loop; each may cost a handshake. A round figure."""
 _STRANGERS_WAIT = 256
 """Samples of strangers who have no answer yet that wait for the loop: more would be answered too late anyway."""
 _CONFIRMED = 5.0
 """Seconds within which Zenoh has reported all present tokens to a new subscription: a round figure."""
 _SETTLED = 0.1
-"""Seconds within which Zenoh reports a lost router after it has reported the endpoints behind it as gone."""
+"""s within which Zenoh reports a lost router after it has reported the endpoints behind it as gone: a round figure."""
 _ADDRESS = re.compile("[0-9a-f]{16}")
 """Addresses of endpoints, and ids of streams; strangers may publish under any key."""
 

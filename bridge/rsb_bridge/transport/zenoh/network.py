@@ -40,7 +40,7 @@ _WITHIN = 2.0
 _IP = (socket.AF_INET, socket.AF_INET6)
 _OVER_TCP = ("tcp", "tls", "ws")
 _MOST = 4
-"""Endpoints that are looked at, one after another."""
+"""Endpoints that are looked at, one after another: a round figure."""
 _EXPIRED, _NOT_YET_VALID, _WRONG_NAMES = 10, 9, (62, 64)
 """X509_V_ERR_… of OpenSSL's x509_vfy.h: the host and the IP address do not match."""
 

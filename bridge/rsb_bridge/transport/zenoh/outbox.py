@@ -31,7 +31,7 @@ _HEADER = struct.Struct(">BBQ")
 HEADER_LENGTHS = (_HEADER.size, _HEADER.size + TAG_LENGTH)
 """Bytes of attachments, without a tag and with one."""
 AT_ONCE = 100 * 1024
-"""Bytes of one rank in one second that are sent on the loop's thread, in 5 s together."""
+"""Bytes of one rank in one second that are sent on the loop's thread: in 5 s less than the 512 KiB below."""
 IN_FLIGHT = 256 * 1024
 """Bytes of one rank that may be in flight for a further sample to be sent on the loop's thread: half of the 512 KiB
 that 16 batches hold at the least. Such samples, and samples that Zenoh's thread takes, save 11 to 18 % of the CPU
@@ -42,8 +42,9 @@ _RANKS = 4
 OWN_COST = 200
 """Bytes of a sample in addition to its payload, for its key and its attachment."""
 _MAY_WAIT = 5 * AT_ONCE
+"""Bytes that Zenoh's queue holds if the router takes nothing until it counts as lost."""
 _COUNTED = 2 * 1024 * 1024
-"""Bytes at most of what went lately: after more, the thread sends for another 15 s."""
+"""Bytes at most of what went lately: after more, the thread sends for another 15 s. A round figure."""
 _LONG = 0.05
 """s of a call that had to wait: a round figure, and so are the next two."""
 _SLOW_FOR = 30.0
