@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bench import bed
 from rsb_bridge.transport.zenoh.endpoint import ROOT
-from rsb_bridge.transport.zenoh.sample import Header, SampleKind
+from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import CipherSuite

@@ -1,8 +1,10 @@
-"""Tasks whose failures are always reported, and long work in slices."""
+"""Tasks whose failures are always reported, long work in slices, and blocking calls on threads of their own."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import threading
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
@@ -26,6 +28,44 @@ async def in_slices(items: Iterable[T], work: Callable[[T], None]) -> None:
         work(item)
         if index % SLICE == 0:
             await asyncio.sleep(0)
+
+
+async def in_thread(name: str, work: Callable[[], T], within: float) -> T:
+    """Make a blocking call on a thread that nobody joins; return its result.
+
+    The event loop's own pool is joined when the process ends, and other work shares it: a call that does not return
+    would hold up both.
+
+    Args:
+        work: the call; it continues after a timeout.
+
+    Raises:
+        TimeoutError: the call takes longer.
+        Exception: raised by the call.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[T] = loop.create_future()
+
+    def settle(result: T | None, error: Exception | None) -> None:
+        if done.done():  # given up meanwhile
+            return
+        if error is not None:
+            done.set_exception(error)
+        else:
+            done.set_result(result)  # type: ignore[arg-type]  # it is one, as there is no error
+
+    def run() -> None:
+        result, error = None, None
+        try:
+            result = work()
+        except Exception as raised:  # noqa: BLE001 (raised again where it is waited for)
+            error = raised
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            loop.call_soon_threadsafe(settle, result, error)
+
+    threading.Thread(target=run, name=name, daemon=True).start()
+    async with asyncio.timeout(within):
+        return await done
 
 
 class Tasks:

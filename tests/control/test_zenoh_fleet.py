@@ -28,7 +28,7 @@ from rsb_bridge.model.robot_summary import RobotState, decode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.trials import Trials
 from rsb_bridge.transport.zenoh.network import Unreachable
-from rsb_bridge.transport.zenoh.sample import Header
+from rsb_bridge.transport.zenoh.outbox import Header
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

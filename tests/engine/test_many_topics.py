@@ -22,7 +22,7 @@ from rsb_bridge.link.roles import ServerRole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.transport.host_names import Found, look_up
+from rsb_bridge.transport.listening import FoundAddresses, look_up
 from rsb_bridge.wire.messages import Accept, ListTopics, Ping, Pong, Propose, TopicList
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatc
     """The server's name is looked up once for a link, not for each stream."""
     asked: list[str] = []
 
-    async def counted(host: str, port: int, within: float) -> Found:
+    async def counted(host: str, port: int, within: float) -> FoundAddresses:
         asked.append(host)
         return await look_up(host, port, within)
 

@@ -32,7 +32,7 @@ from rsb_bridge.model.session import Topic, ZenohSettings
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.zenoh import endpoint as endpoints
-from rsb_bridge.transport.zenoh.sample import Header, SampleKind
+from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
 
 if TYPE_CHECKING:
     import zenoh

@@ -102,7 +102,7 @@ def test_a_refused_stream_over_zenoh_is_freed_at_once(bridge: Bridge, arrived: l
     from tests.support.zenoh_router import Router, stranger
 
     from rsb_bridge.transport.zenoh.endpoint import ROOT
-    from rsb_bridge.transport.zenoh.sample import Header, SampleKind
+    from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
 
     router = Router()
     try:

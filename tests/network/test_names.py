@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from tests.network.bridging import Program, Sessions
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.transport.host_names import LookUpProblem
+from rsb_bridge.transport.listening import LookUpProblem
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -32,7 +32,7 @@ _HEADERS = 28
 _IP_PKTINFO, _IP_MTU = 8, 14
 _SO_RCVBUFFORCE = 33
 _FIRST_DESCRIPTOR = 16
-_TRANSPORTS = ("rsb_bridge.transport.", "aiohappyeyeballs.")
+_TRANSPORTS = ("rsb_bridge.transport.", "rsb_bridge.tasks", "aiohappyeyeballs.")
 """Modules that get simulated sockets."""
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import zenoh
 
-from rsb_bridge.transport.zenoh.sample import Header, SampleKind
+from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
 from rsb_bridge.wire.preamble import PreambleKind
 
 TAG = bytes(16)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from rsb_bridge.transport.zenoh.outbox import OWN_COST
+from rsb_bridge.transport.zenoh.outbox import OWN_COST, Header, SampleKind
 from rsb_bridge.transport.zenoh.pipe import Pipe
-from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.sealing import SampleTags
 
 if TYPE_CHECKING:

@@ -19,8 +19,7 @@ from tests.support.inside import socket_of
 from tests.support.wording import pattern, says
 
 from rsb_bridge.transport import streams
-from rsb_bridge.transport.host_names import LookUpProblem
-from rsb_bridge.transport.listening import bind
+from rsb_bridge.transport.listening import LookUpProblem, bind
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
 from rsb_bridge.transport.tcp import Tcp, TcpStream, congestion_control, prefer_bbr
 from rsb_bridge.transport.transport import ListenError

@@ -15,17 +15,16 @@ from tests.support import replaced
 from tests.support.coroutines import until
 from tests.support.held import held_by
 
-from rsb_bridge.transport import udp_segments
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import RECEIVE_BUFFER, Acceptor
-from rsb_bridge.transport.udp import Udp, UdpSocket
+from rsb_bridge.transport.udp import Udp, UdpSocket, can_segment, coalesce, end_of_run, split_run
 
 HOSTS = pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
 
 
 def has_segments() -> bool:
     with socket.socket(type=socket.SOCK_DGRAM) as probe:
-        return udp_segments.can_segment(probe) and udp_segments.coalesce(probe)
+        return can_segment(probe) and coalesce(probe)
 
 
 def address_of(host: str, port: int) -> Any:
@@ -296,16 +295,16 @@ async def test_a_limit_that_was_raised_is_used_without_a_restart() -> None:
 def test_runs_are_what_the_kernel_can_cut(sizes: list[int], ends: list[int]) -> None:
     datagrams, found, begin = [bytes(size) for size in sizes], [], 0
     while begin < len(datagrams):
-        begin = udp_segments.end_of_run(datagrams, begin)
+        begin = end_of_run(datagrams, begin)
         found.append(begin)
     assert found == ends
 
 
 def test_what_came_at_once_is_split_as_the_kernel_says() -> None:
-    def control(size: int) -> list[udp_segments.Control]:
+    def control(size: int) -> list[tuple[int, int, bytes]]:
         return [(0, 8, b"other"), (socket.SOL_UDP, 104, size.to_bytes(4, "little"))]
 
-    assert [bytes(each) for each in udp_segments.split(b"aabbc", control(2))] == [b"aa", b"bb", b"c"]
-    assert udp_segments.split(b"aabbc", control(5)) == [b"aabbc"]
-    assert udp_segments.split(b"aabbc", control(0)) == [b"aabbc"]
-    assert udp_segments.split(b"", []) == [b""]
+    assert [bytes(each) for each in split_run(b"aabbc", control(2))] == [b"aa", b"bb", b"c"]
+    assert split_run(b"aabbc", control(5)) == [b"aabbc"]
+    assert split_run(b"aabbc", control(0)) == [b"aabbc"]
+    assert split_run(b"", []) == [b""]

@@ -27,8 +27,8 @@ from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.zenoh import endpoint as endpoints
 from rsb_bridge.transport.zenoh.endpoint import ROOT, Seen
 from rsb_bridge.transport.zenoh.network import Network, NetworkProblem, Unreachable
+from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
 from rsb_bridge.transport.zenoh.pipe import SAMPLE
-from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.transport.zenoh.zenoh_transport import FleetText, Links, Zenoh
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 

@@ -10,8 +10,7 @@ import pytest
 from tests.support.virtual_time import VirtualLoop, virtual_loop
 from tests.support.waiting import eventually
 
-from rsb_bridge.transport.zenoh.outbox import AT_ONCE, IN_FLIGHT, LINK_RANK, OWN_COST, SampleOutbox
-from rsb_bridge.transport.zenoh.sample import Header, SampleKind
+from rsb_bridge.transport.zenoh.outbox import AT_ONCE, IN_FLIGHT, LINK_RANK, OWN_COST, Header, SampleKind, SampleOutbox
 
 zenoh = pytest.importorskip("zenoh")
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.zenoh_pipes import Pair, Sent, Side
 
-from rsb_bridge.transport.zenoh.outbox import OWN_COST
+from rsb_bridge.transport.zenoh.outbox import OWN_COST, Header, SampleKind
 from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW, Pipe, PipeProblem
-from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:

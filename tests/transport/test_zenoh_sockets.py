@@ -13,8 +13,7 @@ import pytest
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import ZenohSettings
-from rsb_bridge.transport.zenoh import sockets
-from rsb_bridge.transport.zenoh.network import Network
+from rsb_bridge.transport.zenoh.network import Network, prepare_socket
 
 pytest.importorskip("zenoh")
 from tests.support.zenoh_router import Router
@@ -55,7 +54,7 @@ def test_the_socket_of_a_link_is_found_and_no_other_is_touched(protocol: str, ho
         near, other = (socket.create_connection(server.getsockname()[:2]) for _ in range(2))
         before = {*os.listdir("/proc/self/fd")}  # noqa: PTH208 (the numbers, and the listing's own)
         with near, other:
-            assert sockets.prepare(link(protocol, near, host))  # type: ignore[arg-type]
+            assert prepare_socket(link(protocol, near, host))  # type: ignore[arg-type]
             assert low_water(near) == 32 * 1024
             assert low_water(other) == 0
             near.getsockname()  # it is still open
@@ -66,9 +65,9 @@ def test_a_link_without_a_socket_of_this_process_is_left_alone() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         with socket.create_connection(server.getsockname()) as near:
             quic, gone = link("quic", near, "127.0.0.1"), link("tcp", near, "127.0.0.1")
-            assert not sockets.prepare(quic)  # type: ignore[arg-type]
+            assert not prepare_socket(quic)  # type: ignore[arg-type]
             assert low_water(near) == 0
-        assert not sockets.prepare(gone)  # type: ignore[arg-type]
+        assert not prepare_socket(gone)  # type: ignore[arg-type]
 
 
 def test_zenohs_own_connection_has_them() -> None:

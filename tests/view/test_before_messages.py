@@ -6,9 +6,8 @@ import pytest
 
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.pictures import Wish
-from rsb_bridge.view.drawing import TakenMessage
+from rsb_bridge.view.drawing import VIEWS, TakenMessage
 from rsb_bridge.view.map_view import MapView
-from rsb_bridge.view.view_types import VIEWS
 from rsb_bridge.view.worker import Artist, Task
 
 

@@ -16,7 +16,7 @@ from tests.view.samples import task
 
 from rsb_bridge.model.pictures import Picture, Wish, decode_picture, encode_picture
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
-from rsb_bridge.view.view_types import VIEWS
+from rsb_bridge.view.drawing import VIEWS
 from rsb_bridge.view.worker import Artist, Task, Undrawable
 
 INSTALLED = sorted(name for name in VIEWS if "/" in name and installed_description(name) is not None)

@@ -15,7 +15,7 @@ from tests.view.samples import cells_of, drawn, task
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.pictures import Picture, Wish
 from rsb_bridge.view.drawing import Drawn, TakenMessage
-from rsb_bridge.view.tf_tree import TfTree, TreeProblem
+from rsb_bridge.view.lists import TfTree, TreeProblem
 from rsb_bridge.view.track import TrackProblem
 from rsb_bridge.view.worker import Artist
 

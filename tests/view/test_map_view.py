@@ -15,8 +15,7 @@ from tests.view.samples import cells_of, task
 
 from rsb_bridge.cdr.decoder import Items, Message
 from rsb_bridge.model.pictures import Picture, Wish
-from rsb_bridge.view.canvas import Canvas
-from rsb_bridge.view.drawing import Drawn, TakenMessage
+from rsb_bridge.view.drawing import Canvas, Drawn, TakenMessage
 from rsb_bridge.view.map_view import MapProblem, MapView, Transform
 from rsb_bridge.view.worker import Artist
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.engine.access import Access
     from rsb_bridge.transport.zenoh.endpoint import Seen, ZenohEndpoint
-    from rsb_bridge.transport.zenoh.sample import Header
+    from rsb_bridge.transport.zenoh.outbox import Header
 
 ENGINE, CONSOLE = "engine", "console"
 """The services by which engines and consoles announce themselves."""

@@ -33,10 +33,10 @@ from rsb_bridge.model.commands import AddClient, ChangeClient, History, Reload, 
 from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot
 from rsb_bridge.ros.ros_interface import RosError, RosInterface
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
+from rsb_bridge.tasks import in_thread
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of
-from rsb_bridge.transport.threads import in_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping

@@ -1,15 +1,17 @@
-"""Bound sockets, and the streams that they accept."""
+"""Addresses of host names, sockets that are bound to them, and the streams that these accept."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import socket
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.tasks import in_thread
 from rsb_bridge.transport.descriptors import SHORTAGES
-from rsb_bridge.transport.host_names import look_up
 from rsb_bridge.transport.streams import os_error_message
 from rsb_bridge.transport.transport import ListenError
 
@@ -24,7 +26,16 @@ _AT_ONCE = 16
 """Connections accepted before the I/O loop turns to other work. Two such batches later the first one has been read: few
 enough that a client which has spoken is read before those behind it are too many (`link.pending_connections`)."""
 _SHORT_FOR = 0.25
-"""s until accepting is tried again where descriptors or memory are lacking."""
+"""s until accepting is tried again where descriptors or memory are lacking: a round figure."""
+
+FoundAddresses = Sequence[tuple[int | socket.AddressFamily, int | socket.SocketKind, int, str, tuple[Any, ...]]]
+
+
+class LookUpProblem(Wording):
+    """The reasons why a host's name has no address."""
+
+    NO_NAME_SERVER = "the name can't be looked up: no name server answers within {seconds:g} s"
+    NO_ADDRESS = "{host}: the name has no address"
 
 
 class ListenProblem(Wording):
@@ -40,6 +51,28 @@ class ListenProblem(Wording):
         "`ip addr` shows, or 0.0.0.0 for all"
     )
     OTHER = "{kind} {address}: {error}"
+
+
+async def look_up(
+    host: str, port: int, within: float, kind: socket.SocketKind = socket.SOCK_STREAM, flags: int = 0
+) -> FoundAddresses:
+    """Return the addresses of a host, as `socket.getaddrinfo` gives them.
+
+    Args:
+        host: a name or an address.
+        within: s until the lookup is given up.
+        flags: as in `socket.getaddrinfo`.
+
+    Raises:
+        OSError: the name is not known, or no name server answers.
+    """
+    # An address needs no thread: each stream of a link would start one.
+    with contextlib.suppress(socket.gaierror):
+        return socket.getaddrinfo(host, port, type=kind, flags=flags | socket.AI_NUMERICHOST)
+    try:
+        return await in_thread("look-up", lambda: socket.getaddrinfo(host, port, type=kind, flags=flags), within)
+    except TimeoutError:
+        raise OSError(LookUpProblem.NO_NAME_SERVER(seconds=within)) from None
 
 
 async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.socket]:

@@ -12,8 +12,7 @@ import socket
 from aiohappyeyeballs import start_connection
 
 from rsb_bridge.model.transports import TcpTraits
-from rsb_bridge.transport.host_names import LookUpProblem, look_up
-from rsb_bridge.transport.listening import StreamListener, bind
+from rsb_bridge.transport.listening import LookUpProblem, StreamListener, bind, look_up
 from rsb_bridge.transport.streams import (
     RETRIED_AFTER,
     Address,

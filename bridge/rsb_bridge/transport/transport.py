@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 RECEIVE_BUFFER = 8 * 1024 * 1024
-"""Bytes of the kernel's receive buffer that a datagram socket asks for."""
+"""Bytes of the kernel's receive buffer that a datagram socket asks for: a round figure."""
 
 
 class ListenError(Exception):

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.model.transports import UdpTraits
-from rsb_bridge.transport import udp_segments
 from rsb_bridge.transport.listening import bind
 from rsb_bridge.transport.transport import (
     RECEIVE_BUFFER,
@@ -41,10 +40,18 @@ _SEND_BUFFER = 32, socket.SO_SNDBUF
 """The option that forces a buffer's size, and the one that asks for it."""
 _IP_PKTINFO, _IP_MTU, _IPV6_MTU = 8, 14, 24
 _HEADERS = {socket.AF_INET: 28, socket.AF_INET6: 48}
+_UDP_SEGMENT, _UDP_GRO = 103, 104
+_CONTROL_SPACE = socket.CMSG_SPACE(4)
+"""Bytes of ancillary data to receive."""
+_MOST_SEGMENTS = 64
+_LARGEST_RUN = 65_507
+"""Linux's limits of one call: UDP_MAX_SEGMENTS, and an IP packet without the headers."""
+_SEGMENT_SIZE = struct.Struct("=H")
+_RECEIVED_SIZE = struct.Struct("=i")
 _SIZE_HOLDS = 1.0
 """s until the kernel is asked again for the path's MTU, which ICMP may have changed, or to cut what is sent at once."""
 _SIZES_KEPT = 256
-"""Addresses whose path's MTU is kept; a peer that roams has a new one each time."""
+"""Addresses whose path's MTU is kept; a peer that roams has a new one each time. Both are round figures."""
 _BACKLOG_LIMIT = 16 * 1024 * 1024
 """Bytes that wait for the kernel. A round figure: senders of messages stop while the socket is congested, so that only
 probes, receipts and urgent messages come on top."""
@@ -67,10 +74,10 @@ class UdpSocket:
         self._sock = sock
         self._received = received
         self._loop = asyncio.get_running_loop()
-        self._segments = udp_segments.can_segment(sock)
+        self._segments = can_segment(sock)
         self._one_by_one_until = 0.0
         self._read_at = 0.0
-        udp_segments.coalesce(sock)
+        coalesce(sock)
         self._backlog: deque[tuple[Sequence[bytes], SendPath | None]] = deque()
         self._sizes: dict[Address, tuple[int, float]] = {}
         self.congested = False
@@ -144,11 +151,11 @@ class UdpSocket:
         size, more = 0, True
         while more:
             try:
-                data, control, _, address = self._sock.recvmsg(_LARGEST, udp_segments.CONTROL_SPACE)
+                data, control, _, address = self._sock.recvmsg(_LARGEST, _CONTROL_SPACE)
             except OSError:  # nothing is left, or ICMP refused an earlier send: the control connection tells who lives
                 break
             if control:
-                datagrams += [(datagram, address) for datagram in udp_segments.split(data, control)]
+                datagrams += [(datagram, address) for datagram in split_run(data, control)]
             else:
                 datagrams.append((data, address))
             size += len(data)
@@ -161,11 +168,11 @@ class UdpSocket:
         begin, count = 0, len(datagrams)
         while begin < count:
             together = self._segments and begin + 1 < count and self._loop.time() >= self._one_by_one_until
-            end = udp_segments.end_of_run(datagrams, begin) if together else begin + 1
+            end = end_of_run(datagrams, begin) if together else begin + 1
             try:
                 if end - begin > 1:
                     run = datagrams[begin:end]
-                    cut = udp_segments.segment(len(run[0]))
+                    cut = segment_control(len(run[0]))
                     if path is None:
                         self._sock.sendmsg(run, [cut])
                     else:
@@ -214,6 +221,7 @@ class Udp(UdpTraits, DatagramTransport):
     """UDP over IPv4 and IPv6."""
 
     largest_message = 8 * 1024 * 1024
+    """A round figure: one lost fragment loses the message."""
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> _Bound:
         sockets = await bind(host, port, socket.SOCK_DGRAM)
@@ -239,6 +247,55 @@ def enlarge_buffers(sock: socket.socket) -> None:
 def granted_receive_buffer(sock: socket.socket) -> int:
     """Return the bytes that may wait in a socket. The kernel counts its overhead double."""
     return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
+
+
+def can_segment(sock: socket.socket) -> bool:
+    """Whether the kernel cuts what is sent at once into datagrams (Linux 4.18)."""
+    try:
+        sock.getsockopt(socket.SOL_UDP, _UDP_SEGMENT)
+    except OSError:
+        return False
+    return True
+
+
+def coalesce(sock: socket.socket) -> bool:
+    """Have the kernel hand over datagrams that came together at once (Linux 5.0); whether it does."""
+    try:
+        sock.setsockopt(socket.SOL_UDP, _UDP_GRO, 1)
+    except OSError:
+        return False
+    return True
+
+
+def end_of_run(datagrams: Sequence[bytes], begin: int) -> int:
+    """Return the index behind the last datagram that one call may send from `begin` on: one size, the last shorter."""
+    size = len(datagrams[begin])
+    if not size:  # the kernel cuts nothing into pieces of 0 bytes
+        return begin + 1
+    most = min(begin + min(_MOST_SEGMENTS, _LARGEST_RUN // size), len(datagrams))
+    end = begin + 1
+    while end < most:
+        length = len(datagrams[end])
+        if length != size:
+            return end + 1 if 0 < length < size else end  # an empty one would vanish in the buffer
+        end += 1
+    return end
+
+
+def segment_control(size: int) -> tuple[int, int, bytes]:
+    """Return the ancillary data for the kernel to cut a buffer into datagrams of `size` bytes."""
+    return socket.SOL_UDP, _UDP_SEGMENT, _SEGMENT_SIZE.pack(size)
+
+
+def split_run(data: bytes, control: Sequence[tuple[int, int, bytes]]) -> list[bytes | memoryview]:
+    """Split a received buffer into its datagrams."""
+    for level, kind, content in control:
+        if (level, kind) == (socket.SOL_UDP, _UDP_GRO):
+            (size,) = _RECEIVED_SIZE.unpack_from(content)
+            if 0 < size < len(data):
+                view = memoryview(data)
+                return [view[begin : begin + size] for begin in range(0, len(data), size)]
+    return [data]
 
 
 def _enlarge(sock: socket.socket, forced: int, asked: int, size: int) -> None:

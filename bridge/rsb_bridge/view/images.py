@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 MOST_PIXELS = 64 << 20
-"""Pixels of an image that is drawn at most."""
+"""Pixels of an image that is drawn at most: a round figure, as is the next one."""
 _SAMPLES = 4
 """Pixels of the image, in each direction, that are averaged to one of the picture at most."""
 _QUALITY = 90
 """Of WebP: a picture of 80×48 pixels takes some 500 bytes."""
 _LOW, _HIGH = 2.0, 98.0
-"""Percentiles of the valid depths at the ends of the colours."""
+"""Percentiles of the valid depths at the ends of the colours: few wrong depths may not dim the rest."""
 _RAMP = np.array(
     [(48, 18, 59), (70, 107, 227), (40, 187, 235), (50, 241, 151), (164, 252, 60), (237, 208, 58), (251, 128, 34),
      (210, 49, 5), (122, 4, 3)], dtype=np.float32,

@@ -11,8 +11,7 @@ import numpy as np
 from rsb_bridge.model.pictures import Scale
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.view.canvas import DOTS_ACROSS, DOTS_DOWN, Canvas
-from rsb_bridge.view.drawing import Drawn, UndrawableError, View, elements, nested, number, raw, text
+from rsb_bridge.view.drawing import Canvas, Drawn, UndrawableError, View, elements, nested, number, raw, text
 from rsb_bridge.view.points import cloud_points, put_dots, scan_points
 
 if TYPE_CHECKING:
@@ -27,9 +26,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 FRAMES = 500
-"""Frames that are remembered."""
+"""Frames that are remembered: a round figure."""
 POSES = 5_000
-"""Poses of a path that are drawn; of more, every second, third … is."""
+"""Poses of a path that are drawn; of more, every second, third … is. A round figure."""
 MOST_CELLS = 64 << 20
 """Cells of a grid that is drawn at most. A round figure: copies of it must fit into `worker.MEMORY_LIMIT`."""
 _OCCUPIED = 65
@@ -38,13 +37,13 @@ _LETHAL = 253
 """The same of a nav2_msgs/msg/Costmap."""
 _UNKNOWN_COST = 255
 _DEPTH = 64
-"""Transforms from a frame to another at most."""
-_MARGIN = 1.1
+"""Transforms from a frame to another at most: a round figure."""
+_MARGIN = 1.1  # so that nothing touches the edge
 _ARROWS = "▶▲◀▼"
 _FAR = 1e7
-"""m; coordinates beyond are wrong."""
+"""m, a quarter of the way around the Earth: coordinates beyond are wrong."""
 _NAMED = 12
-"""Frames that are shown with their names."""
+"""Frames that are shown with their names: a round figure."""
 
 
 class MapProblem(Wording):
@@ -176,7 +175,7 @@ class MapView(View):
             _draw_layer(canvas, paper, layer, place)
         if any(topic.rpartition("/")[2].startswith("tf") for topic in self._topics):
             self._draw_frames(canvas, paper, target)
-        canvas.scale_bar(paper.metres * DOTS_ACROSS)
+        canvas.scale_bar(paper.metres * Canvas.ACROSS)
         return Drawn(canvas.cells(paper.scale(target)), tuple(notes), problem)
 
     def _usual_frame(self) -> str:
@@ -211,7 +210,7 @@ class MapView(View):
             if (place := self._place(frame, target)) is not None:
                 x, y = paper.dots(np.array([place.x]), np.array([place.y]))
                 if len(x):
-                    canvas.write(int(x[0]) // DOTS_ACROSS + 1, int(y[0]) // DOTS_DOWN, f"·{frame}", "dim")
+                    canvas.write(int(x[0]) // Canvas.ACROSS + 1, int(y[0]) // Canvas.DOWN, f"·{frame}", "dim")
 
 
 class _Paper:
@@ -219,7 +218,7 @@ class _Paper:
 
     def __init__(self, extent: tuple[float, float, float, float], wish: Wish) -> None:
         left, bottom, right, top = extent
-        self._across, self._down = wish.width * DOTS_ACROSS, wish.height * DOTS_DOWN
+        self._across, self._down = wish.width * Canvas.ACROSS, wish.height * Canvas.DOWN
         fitting = max((right - left) / self._across, (top - bottom) / self._down, 1e-6)  # a single point has no extent
         self.metres = fitting * _MARGIN / wish.zoom
         """m a dot."""
@@ -238,7 +237,9 @@ class _Paper:
         return math.floor((x - self.left) / self.metres), math.floor((self.top - y) / self.metres)
 
     def scale(self, frame: str) -> Scale:
-        return Scale(sanitize_text(frame, 255), self.left, self.top, self.metres * DOTS_ACROSS, self.metres * DOTS_DOWN)
+        return Scale(
+            sanitize_text(frame, 255), self.left, self.top, self.metres * Canvas.ACROSS, self.metres * Canvas.DOWN
+        )
 
 
 def _yaw(message: Message, path: str) -> float:
@@ -388,7 +389,7 @@ def _draw_layer(canvas: Canvas, paper: _Paper, layer: _Layer, place: Transform) 
     if layer.pose is not None:
         pose = place.after(layer.pose)
         across, down = paper.dot(pose.x, pose.y)
-        length = 3 * DOTS_DOWN
+        length = 3 * Canvas.DOWN
         canvas.line(
             across,
             down,
@@ -397,7 +398,7 @@ def _draw_layer(canvas: Canvas, paper: _Paper, layer: _Layer, place: Transform) 
             layer.style,
         )
         mark = _ARROWS[round(pose.yaw / (math.pi / 2)) % 4] if layer.style == "robot" else "◆"
-        canvas.write(across // DOTS_ACROSS, down // DOTS_DOWN, mark, layer.style)
+        canvas.write(across // Canvas.ACROSS, down // Canvas.DOWN, mark, layer.style)
 
 
 def _draw_grid(canvas: Canvas, paper: _Paper, grid: _Grid, place: Transform) -> None:
@@ -408,7 +409,7 @@ def _draw_grid(canvas: Canvas, paper: _Paper, grid: _Grid, place: Transform) -> 
 
     def sampled(step_x: int, step_y: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         down, across = np.mgrid[
-            step_y // 2 : canvas.height * DOTS_DOWN : step_y, step_x // 2 : canvas.width * DOTS_ACROSS : step_x
+            step_y // 2 : canvas.height * Canvas.DOWN : step_y, step_x // 2 : canvas.width * Canvas.ACROSS : step_x
         ]
         x, y = back.apply(paper.left + (across + 0.5) * paper.metres, paper.top - (down + 0.5) * paper.metres)
         column, row = np.floor(x / grid.resolution).astype(int), np.floor(y / grid.resolution).astype(int)
@@ -416,11 +417,11 @@ def _draw_grid(canvas: Canvas, paper: _Paper, grid: _Grid, place: Transform) -> 
         values = grid.cells[row[inside], column[inside]]
         return across[inside], down[inside], values
 
-    across, down, values = sampled(DOTS_ACROSS, DOTS_DOWN)
+    across, down, values = sampled(Canvas.ACROSS, Canvas.DOWN)
     free = (values >= 0) & (values < grid.occupied)
     put_dots(canvas, across[free], down[free], "free")
     across, down, values = sampled(1, 1)
-    shown = np.zeros((canvas.height * DOTS_DOWN, canvas.width * DOTS_ACROSS), bool)
+    shown = np.zeros((canvas.height * Canvas.DOWN, canvas.width * Canvas.ACROSS), bool)
     shown[down, across] = values >= grid.occupied
     if paper.metres > grid.resolution:  # thin walls between the sampled places
         block = int(paper.metres / grid.resolution)  # cells of a dot, in each direction

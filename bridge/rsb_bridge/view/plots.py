@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.view.drawing import TakenMessage
 
 CURVES = 4
-"""Numbers that are plotted if none are chosen."""
+"""Numbers that are plotted if none are chosen; these limits are round figures."""
 NUMBERS = 256
 """Numbers of a message that are remembered."""
 VALUES = 20_000

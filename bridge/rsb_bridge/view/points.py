@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.view.canvas import DOT_BITS, DOTS_ACROSS, DOTS_DOWN, Canvas
-from rsb_bridge.view.drawing import Drawn, UndrawableError, View, elements, nested, number, raw, text
+from rsb_bridge.view.drawing import Canvas, Drawn, UndrawableError, View, elements, nested, number, raw, text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
 MOST_POINTS = 200_000
 """Points that are drawn; of more, every second, third … is. 100,000 take 15 ms (bench/README, Pictures)."""
 _FAR = 98.0
-"""Percentile of the distances that fits the picture with zoom 1."""
-_LEAST_SPAN = 0.1  # m
+"""Percentile of the distances that fits the picture with zoom 1: few far points may not shrink the rest."""
+_LEAST_SPAN = 0.1  # m; a round figure
 _COLOURS = (
     "#30123b", "#4145ab", "#4675ed", "#39a2fc", "#1bcfd4", "#24eca6", "#61fc6c", "#a4fc3c",
     "#d1e834", "#f3c63a", "#fe9b2d", "#f36315", "#d93806", "#b11901", "#7a0402",
@@ -32,7 +31,7 @@ _COLOURS = (
 """Colours from low to high, after Turbo (Mikhailov, 2019)."""
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """By sensor_msgs/msg/PointField's datatype."""
-_BITS = np.array(DOT_BITS, dtype=np.uint8)
+_BITS = np.array(Canvas.BITS, dtype=np.uint8)
 _RINGS = (1, 2, 5)
 
 
@@ -146,14 +145,13 @@ class PointsView(View):
         canvas = Canvas(wish.width, wish.height)
         metres = self._metres(points, wish)
         tilt = math.radians(wish.tilt)
+        width, height = wish.width * Canvas.ACROSS, wish.height * Canvas.DOWN
         with np.errstate(all="ignore"):
             ahead = points.x * math.cos(tilt) + points.z * math.sin(tilt)
             depth = points.z * math.cos(tilt) - points.x * math.sin(tilt)
-            across = (-points.y / metres + wish.width * DOTS_ACROSS / 2 - wish.x * wish.width * DOTS_ACROSS).astype(
-                np.int64
-            )
-            down = (-ahead / metres + wish.height * DOTS_DOWN / 2 + wish.y * wish.height * DOTS_DOWN).astype(np.int64)
-        inside = (across >= 0) & (across < wish.width * DOTS_ACROSS) & (down >= 0) & (down < wish.height * DOTS_DOWN)
+            across = (-points.y / metres + width / 2 - wish.x * width).astype(np.int64)
+            down = (-ahead / metres + height / 2 + wish.y * height).astype(np.int64)
+        inside = (across >= 0) & (across < width) & (down >= 0) & (down < height)
         values, kind = _values(points, wish)
         order = np.argsort(depth[inside], kind="stable")  # the highest is drawn last
         put_values(canvas, across[inside][order], down[inside][order], values[inside][order])
@@ -175,7 +173,7 @@ class PointsView(View):
         distance = float(np.percentile(np.hypot(points.x, points.y), _FAR))
         if self._reach is None or not 0.5 < distance / self._reach <= 1.05:
             self._reach = max(_LEAST_SPAN, distance * 1.05)
-        dots = min(wish.width * DOTS_ACROSS, wish.height * DOTS_DOWN) / 2
+        dots = min(wish.width * Canvas.ACROSS, wish.height * Canvas.DOWN) / 2
         return self._reach / dots / wish.zoom
 
 
@@ -190,9 +188,9 @@ def _values(points: Points, wish: Wish) -> tuple[Floats, str]:
 
 def put_dots(canvas: Canvas, across: NDArray[Any], down: NDArray[Any], style: str = "") -> NDArray[Any]:
     """Set dots that are on the canvas, all in one style; return their cells."""
-    cells: NDArray[Any] = down // DOTS_DOWN * canvas.width + across // DOTS_ACROSS
+    cells: NDArray[Any] = down // Canvas.DOWN * canvas.width + across // Canvas.ACROSS
     # `at`: with `|=`, only the last one of several dots in a cell would be set.
-    np.bitwise_or.at(np.frombuffer(canvas.dots, np.uint8), cells, _BITS[down % DOTS_DOWN, across % DOTS_ACROSS])
+    np.bitwise_or.at(np.frombuffer(canvas.dots, np.uint8), cells, _BITS[down % Canvas.DOWN, across % Canvas.ACROSS])
     np.frombuffer(canvas.styles, np.uint8)[cells] = canvas.style(style)
     return cells
 
@@ -209,7 +207,7 @@ def put_values(canvas: Canvas, across: NDArray[Any], down: NDArray[Any], values:
 
 def _rings(canvas: Canvas, column: int, row: int, metres: float) -> None:
     """Draw circles at round distances from the sensor, with their distances."""
-    reach = metres * canvas.height * DOTS_DOWN / 2
+    reach = metres * canvas.height * Canvas.DOWN / 2
     if not (math.isfinite(reach) and reach > 0):
         return
     power = 10 ** math.floor(math.log10(reach))
@@ -219,8 +217,8 @@ def _rings(canvas: Canvas, column: int, row: int, metres: float) -> None:
         count = int(min(720, max(24, radius * 2)))
         for at in range(count):
             angle = 2 * math.pi * at / count
-            x = round(column * DOTS_ACROSS + radius * math.sin(angle))
-            y = round(row * DOTS_DOWN - radius * math.cos(angle))
+            x = round(column * Canvas.ACROSS + radius * math.sin(angle))
+            y = round(row * Canvas.DOWN - radius * math.cos(angle))
             if canvas.is_free(x, y):
                 canvas.dot(x, y, "dim")
-        canvas.write(column + 1, round(row - radius / DOTS_DOWN), f"{ring * step:g} m", "dim")
+        canvas.write(column + 1, round(row - radius / Canvas.DOWN), f"{ring * step:g} m", "dim")

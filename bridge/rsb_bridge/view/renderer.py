@@ -27,7 +27,7 @@ START_SECONDS = 20.0
 IDLE_SECONDS = 10.0
 """The process ends this long after the last picture. Another start costs the next view 0.3 to 0.5 s (bench/README)."""
 _SLOW = 0.1
-"""s for a picture, from which on a view leaves time to the others."""
+"""s for a picture, from which on a view leaves time to the others: a round figure."""
 _TO_OTHERS = 3.0
 """Times as long as a slow picture took, its view waits for the next one: so it has a quarter of the process."""
 _AT_ONCE = 1 << 16

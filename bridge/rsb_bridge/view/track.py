@@ -7,18 +7,17 @@ import math
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.view.canvas import DOTS_ACROSS, DOTS_DOWN, Canvas
-from rsb_bridge.view.drawing import Drawn, UndrawableError, View, number
+from rsb_bridge.view.drawing import Canvas, Drawn, UndrawableError, View, number
 
 if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Wish
     from rsb_bridge.view.drawing import TakenMessage
 
 POSITIONS = 5000
-"""Positions that are remembered; when there are more, every second one is forgotten."""
+"""Positions that are remembered; when there are more, every second one is forgotten. A round figure."""
 _EARTH = 6_378_137.0
 """m, equatorial radius (WGS 84)."""
-_LEAST_SPAN = 2.0  # m
+_LEAST_SPAN = 2.0  # m; a round figure
 _STATUS = {-1: "no fix", 0: "fix", 1: "satellite-based fix", 2: "ground-based fix"}
 
 
@@ -57,13 +56,13 @@ class TrackView(View):
         ]
         span = max(_LEAST_SPAN, *(max(abs(x), abs(y)) for x, y in points))
         canvas = Canvas(wish.width, wish.height)
-        dot = span * 2.1 / min(wish.width * DOTS_ACROSS, wish.height * DOTS_DOWN) / wish.zoom
-        middle_x = round(wish.width * DOTS_ACROSS * (0.5 - wish.x))
-        middle_y = round(wish.height * DOTS_DOWN * (0.5 + wish.y))
+        dot = span * 2.1 / min(wish.width * Canvas.ACROSS, wish.height * Canvas.DOWN) / wish.zoom
+        middle_x = round(wish.width * Canvas.ACROSS * (0.5 - wish.x))
+        middle_y = round(wish.height * Canvas.DOWN * (0.5 + wish.y))
         dots = [(middle_x + round(x / dot), middle_y - round(y / dot)) for x, y in points]
         for start, end in itertools.pairwise(dots):
             canvas.line(*start, *end, "path")
-        canvas.write(middle_x // DOTS_ACROSS, middle_y // DOTS_DOWN, "◆", "robot")
-        canvas.scale_bar(dot * DOTS_ACROSS)
+        canvas.write(middle_x // Canvas.ACROSS, middle_y // Canvas.DOWN, "◆", "robot")
+        canvas.scale_bar(dot * Canvas.ACROSS)
         canvas.write(canvas.width - 2, 0, "N", "axis")
         return Drawn(canvas.cells(), (self._note,))

@@ -21,8 +21,7 @@ from rsb_bridge.model.pictures import PICTURE_LIMIT, Picture, Wish
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.confinement import confine
-from rsb_bridge.view.drawing import TakenMessage, UndrawableError, number
-from rsb_bridge.view.view_types import VIEWS, package_of, view_class
+from rsb_bridge.view.drawing import VIEWS, TakenMessage, UndrawableError, number, package_of_view, view_class
 
 if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Message
@@ -30,9 +29,9 @@ if TYPE_CHECKING:
     from rsb_bridge.view.drawing import View
 
 MEMORY_LIMIT = 1 << 30
-"""Bytes of address space that drawing may add to that of the started process."""
+"""Bytes of address space that drawing may add to that of the started process: a round figure."""
 VIEWS_AT_MOST = 64
-"""Views whose messages are remembered."""
+"""Views whose messages are remembered: a round figure, as are the next two."""
 TYPES_AT_MOST = 64
 """Descriptions that are remembered."""
 _ELEMENTS, _STEPS = 100_000, 500_000
@@ -40,7 +39,7 @@ _ELEMENTS, _STEPS = 100_000, 500_000
 _NICE = 10
 """On a busy core, the bridge's messages come before pictures."""
 _SECONDS = 60
-"""Longest time for one picture: the process ends, even if the process that started it is gone."""
+"""s, more than the renderer waits: the process ends, even if the process that started it is gone."""
 _LENGTH_BYTES = 4
 
 
@@ -215,7 +214,7 @@ def _how(task: Task) -> str:
 def _missing(module: str, task: Task) -> str:
     """Return the problem that a module cannot be found, with the remedy for the package whose view needs it."""
     how, topic = _how(task), task.samples[0].topic if task.samples else "the topic"
-    if package := package_of(how):
+    if package := package_of_view(how):
         return Undrawable.MODULE_MISSING(how=how, package=package, module=module, topic=topic)
     return Undrawable.LIBRARY_MISSING(library=_LIBRARIES.get(module, module), topic=topic)
 

@@ -15,7 +15,7 @@ from rsb_bridge.model.names import other_side
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.view.view_types import VIEWS
+from rsb_bridge.view.drawing import VIEWS
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.picker import Suggestion, SuggestionList

@@ -27,7 +27,7 @@ from rsb_bridge.model.names import other_side
 from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, TOPICS_AT_ONCE, Cells, Series, Wish
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.view.view_types import VIEWS
+from rsb_bridge.view.drawing import VIEWS
 from rsb_console.look import formats
 from rsb_console.look.picture_rows import COLOURS, Part, UnreadableError, picture_rows, reads_webp, with_mark
 from rsb_console.look.plot_lines import AXIS

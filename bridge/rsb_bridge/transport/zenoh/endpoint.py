@@ -23,9 +23,8 @@ from urllib.parse import quote, unquote
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.threads import in_thread
-from rsb_bridge.transport.zenoh.outbox import SampleOutbox
-from rsb_bridge.transport.zenoh.sample import LENGTHS, Header, SampleKind
+from rsb_bridge.tasks import in_thread
+from rsb_bridge.transport.zenoh.outbox import HEADER_LENGTHS, Header, SampleKind, SampleOutbox
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:
@@ -37,9 +36,9 @@ if TYPE_CHECKING:
 
 ROOT = "rsb_console"
 RECEIVE_BUFFER = 32 * 1024 * 1024
-"""Bytes of peers that may wait for the loop; more are lost, as in a kernel's full buffer."""
+"""Bytes of peers that may wait for the loop; more are lost, as in a kernel's full buffer. A round figure."""
 ASKED_WITHIN = 2.0
-"""s that announcements are waited for."""
+"""s that announcements are waited for: a round figure, as is the next one."""
 MOST_SEEN = 10_000
 """Announcements that are kept; who is in a network may make any number of them."""
 
@@ -63,15 +62,15 @@ _LABEL_LENGTH = 300
 _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
 _AT_A_TIME = 256
-"""Samples of peers that are taken in one turn of the loop."""
+"""Samples of peers that are taken in one turn of the loop: a round figure."""
 _STRANGERS_AT_A_TIME = 16
-"""Samples of strangers that are taken in one turn of the loop; each may cost a handshake."""
+"""Samples of strangers that are taken in one turn of the loop; each may cost a handshake. A round figure."""
 _STRANGERS_WAIT = 256
 """Samples of strangers who have no answer yet that wait for the loop: more would be answered too late anyway."""
 _CONFIRMED = 5.0
 """Seconds within which Zenoh has reported all present tokens to a new subscription: a round figure."""
 _SETTLED = 0.1
-"""Seconds within which Zenoh reports a lost router after it has reported the endpoints behind it as gone."""
+"""s within which Zenoh reports a lost router after it has reported the endpoints behind it as gone: a round figure."""
 _ADDRESS = re.compile("[0-9a-f]{16}")
 """Addresses of endpoints, and ids of streams; strangers may publish under any key."""
 
@@ -267,7 +266,7 @@ class ZenohEndpoint:
         end = self._streams.get((sender, stream))
         if end is None and not (_ADDRESS.fullmatch(sender) and _ADDRESS.fullmatch(stream)):
             return
-        if attachment is None or len(attachment) not in LENGTHS:
+        if attachment is None or len(attachment) not in HEADER_LENGTHS:
             return
         if length > (STRANGER_LIMIT if end is None else end.longest):
             self._strangers.turn_away()

@@ -1,4 +1,4 @@
-"""One process's place in a Zenoh network: opening it, and what to tell an operator where that fails.
+"""One process's place in a Zenoh network: opening it, its TCP sockets, and what to tell an operator where that fails.
 
 The `zenoh` package is an extra. It is imported when a network is opened, and by nothing else.
 """
@@ -12,18 +12,19 @@ import os
 import socket
 import ssl
 import threading
+from ipaddress import IPv6Address, ip_address
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.threads import in_thread
-from rsb_bridge.transport.zenoh import sockets
+from rsb_bridge.tasks import in_thread
+from rsb_bridge.transport import tcp
 from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, ZenohEndpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
     import zenoh
 
@@ -36,8 +37,10 @@ UNABLE = "Unable to connect"
 
 _WITHIN = 2.0
 """s for each step of a look at an endpoint, which an operator waits for: a round figure."""
+_IP = (socket.AF_INET, socket.AF_INET6)
+_OVER_TCP = ("tcp", "tls", "ws")
 _MOST = 4
-"""Endpoints that are looked at, one after another."""
+"""Endpoints that are looked at, one after another: a round figure."""
 _EXPIRED, _NOT_YET_VALID, _WRONG_NAMES = 10, 9, (62, 64)
 """X509_V_ERR_… of OpenSSL's x509_vfy.h: the host and the IP address do not match."""
 
@@ -118,7 +121,7 @@ def _why(endpoint: str, config: zenoh.Config) -> str:
     host = host.strip("[]")
     if protocol in {"quic", "udp"}:
         return Unreachable.NO_ANSWER_OVER_UDP()
-    if protocol not in {"tcp", "tls", "ws"} or not port.isdecimal():
+    if protocol not in _OVER_TCP or not port.isdecimal():
         return Unreachable.NO_ANSWER()
     try:
         with socket.create_connection((host, int(port)), _WITHIN) as connection:
@@ -416,7 +419,7 @@ class Network:
                 continue
             # Without descriptors, or with an address of another form, the link works as Zenoh made it.
             with contextlib.suppress(OSError, ValueError):
-                sockets.prepare(event.link)
+                prepare_socket(event.link)
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
         """Handle a router or peer that has come or gone."""
@@ -433,6 +436,48 @@ class Network:
             endpoints = list(self._endpoints)
         for endpoint in endpoints:
             endpoint.cut_off(self.problem or ROUTER_LOST)
+
+
+def prepare_socket(link: zenoh.Link) -> bool:
+    """Set the options of this project's own TCP sockets on that of a link of this process.
+
+    Zenoh has no settings for them. With the kernel's own, it takes twice as long as a cut lasted until a link carries
+    again (retries double, up to 2 min), lost packets count as a full link, and what waits in the kernel is in no order
+    of priority.
+
+    Returns:
+        whether the link has such a socket, and it was found.
+    """
+    protocol, _, here = link.src.partition("/")
+    if protocol not in _OVER_TCP:
+        return False
+    ends = _socket_address(here), _socket_address(link.dst.partition("/")[2])
+    for each in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):  # it is closed meanwhile, or not connected
+            if str(each.readlink()).startswith("socket:") and _prepared(int(each.name), ends):
+                return True
+    return False
+
+
+def _prepared(descriptor: int, ends: tuple[object, object]) -> bool:
+    # A copy: to close it leaves Zenoh's own open.
+    with socket.socket(fileno=os.dup(descriptor)) as found:
+        if found.family not in _IP or found.type != socket.SOCK_STREAM:
+            return False
+        if (_comparable(found.getsockname()), _comparable(found.getpeername())) != ends:
+            return False
+        tcp.set_options(found)
+        return True
+
+
+def _socket_address(address: str) -> tuple[object, int]:
+    host, _, port = address.rpartition(":")
+    return _comparable((host.strip("[]"), int(port)))
+
+
+def _comparable(address: tuple[str, int] | tuple[str, int, int, int]) -> tuple[object, int]:
+    ip = ip_address(address[0].partition("%")[0])
+    return (isinstance(ip, IPv6Address) and ip.ipv4_mapped) or ip, address[1]
 
 
 def _set(config: zenoh.Config, key: str, value: object) -> None:

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST
-from rsb_bridge.transport.zenoh.sample import Header, SampleKind
+from rsb_bridge.transport.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST, Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.sealing import SampleTags
 
@@ -36,16 +35,17 @@ SAMPLE = 1024 * 1024
 """Bytes of one sample at most; with `rsb_bridge.transport.zenoh.network.LARGEST_SAMPLE`."""
 
 _LONGEST = 2 * SAMPLE
+"""Bytes of a peer's sample that is taken at most: `LARGEST_SAMPLE`, too."""
 _SAID_EVERY = IN_FLIGHT // 4
 """Bytes between two windows: a part of `IN_FLIGHT`, so that what has arrived does not count as in flight for long."""
 _ASKED_AFTER = 2.0
 """Seconds after which a sender asks for a missing window, and after which an idle sender reports that it has sent all:
 else the loss of the last sample would show only with the next one, perhaps hours later."""
 _AT_A_TIME = 256 * 1024
-"""Held bytes that are delivered in one turn of the loop after a pause of reading."""
+"""Held bytes that are delivered in one turn of the loop after a pause of reading: a round figure."""
 _SENT_WITHIN = 5.0
-"""s for which a router may take nothing before it counts as lost."""
-_REASON = 200
+"""s for which a router may take nothing before it counts as lost, as in `rsb_bridge.transport.zenoh.network`."""
+_REASON = 200  # bytes, of the protocol
 _DOUBT = 3.0
 """s without a sample after which a stream ends whose end is not proven: a link's own stream has one a second. Of the
 protocol, as are the next two (PROTOCOL.md, 12)."""

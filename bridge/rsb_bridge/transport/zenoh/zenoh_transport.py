@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
     from rsb_bridge.transport.zenoh.endpoint import Seen, ZenohEndpoint
     from rsb_bridge.transport.zenoh.network import Network
-    from rsb_bridge.transport.zenoh.sample import Header
+    from rsb_bridge.transport.zenoh.outbox import Header
 
 SERVER, CLIENT = "server", "client"
 """The services by which the two sides of links announce themselves."""
-_NAMED = 3
+_NAMED = 3  # servers in a message
 _TOLD_EVERY = 3600.0
 """s between two messages about other servers: strangers may announce any number."""
 _RANKS = {1: 1, 0: 2, -1: 3}
@@ -69,6 +69,7 @@ class ZenohStream(Stream):
     """A stream whose sender waits while too many bytes are in flight."""
 
     high_water = 256 * 1024
+    """A round figure, in addition to what is in flight (`rsb_bridge.transport.zenoh.pipe.WINDOW`)."""
 
     def trust(self) -> None:
         if isinstance(self._transport, Pipe):
