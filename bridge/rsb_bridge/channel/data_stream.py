@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import Counts, RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
-    from rsb_bridge.channel.receipts import ReceiptBook
     from rsb_bridge.channel.scheduler import Scheduler, Turns
+    from rsb_bridge.channel.window import ReceiptBook
     from rsb_bridge.wire.framing import Message
 
 _KIND_AND_ROUTE = struct.Struct(">BxI")

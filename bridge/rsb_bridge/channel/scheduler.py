@@ -24,8 +24,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 from rsb_bridge.model.session import weight_of
 
 if TYPE_CHECKING:
-    from rsb_bridge.channel.receipts import ReceiptBook
-    from rsb_bridge.channel.window import Window
+    from rsb_bridge.channel.window import ReceiptBook, Window
 
 _UNIT = 16
 """Virtual bytes of one byte with a weight of 1, so that all weights divide it."""
