@@ -12,7 +12,7 @@ from rsb_bridge.channel.window import LEAST
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.channel.scheduler import Scheduler, Turns
+    from rsb_bridge.channel.scheduler import Scheduler, SendingEnd
     from rsb_bridge.transport.transport import DatagramSocket
 
 _PAUSE = 0.001
@@ -177,7 +177,7 @@ class DatagramCarrier:
     """
 
     def __init__(self, channel: Datagrams, scheduler: Scheduler) -> None:
-        self.queue: list[tuple[int, int, Turns]] = []
+        self.queue: list[tuple[int, int, SendingEnd]] = []
         self.time = self.behind = 0
         self.moved_at = float("-inf")
         self._channel = channel
