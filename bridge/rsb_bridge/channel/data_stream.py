@@ -15,7 +15,7 @@ import struct
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.scheduler import SendingEnd
-from rsb_bridge.channel.window import ReceiptCounter
+from rsb_bridge.channel.window import ReceiptBook, ReceiptCounter
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, MOVED, FrameReader
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.channel import Counts, RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
     from rsb_bridge.channel.scheduler import Scheduler
-    from rsb_bridge.channel.window import ReceiptBook
     from rsb_bridge.wire.framing import Message
 
 _KIND_AND_ROUTE = struct.Struct(">BxI")
