@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.data_channels import ChannelCarrier
     from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.traffic import Traffic
+    from rsb_bridge.route.topic_route import Traffic
 
 _BEGINS, _ENDS = 4, 4
 """Ticks that have to agree before a link counts as full, or as no longer full."""
