@@ -114,7 +114,7 @@ VIEW_TRIED_AGAIN_AFTER = Place("rsb_console.screens.view_screen", "_TRIED_AGAIN_
 RESTART_WITHIN = Place("rsb_bridge.link.roles", "_RESTART_WITHIN")
 QUESTION_ANSWERED_WITHIN = Place("rsb_bridge.link.questions", "_ANSWERED_WITHIN")
 TICK = Place("rsb_bridge.engine.bridge", "_TICK")
-GRAPH_ALWAYS_AFTER = Place("rsb_bridge.link.graph_watch", "_ALWAYS_AFTER")
+GRAPH_ALWAYS_AFTER = Place("rsb_bridge.link.graph_watch", "_ROUTES_ALWAYS_AFTER")
 ROUTE_LONGEST_PAUSE = Place("rsb_bridge.route.lifecycle", "_LONGEST_PAUSE")
 INTERRUPTION = tuple(
     Place(f"rsb_bridge.route.calls.{user}", "INTERRUPTION")
