@@ -16,7 +16,7 @@ from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.link_bench import LinkBench
 from rsb_bridge.link.link_patterns import LinkPatterns
 from rsb_bridge.link.link_views import LinkViews
-from rsb_bridge.link.proposed_topics import ProposedTopics
+from rsb_bridge.link.proposed_routes import ProposedTopics
 from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.demands import sources_of_entries

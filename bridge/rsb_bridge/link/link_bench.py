@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.extension import Extension
-from rsb_bridge.link.internal_routes import InternalRoutes
+from rsb_bridge.link.proposed_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.benchmark import (
     LEAST_SIZE,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.link.proposed_topics import ProposedTopics
+    from rsb_bridge.link.proposed_routes import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.benchmark import BenchmarkLimits, BenchmarkStep
     from rsb_bridge.ros.ros_interface import Sink

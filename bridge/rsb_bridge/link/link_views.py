@@ -15,7 +15,7 @@ import msgspec
 from rsb_bridge.config.rights import Use
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.extension import Extension
-from rsb_bridge.link.internal_routes import InternalRoutes
+from rsb_bridge.link.proposed_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.link.topic_view import TopicView, check_names
 from rsb_bridge.model.codes import EventCode
@@ -38,7 +38,7 @@ from rsb_bridge.wire.messages import Look, LookAnswer
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.link.proposed_topics import ProposedTopics
+    from rsb_bridge.link.proposed_routes import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.pictures import Wish
     from rsb_bridge.route.route import Route
