@@ -231,8 +231,8 @@ class Link(BaseLink):
             TypeQuestions(context.descriptions, self.ids.open_route, self.send, self.spawn)
         )
         self.table.compare_types = self.type_questions.compare
-        self.bench = self.extend(LinkBench(self, self.table, self.proposed))
-        self.views = self.extend(LinkViews(self, self.table, self.proposed))
+        self.bench = self.extend(LinkBench(self, self.table))
+        self.views = self.extend(LinkViews(self, self.table))
         context.demands.register(self)
 
     @property
