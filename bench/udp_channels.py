@@ -19,10 +19,9 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
-from rsb_bridge.channel.receipts import ReceiptBook
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpDemultiplexer
-from rsb_bridge.channel.window import Window
+from rsb_bridge.channel.window import ReceiptBook, Window
 from rsb_bridge.route.sending import QueueLimits, SendQueue
 from rsb_bridge.transport import udp
 from rsb_bridge.transport.streams import StreamHandler

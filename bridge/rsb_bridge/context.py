@@ -60,7 +60,7 @@ class Context:
         demands: the names that have to be armed, as the running session demands it.
         moved_by: the rest messages of the routes that have moved a topic last, by the topic's name.
         rests: tasks that publish rests after an arming, to be awaited before the ROS side stops.
-        names_changed: to be called when another set of names of the graph is followed (`rsb_bridge.link.name_watch`).
+        names_changed: to be called when another set of names of the graph is followed (`link.graph_watch.NameWatch`).
     """
 
     session: Session

@@ -49,7 +49,7 @@ class Here:
             spawn=asyncio.run,
             rights=SimpleNamespace(bench=BenchmarkLimits(seconds=10.0, max_rate=100.0, megabytes=1.0)),
         )
-        self.bench = LinkBench(cast("BaseLink", link), cast("RouteTable", table), cast("Any", None))
+        self.bench = LinkBench(cast("BaseLink", link), cast("RouteTable", table))
 
     def open(self, topic: str) -> Any:
         """The peer opens a route, which takes the place of another of its name."""

@@ -13,9 +13,8 @@ from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.data_stream import StreamPair, stream_channel
-from rsb_bridge.channel.receipts import ReceiptBook
 from rsb_bridge.channel.scheduler import Scheduler
-from rsb_bridge.channel.window import Window
+from rsb_bridge.channel.window import ReceiptBook, Window
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.sealing import CipherSuite

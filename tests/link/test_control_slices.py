@@ -16,7 +16,7 @@ from tests.support.slices import Handlers
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link.control_channel import BYTES, ENTRIES, ControlChannel, in_slices
+from rsb_bridge.link.control_channel import BYTES, ENTRIES, ControlChannel, entries_in_slices
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.qos import Qos
@@ -102,7 +102,7 @@ class Peer:
 
 
 def entries_of(message: Any, done: Callable[[object], None]) -> Any:
-    return in_slices(report_entries(message), done)
+    return entries_in_slices(report_entries(message), done)
 
 
 def test_a_report_of_400_kb_is_worked_off_in_slices_and_in_order() -> None:

@@ -16,7 +16,7 @@ from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, P
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.link.name_watch import Names
+    from rsb_bridge.link.graph_watch import Names
 
 TYPE = "std_msgs/msg/String"
 

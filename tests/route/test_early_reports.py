@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from tests.route.test_unpacking import OnePublisher, opened
 from tests.support.offline import FakePeer
 
-from rsb_bridge.link.route_reports import RouteReports
+from rsb_bridge.link.link import RouteReports
 
 if TYPE_CHECKING:
     from collections.abc import Callable

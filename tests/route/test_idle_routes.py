@@ -13,8 +13,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Endpoint
-from rsb_bridge.route.idling import IDLE_AFTER, LONGEST
 from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.topic_route import IDLE_AFTER, IDLE_AT_MOST
 from rsb_bridge.wire.records import ReceivedReport, VerdictRecord
 
 if TYPE_CHECKING:
@@ -75,10 +75,10 @@ def test_a_quiet_route_is_ticked_seldom_though_never_left_alone(
     assert len(world.ticks) == IDLE_AFTER
     world.wait_until_idle()
     began = world.loop.time()
-    world.wait(100 * LONGEST)
+    world.wait(100 * IDLE_AT_MOST)
     assert 100 <= len(world.ticks) <= 250
     pairs = zip([began, *world.ticks], world.ticks, strict=False)
-    assert max(after - before for before, after in pairs) <= LONGEST + 1
+    assert max(after - before for before, after in pairs) <= IDLE_AT_MOST + 1
 
 
 DOWN = VerdictRecord("DOWN", Cause.NOT_PUBLISHED, "refused by the middleware")

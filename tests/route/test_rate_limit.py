@@ -1,7 +1,8 @@
-"""The rates that the two sides allow, and what a receiving side does where the other one keeps to none."""
+"""The rates that the two sides allow, limits that hold for all stamps, and a peer that keeps to none."""
 
 from __future__ import annotations
 
+from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
@@ -11,7 +12,7 @@ from tests.support.offline import FakePeer
 
 from rsb_bridge.route.gates import NO_SAMPLE, RateGate
 from rsb_bridge.route.ledger import THROTTLED, RouteLedger
-from rsb_bridge.route.rate_limit import AllowedRates, RateLimit
+from rsb_bridge.route.rate_limit import AllowedRates, RateLimit, Throttle
 from rsb_bridge.wire.records import ReceivedReport
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.snapshot import Level
+
+S = 1_000_000_000
 
 
 def limit(max_rate: float = 0.0) -> RateLimit:
@@ -97,3 +100,29 @@ def test_what_the_receiver_leaves_out_is_throttled_in_the_senders_ledger() -> No
     assert ledger.reported(report, 0.0)
     balance = ledger.ledger(0)
     assert (balance.delivered, balance.throttled, balance.dropped, balance.in_flight) == (3, 7, {}, 0)
+
+
+def passed(throttle: Throttle, stamps: list[int]) -> int:
+    return sum(throttle.passes(stamp) for stamp in stamps)
+
+
+def test_a_topic_just_above_the_limit_keeps_the_limit() -> None:
+    """50 Hz throttled to 20 Hz gives 20, not 16.7."""
+    assert passed(Throttle(20.0), [number * S // 50 for number in range(500)]) == 200
+
+
+@pytest.mark.parametrize("back", [1, S // 10, S, 10 * S, 3600 * S])
+def test_stamps_that_go_back_do_not_end_the_limit(back: int) -> None:
+    """Two publishers' stamps may cross, and a clock may be set."""
+    throttle = Throttle(2.0)
+    start = 10_000 * S
+    assert throttle.passes(start)
+    throttle.passes(start - back)
+    stamps = [start - back + number * S // 5 for number in range(1, 301)]
+    assert 115 <= passed(throttle, stamps) <= 121
+
+
+def test_stamps_of_two_publishers_that_cross() -> None:
+    random = Random(1)
+    stamps = [10_000 * S + number * S // 20 - random.randrange(S // 10) for number in range(1200)]
+    assert 115 <= passed(Throttle(2.0), stamps) <= 121

@@ -29,7 +29,7 @@ from rsb_bridge.model.snapshot import State
 if TYPE_CHECKING:
     from tests.simulation.beds import Yard
 
-    from rsb_bridge.link.name_watch import NameWatch
+    from rsb_bridge.link.graph_watch import NameWatch
 
 _OTHER = "std_msgs/msg/Int32"
 _SEEN = 5.0

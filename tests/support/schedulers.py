@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from rsb_bridge.channel.receipts import ReceiptBook
 from rsb_bridge.channel.scheduler import Scheduler
-from rsb_bridge.channel.window import Window
+from rsb_bridge.channel.window import ReceiptBook, Window
 
 
 def lone_scheduler() -> Scheduler:

@@ -14,8 +14,8 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.channel.sending_end import SendingEnd
-from rsb_bridge.channel.window import ReceiptCounter
+from rsb_bridge.channel.scheduler import SendingEnd
+from rsb_bridge.channel.window import ReceiptBook, ReceiptCounter
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, MOVED, FrameReader
@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import Counts, RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
-    from rsb_bridge.channel.receipts import ReceiptBook
-    from rsb_bridge.channel.scheduler import Scheduler, Turns
+    from rsb_bridge.channel.scheduler import Scheduler
     from rsb_bridge.wire.framing import Message
 
 _KIND_AND_ROUTE = struct.Struct(">BxI")
@@ -64,7 +63,7 @@ class DataStream(StreamHandler):
     def __init__(self, stream: Stream, number: int, pair: StreamPair) -> None:
         self.stream = stream
         self.number = number
-        self.queue: list[tuple[int, int, Turns]] = []
+        self.queue: list[tuple[int, int, SendingEnd]] = []
         self.time = self.behind = 0
         self.moved_at = float("-inf")
         self.sent = self.acknowledged = 0

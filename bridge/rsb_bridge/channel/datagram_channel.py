@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.channel import Counts, Pace
 from rsb_bridge.channel.datagram_carrier import WINDOW
-from rsb_bridge.channel.sending_end import SendingEnd
+from rsb_bridge.channel.scheduler import SendingEnd
 from rsb_bridge.channel.udp_channel import TIMES, BufferShortage
 from rsb_bridge.transport.streams import PacketCounts
 from rsb_bridge.transport.transport import RECEIVE_BUFFER

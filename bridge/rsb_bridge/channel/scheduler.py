@@ -19,13 +19,18 @@ from __future__ import annotations
 import asyncio
 import heapq
 import math
+from collections import deque
 from typing import TYPE_CHECKING, Protocol, cast
 
+from rsb_bridge.channel.channel import Pace
 from rsb_bridge.model.session import weight_of
 
 if TYPE_CHECKING:
-    from rsb_bridge.channel.receipts import ReceiptBook
-    from rsb_bridge.channel.window import Window
+    from collections.abc import Sequence
+
+    from rsb_bridge.channel.channel import RouteSink
+    from rsb_bridge.channel.window import ReceiptBook, Window
+    from rsb_bridge.wire.framing import Message
 
 _UNIT = 16
 """Virtual bytes of one byte with a weight of 1, so that all weights divide it."""
@@ -52,32 +57,6 @@ _STALLED = 1.5
 half second more is a round figure; below 1 s, each stream with few bytes would count as stuck."""
 
 
-class Turns(Protocol):
-    """The sending end of a route, as far as the scheduler knows it.
-
-    Attributes:
-        start: virtual time at which its next turn begins.
-    """
-
-    start: int
-    queued: bool
-
-    @property
-    def via(self) -> Carrier:
-        """The stream that it sends on."""
-
-    @property
-    def rank(self) -> int:
-        """The rank of its priority."""
-
-    @property
-    def waits(self) -> bool:
-        """Whether it has more to send after a turn."""
-
-    def take_turn(self, limit: int) -> bytes | memoryview | int:
-        """Return at most about `limit` bytes to send now, or nothing; or how many it has sent by itself."""
-
-
 class Carrier(Protocol):
     """A stream or socket that takes the bytes of turns.
 
@@ -88,7 +67,7 @@ class Carrier(Protocol):
         moved_at: time (s) of its last receipt, or of its oldest unacknowledged byte if that came later.
     """
 
-    queue: list[tuple[int, int, Turns]]
+    queue: list[tuple[int, int, SendingEnd]]
     time: int
     behind: int
     moved_at: float
@@ -174,7 +153,7 @@ class Scheduler:
         # In a pass, turns are sealed and not yet written: a later message of their route would overtake them.
         return not self._waiting and not self._passing and self.sent < self._window.limit and not carrier.congested
 
-    def join(self, end: Turns) -> None:
+    def join(self, end: SendingEnd) -> None:
         """Queue a route's end for a turn; one that had nothing to send does not make up for that."""
         if end.queued:
             return
@@ -183,7 +162,7 @@ class Scheduler:
         end.start = max(end.start, via.time if via.congested else self._time - via.behind)
         self._push(end)
 
-    def _push(self, end: Turns) -> None:
+    def _push(self, end: SendingEnd) -> None:
         end.queued = True
         self._waiting += 1
         if self._waits_since is None:
@@ -192,13 +171,13 @@ class Scheduler:
         self._order += 1
         heapq.heappush(end.via.queue, (end.start, self._order, end))
 
-    def leave(self, end: Turns) -> None:
+    def leave(self, end: SendingEnd) -> None:
         """Remove a route's end from the queue."""
         if end.queued:
             end.queued = False  # its entry stays in the heap, which gives only its first one: `_next` drops it
             self._waiting -= 1
 
-    def charge(self, end: Turns, size: int) -> None:
+    def charge(self, end: SendingEnd, size: int) -> None:
         """Move the start of a route's next turn by `size` bytes that it sends without waiting, as nothing waits.
 
         The link's time moves, too: else the route would pay for these bytes once others wait.
@@ -383,3 +362,106 @@ class Scheduler:
     def grows(self) -> bool:
         """Whether the window still grows: what waits is no sign that the link carries no more."""
         return not self._window.slow
+
+
+class SendingEnd:
+    """The sending end of a route's channel, as far as it does not depend on what carries the messages.
+
+    Args:
+        via: what carries them first.
+
+    Attributes:
+        start: virtual time at which its next turn begins.
+    """
+
+    via: Carrier
+
+    def __init__(self, scheduler: Scheduler, route: RouteSink, via: Carrier) -> None:
+        self.start = 0
+        self.queued = False
+        self.via = via
+        self._scheduler = scheduler
+        self._route = route
+        self._messages: deque[Message] = deque()  # of the present turn, or of a large message's further ones
+        self._asked = False  # more waits in the route's queue
+        self._in_turn = False
+
+    @property
+    def rank(self) -> int:
+        """The rank of its priority."""
+        return self._route.rank
+
+    @property
+    def congested(self) -> bool:
+        """See `rsb_bridge.channel.channel.SendingChannel`, and so for the other members of that protocol."""
+        # In its turn a route gives one batch: the rest stays in its queue, where newer messages replace it.
+        if self._in_turn:
+            return bool(self._messages)
+        return self.queued or bool(self._messages) or not self._scheduler.is_free(self.via)
+
+    @property
+    def batch_bytes(self) -> int:
+        """Bytes to send at once."""
+        return self._scheduler.chunk
+
+    @property
+    def waits(self) -> bool:
+        """Whether it has more to send after a turn."""
+        return self._asked or bool(self._messages)
+
+    @property
+    def pace(self) -> Pace:
+        """State of the channel now."""
+        scheduler = self._scheduler
+        if not self.congested:
+            return Pace.FREE
+        if scheduler.grows:  # what waits in the kernel alone is no sign of an overload: the path may have stalled
+            return Pace.STOPPED if self.via.congested else Pace.FREE
+        return Pace.SLOW if scheduler.moves else Pace.STOPPED
+
+    @property
+    def grows(self) -> bool:
+        """Whether the link's window still grows."""
+        return self._scheduler.grows
+
+    def datagrams(self, size: int) -> int:
+        return 0
+
+    @property
+    def unheard_for(self) -> float:
+        return math.inf
+
+    def ask(self) -> None:
+        """Wait for a turn with what the route's queue holds."""
+        self._asked = True
+        if not self._in_turn:
+            self._scheduler.join(self)
+            self._scheduler.run()
+
+    def _wait(self, batch: Sequence[Message]) -> None:
+        """Wait for a turn with messages that the queue has given already."""
+        self._messages += batch
+        self._scheduler.join(self)
+        self._scheduler.run()
+
+    def _fill(self) -> bool:
+        """Take messages from the route's queue for this turn; return whether there are any."""
+        self._asked, self._in_turn = False, True
+        try:
+            self._route.flush()
+        finally:
+            self._in_turn = False
+        if self._messages:
+            return True
+        self._asked = False  # a route that asks and gives nothing would get turns without end
+        return False
+
+    def take_turn(self, limit: int) -> bytes | memoryview | int:
+        """Return at most about `limit` bytes to send now, or nothing; or how many it has sent by itself."""
+        raise NotImplementedError
+
+    def leave(self) -> None:
+        """Take no more turns."""
+        self._messages.clear()
+        self._asked = False
+        self._scheduler.leave(self)

@@ -9,14 +9,21 @@ are acknowledged, so it doubles in a round trip, as TCP's does in slow start. On
 window shrinks to the bytes that cross in `Ages.aim`. So the sender needs no initial rate, and a fast link never fills
 the window.
 
-This module uses neither sockets nor clocks. It counts the bytes of all streams together.
+`Window`, the sender's side, uses neither sockets nor clocks, and counts the bytes of all streams together.
+`ReceiptBook` is the receiver's.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from typing import TYPE_CHECKING
 
 from rsb_bridge.model.transports import QUEUES_LITTLE, Ages
+from rsb_bridge.wire.messages import MOST_RECEIPTS, Receipts
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable
 
 FIRST = 4 * 1024
 """Bytes in transit at the beginning, plus one turn: 0.8 s of 5 kB/s, as `Ages.late`. On the simulated tunnel of
@@ -30,6 +37,9 @@ _PARTS = 4
 the simulated paths, in no order. In the tunnel, 4 cost 5 receipts a second, and 8 cost 10."""
 FIRST_RECEIPT = 512
 """Bytes after which a receiver sends a receipt by itself: few, to measure the round trip before a queue builds up."""
+_RECEIPTS_APART = 0.005
+"""s between two messages with receipts: at most 200 a second, however many streams have news. A round figure, far below
+the ages that the window tells apart (0.1 s and more)."""
 
 _FARTHEST, _FARTHEST_PINGED = 2.0, 4.0
 """Longest round trips (s) of a path without a queue: by itself, and if pings took as long; more counts as waiting. Both
@@ -56,7 +66,7 @@ simulated paths show no difference."""
 _MARKS_PER_WINDOW, _MARK_EVERY = 64, 0.02
 """A mark after each such part of the window, or after so many s: ages are exact to the smaller of the two. Round
 figures: 4 to 1,024 marks, and 2 to 200 ms, make no difference on the simulated paths."""
-_MOST_MARKS, _MOST_RECEIPTS = 1024, 64
+_MOST_MARKS, _LAST_RECEIPTS = 1024, 64
 """Entries that are kept: a peer that acknowledges nothing, or each byte, takes no more memory."""
 
 
@@ -78,7 +88,7 @@ class Window:
         self._acknowledged = 0
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = 0, float("-inf")
-        self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
+        self._receipts: deque[tuple[int, float]] = deque(maxlen=_LAST_RECEIPTS)
         self.expect(0.0)
         self._before_shrinking: tuple[int, float] | None = None  # bytes sent until then, and s that data took
 
@@ -238,3 +248,82 @@ class ReceiptCounter:
     def has_news(self) -> bool:
         """Whether bytes came since the last receipt."""
         return self.count != self._sent
+
+
+class ReceiptBook:
+    """Collects a link's receipts, and sends them together: if one is due, all other streams' receipts go with it.
+
+    The window cannot tell bytes that nobody has acknowledged yet from bytes that wait on the way. On a slow link, a
+    stream with few bytes would keep them unacknowledged for a second.
+
+    Args:
+        way_back: gives the s that a message of the peer takes to get here.
+        ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        send: Callable[[Receipts], None],
+        way_back: Callable[[], float] = float,
+        ping: Callable[[], float] = float,
+    ) -> None:
+        self.now = loop.time
+        self.way_back = way_back
+        self.ping = ping
+        self._loop = loop
+        self._send = send
+        self._counters: dict[int, ReceiptCounter] = {}
+        self._received: dict[int, int] = {}
+        self._every: dict[int, int] = {}
+        self._sent_at = float("-inf")
+        self._timer: asyncio.TimerHandle | None = None
+
+    def add(self, stream: int, counter: ReceiptCounter) -> None:
+        """Acknowledge the bytes of a stream from now on."""
+        self._counters[stream] = counter
+
+    def report(self) -> None:
+        """Send a receipt for all streams on which bytes came since their last one."""
+        # A count that still waits for its message is replaced: the newer one covers it.
+        self._received.update((stream, each.next_receipt()) for stream, each in self._counters.items() if each.has_news)
+        self._soon()
+
+    def ask(self, stream: int, every: int) -> None:
+        """Ask for a receipt after every `every` bytes of a stream."""
+        self._every[stream] = every
+        self._soon()
+
+    def forget(self, stream: int) -> None:
+        """Drop the entries of a stream that is over."""
+        self._counters.pop(stream, None)
+        self._received.pop(stream, None)
+        self._every.pop(stream, None)
+
+    def close(self) -> None:
+        """Drop all entries at the end of the connection."""
+        self._counters.clear()
+        self._received.clear()
+        self._every.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _soon(self) -> None:
+        if self._timer is None:
+            # The first one goes at once: what it waits would count as the path's round trip.
+            wait = self._sent_at + _RECEIPTS_APART - self.now()
+            if wait <= 0:
+                self._flush()
+            else:
+                self._timer = self._loop.call_later(wait, self._flush)
+
+    def _flush(self) -> None:
+        self._timer = None
+        self._sent_at = self.now()
+        received, every = tuple(self._received.items()), tuple(self._every.items())
+        self._received.clear()
+        self._every.clear()
+        for first in range(0, max(len(received), len(every)), MOST_RECEIPTS):
+            part = slice(first, first + MOST_RECEIPTS)
+            self._send(Receipts(received=received[part], every=every[part]))

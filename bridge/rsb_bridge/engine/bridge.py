@@ -26,9 +26,8 @@ from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
 from rsb_bridge.engine.viewing import Viewing
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.graph_watch import GraphWatch
+from rsb_bridge.link.graph_watch import Follower, GraphWatch, NameWatch
 from rsb_bridge.link.link import link_named, topics_of_peer
-from rsb_bridge.link.name_watch import NameWatch
 from rsb_bridge.link.reloading import ReloadStep
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.model import commands
@@ -60,7 +59,6 @@ if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
-    from rsb_bridge.link.name_watch import Follower
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Client, Session
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription

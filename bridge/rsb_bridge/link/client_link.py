@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.config.rights import rights_of_server
-from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
+from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn, ServerSearch, failure_of_search, unproven_servers
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, server_refusal, with_remedy
-from rsb_bridge.link.server_search import ServerSearch, failure_of_search, unproven_servers
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level

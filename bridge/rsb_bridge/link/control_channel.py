@@ -44,7 +44,7 @@ _MOST_WAITING = 8 * CONTROL_LIMIT
 _AT_ONCE = 8
 """Units of work that are done before the I/O loop does other work. An event is one, as it may create a DDS endpoint,
 which takes 0.5 ms; further ones are each further endpoint, each `_BYTES_A_UNIT` and each `_ENTRIES_A_UNIT` of it.
-Nothing more is done after a whole slice of a message (`in_slices`)."""
+Nothing more is done after a whole slice of a message (`entries_in_slices`)."""
 _BYTES_A_UNIT = 1 << 10
 """Bytes of any message that are decoded in 0.5 ms."""
 _ENTRIES_A_UNIT = 8
@@ -57,7 +57,7 @@ _ENTRIES, _ENTRIES_A_SECOND = 40_000, 10_000.0
 and up to ten times as often at high rates. A steady flood of entries takes a fifth of the thread's time."""
 
 
-def in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> Slices:
+def entries_in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> Slices:
     """Process a long list of the peer in slices, between which other links have their turn.
 
     Args:

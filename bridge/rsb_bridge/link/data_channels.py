@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.data_stream import StreamPair, stream_channel
-from rsb_bridge.channel.receipts import ReceiptBook
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import PathProbe
-from rsb_bridge.channel.window import Window
+from rsb_bridge.channel.window import ReceiptBook, Window
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.transport import RECEIVE_BUFFER

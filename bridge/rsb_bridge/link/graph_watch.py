@@ -1,38 +1,64 @@
-"""Has routes look at the ROS graph when it has changed, few enough at a time that no message waits."""
+"""Looks at this side's ROS graph when it has changed: for its routes, and for names that match patterns."""
 
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from rsb_bridge.model.calls import LANES
+from rsb_bridge.model.patterns import is_hidden
+from rsb_bridge.model.session import Kind
+from rsb_bridge.model.sources import OF_EVERY_NODE
+from rsb_bridge.ros.ros_graph import agreed_type, called_in
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.tasks import SLICE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.link.link import Link
+    from rsb_bridge.link.base_link import BaseLink
+    from rsb_bridge.model.patterns import Pattern
+    from rsb_bridge.ros.ros_interface import Endpoint
 
-_LOOK_EVERY = 0.25
+_ROUTES_EVERY = 0.25
 """s between two looks at the least; a robot that starts changes its graph a hundred times a second."""
-_SHARE = 10
+_ROUTES_SHARE = 10
 """Looking takes at most one part in this many of the time, however many routes there are, until the longest pause."""
-_LONGEST_PAUSE = 2.0
+_ROUTES_LONGEST_PAUSE = 2.0
 """s. A round figure: on a slow machine with many routes, a new node is bridged so much later at worst."""
 _MATCHED_AFTER = 1.0
 """s after the last change: by then DDS has matched the endpoints that discovered each other."""
-_ALWAYS_AFTER = 10.0
+_ROUTES_ALWAYS_AFTER = 10.0
 """s after which routes look even without a change, in case one was missed. A round figure."""
+_NAMES_EVERY = 1.0
+"""s between two looks at the least: a Followed comes once a second at most (PROTOCOL.md, 11)."""
+_NAMES_SHARE = 20
+"""Looking takes at most one part in this many of the time, until the longest pause."""
+_NAMES_LONGEST_PAUSE = 10.0
+"""s. Round figures: nothing was measured. On a slow machine, a name is found so much later at worst."""
+_NAMES_ALWAYS_AFTER = 60.0
+"""s after which it looks even without a change, in case one was missed."""
+
+Named = tuple[Kind, str]
+"""The kind of a name, and the name."""
+Names = dict[Named, str]
+"""The names of a graph, with their types."""
 
 
 class GraphWatch:
     """Advances all open routes: soon after a change of the graph, again when it has settled, and now and then.
 
+    It advances few at a time, so that no message waits.
+
     Args:
         look_for_names: starts the search for names after a change.
     """
 
-    def __init__(self, context: Context, links: Callable[[], list[Link]], look_for_names: Callable[[], None]) -> None:
+    def __init__(
+        self, context: Context, links: Callable[[], Iterable[BaseLink]], look_for_names: Callable[[], None]
+    ) -> None:
         self._context = context
         self._links = links
         self._look_for_names = look_for_names
@@ -51,17 +77,17 @@ class GraphWatch:
         try:
             while True:
                 try:
-                    async with asyncio.timeout(_ALWAYS_AFTER):
+                    async with asyncio.timeout(_ROUTES_ALWAYS_AFTER):
                         await self._due.wait()
                 except TimeoutError:
                     pass
                 else:
-                    self._look_for_names()  # not after a timeout: `name_watch` has one of its own
+                    self._look_for_names()  # not after a timeout: `NameWatch` has one of its own
                 # Before the look: routes that have been asked already have to look again after a further change.
                 self._due.clear()
                 self._noted = False
                 cost = await self._advance_routes()
-                await asyncio.sleep(max(_LOOK_EVERY, min(_LONGEST_PAUSE, cost * (_SHARE - 1))))
+                await asyncio.sleep(max(_ROUTES_EVERY, min(_ROUTES_LONGEST_PAUSE, cost * (_ROUTES_SHARE - 1))))
         finally:
             if self._settled is not None:
                 self._settled.cancel()
@@ -86,3 +112,113 @@ class GraphWatch:
                 cost += now() - began
                 await asyncio.sleep(0)
         return cost
+
+
+class Follower(Protocol):
+    """A user of the graph's names."""
+
+    def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
+        """Return the patterns of the names that it wants."""
+
+    def update_names(self, names: Names) -> None:
+        """Take the present names of the graph that match any follower's patterns."""
+
+
+class _Found(NamedTuple):
+    """A name that matches, with its publishers or providers."""
+
+    named: Named
+    type_name: str
+    ends: Sequence[Endpoint]
+
+
+class NameWatch:
+    """Searches the graph for all followers at once. A name is matched once, and again only if the patterns change.
+
+    Names that only bridges publish or provide are left out, so that no pattern returns what another pattern or another
+    bridge has brought. To pass such a topic on, list it by its name.
+    """
+
+    def __init__(self, context: Context, followers: Callable[[], Iterable[Follower]]) -> None:
+        self._context = context
+        self._followers = followers
+        self._due = asyncio.Event()
+        self._asked: frozenset[tuple[Kind, str]] = frozenset()
+        self._patterns: dict[Kind, list[Pattern]] = {}
+        self._known: dict[Named, bool] = {}
+
+    def changed(self) -> None:
+        """Search soon: the graph or a follower's patterns have changed. Call it on the I/O thread."""
+        self._due.set()
+
+    async def run(self) -> None:
+        """Search again and again, for ever."""
+        now = self._context.now
+        while True:
+            try:
+                async with asyncio.timeout(_NAMES_ALWAYS_AFTER if self._asked else None):
+                    await self._due.wait()
+            except TimeoutError:
+                pass
+            self._due.clear()  # before the look: a change meanwhile calls for another one
+            began = now()
+            await self._search_graph()
+            await asyncio.sleep(max(_NAMES_EVERY, min(_NAMES_LONGEST_PAUSE, (now() - began) * (_NAMES_SHARE - 1))))
+
+    async def _search_graph(self) -> None:
+        self._collect()
+        found: list[_Found] = []
+        if self._asked:
+            try:
+                found = await asyncio.to_thread(self._search)
+            except RosError:
+                return  # it is about to stop
+        names = {each.named: each.type_name for each in found if self._is_a_programs(each)}
+        for follower in tuple(self._followers()):
+            follower.update_names(names)
+
+    def _collect(self) -> None:
+        wanted = {(kind, p.text): p for each in self._followers() for kind, p in each.patterns_here()}
+        if wanted.keys() != self._asked:
+            self._asked = frozenset(wanted)
+            self._known = {}
+            self._patterns = {}
+            for (kind, _), pattern in wanted.items():
+                self._patterns.setdefault(kind, []).append(pattern)
+
+    def _search(self) -> list[_Found]:
+        """Return what matches. Runs on another thread."""
+        ros, session = self._context.ros, self._context.session
+        before, self._known = self._known, {}  # which names match; names that are gone are forgotten
+        own = session.own_topics
+        topics = ros.topics() if "topic" in self._patterns else ()
+        found = [
+            _Found(("topic", name), agreed_type(publishers)[0], publishers)
+            for name in topics
+            if name not in own and self._matches(("topic", name), before) and (publishers := ros.publishers(name))
+        ]
+        kinds = [kind for kind in self._patterns if kind != "topic"]
+        for entry in called_in(ros, kinds) if kinds else ():
+            if entry.publishers and self._matches((entry.kind, entry.topic), before):
+                servers = ros.servers(entry.topic + LANES[entry.kind][0].suffix)
+                found.append(_Found((entry.kind, entry.topic), entry.type_name, servers))
+        return found
+
+    def _matches(self, named: Named, before: dict[Named, bool]) -> bool:
+        if (known := before.get(named)) is not None:
+            self._known[named] = known
+            return known
+        kind, name = named
+        never = is_hidden(name) or name in OF_EVERY_NODE
+        self._known[named] = not never and any(each.match(name) is not None for each in self._patterns[kind])
+        return self._known[named]
+
+    def _is_a_programs(self, found: _Found) -> bool:
+        """Whether a known node that is no bridge has the name."""
+        announcements = self._context.announcements
+        kind, name = found.named
+        if kind == "topic":
+            origin_of = announcements.origin_of
+        else:
+            origin_of = partial(announcements.origin_of_server, service=name + LANES[kind][0].suffix)
+        return any((origin := origin_of(end)) is not None and not origin.via for end in found.ends)

@@ -1,33 +1,49 @@
-"""One peer with its routes, and all features of a link. Clients and servers add how it is connected."""
+"""One peer with its routes, their channels and reports, and all other features of a link.
+
+Clients and servers add how it is connected.
+"""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
+from rsb_bridge.channel.datagram_channel import datagram_channel
 from rsb_bridge.link.base_link import BaseLink
+from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.link_bench import LinkBench
 from rsb_bridge.link.link_patterns import LinkPatterns
 from rsb_bridge.link.link_views import LinkViews
-from rsb_bridge.link.proposed_topics import ProposedTopics
+from rsb_bridge.link.proposed_routes import ProposedTopics
 from rsb_bridge.link.questions import TopicLists, TypeQuestions
-from rsb_bridge.link.route_channels import RouteChannels
-from rsb_bridge.link.route_reports import RouteReports
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import LinkSnapshot
+from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.meters import ClockOffset
-from rsb_bridge.wire.messages import Neighbours
+from rsb_bridge.transport.transport import StreamTransport
+from rsb_bridge.wire.codec import ReportParts, report_entries
+from rsb_bridge.wire.messages import Neighbours, Report
+from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    import asyncio
+    from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.context import Context
+    from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.demands import DemandSource
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import TopicInfo
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.records import FullRecord, PathRecord
+
+_REPORTED_AT_ONCE = 250
+"""Routes in one message, which must not exceed its limit even with the longest texts (PROTOCOL.md section 1)."""
+_EARLY = 0.1
+"""Seconds from `RouteReports.add` to the report: messages that a killed receiver had not reported count as unknown."""
 
 
 class Neighbourhood(Extension):
@@ -57,6 +73,137 @@ class Neighbourhood(Extension):
         self._link.bridges = self._told = ()
 
 
+class RouteChannels(Extension):
+    """Gives a link's routes their channels, as soon as the streams or the UDP channel that carry them are open.
+
+    Attributes:
+        awaiting: the routes that wait for streams, by their transport and port, then by the ids of their openings.
+    """
+
+    def __init__(self, link: BaseLink) -> None:
+        self.awaiting: dict[tuple[str, int], dict[int, Route]] = {}
+        self._link = link
+        self._carriers = link.channels
+
+    def disconnected(self) -> None:
+        self.awaiting.clear()
+
+    def open(self, route: Route) -> None:
+        """Open the channel of a route, or begin to."""
+        port, transport, carriers = route.proposal.port or self._link.shared_port(), route.transport, self._carriers
+        if isinstance(transport, StreamTransport):
+            self._use_streams(route, transport, port)
+            return
+        udp_channel = carriers.udp.get(port)
+        if udp_channel is None and (udp_channel := self._link.open_udp_channel(transport, port)) is not None:
+            carriers.udp.open(port, udp_channel)
+        # Without one, a client tries again, and a server waits for its client's probe; both then call `udp_ready`.
+        if udp_channel is not None:
+            assert carriers.keys is not None
+            assert carriers.scheduler is not None
+            route.channel = datagram_channel(udp_channel, route, carriers.keys, carriers.scheduler)
+
+    def _use_streams(self, route: Route, transport: StreamTransport, port: int) -> None:
+        pair = self._carriers.pair_of(transport.name, port)
+        if pair is not None:
+            self._carriers.carry(route, pair)
+            return
+        self.awaiting.setdefault((transport.name, port), {})[route.id] = route
+        self._link.open_streams(transport, port)
+
+    def streams_opened(self, transport: str, port: int) -> None:
+        """Open the channels of the routes that wait for streams, if these are complete."""
+        pair = self._carriers.pair_of(transport, port)
+        if pair is None:
+            return
+        for route in self._take_awaiting(transport, port):
+            self._carriers.carry(route, pair)
+            route.advance()
+
+    def streams_failed(self, transport: str, port: int, reason: str) -> None:
+        """Report to the routes that wait for streams that these cannot be opened."""
+        for route in self._take_awaiting(transport, port):
+            route.channel_lost(reason)
+
+    def _take_awaiting(self, transport: str, port: int) -> Iterator[Route]:
+        """Yield the routes that wait for streams, and for which nothing else has come first; none of them waits on."""
+        for route_id, route in self.awaiting.pop((transport, port), {}).items():
+            if route.id == route_id and route.channel is None:  # else it was closed meanwhile
+                yield route
+
+    def udp_ready(self) -> None:
+        """Advance the routes that wait for a UDP channel: one has found its path, or can be opened now."""
+        self._link.spawn(self._advance())
+
+    async def _advance(self) -> None:
+        def advance(route: Route) -> None:
+            if route.id:  # a slice before this one may have closed it
+                route.advance()
+
+        await in_slices(self._link.ids.open_routes(), advance)  # hundreds may wait for the same path
+
+
+def _reports(
+    routes: Iterable[Route], full: FullRecord | None = None, path: PathRecord | None = None
+) -> Iterator[Report]:
+    """Yield the counts that the peer does not know yet, and the link's fullness and path if they have changed."""
+    news = [route.news() for route in routes if route.life.accepted]  # the other side may not know the others yet
+    sent = [each for each in news if isinstance(each, SentReport)]
+    received = [each for each in news if isinstance(each, ReceivedReport)]
+    calls = [each for each in news if isinstance(each, CallsReport)]
+    if full is not None or path is not None:
+        yield Report(sent=(), received=(), full=full, path=path)
+    for first in range(0, max(len(sent), len(received), len(calls)), _REPORTED_AT_ONCE):
+        part = slice(first, first + _REPORTED_AT_ONCE)
+        yield Report(sent=tuple(sent[part]), received=tuple(received[part]), calls=tuple(calls[part]))
+
+
+class RouteReports(Extension):
+    """Exchanges the routes' counts with the peer once a second. Early ones go together, at most ten times a second."""
+
+    def __init__(self, link: BaseLink) -> None:
+        self.messages = {Report: self._receive, ReportParts: self._receive}
+        self._link = link
+        self._due: set[Route] = set()
+        self._timer: asyncio.TimerHandle | None = None
+
+    def add(self, route: Route) -> None:
+        """Report a route within `_EARLY` s. May be called for every batch."""
+        self._due.add(route)
+        if self._timer is None:
+            self._timer = self._link.context.loop.call_later(_EARLY, self._report_early)
+
+    def _report_early(self) -> None:
+        self._timer = None
+        due, self._due = self._due, set()
+        for report in _reports(due):
+            self._link.send(report)
+
+    def disconnected(self) -> None:
+        self._due.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def tick(self) -> None:
+        if self._link.linked:
+            routes = [route for route in self._link.routes.values() if not route.idle]
+            for report in _reports(routes, self._link.fullness.next_record(), self._link.path.next_record()):
+                self._link.send(report)
+
+    def _receive(self, report: Report | ReportParts) -> Slices:
+        if report.full is not None:
+            self._link.fullness_watch.take_record(report.full, self._link.peer_name)
+        if report.path is not None:
+            self._link.path.take_record(report.path, self._link.peer_name)
+        return entries_in_slices(report_entries(report), self._receive_entry)
+
+    def _receive_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:
+        route = self._link.ids.open_route(entry.route)
+        if route is not None and isinstance(entry, route.peer_report):  # a peer may report as the half that is here
+            route.reported(entry)
+
+
 class Link(BaseLink):
     """A peer, its routes and the link's features. It lives on while the peer is away.
 
@@ -84,8 +231,8 @@ class Link(BaseLink):
             TypeQuestions(context.descriptions, self.ids.open_route, self.send, self.spawn)
         )
         self.table.compare_types = self.type_questions.compare
-        self.bench = self.extend(LinkBench(self, self.table, self.proposed))
-        self.views = self.extend(LinkViews(self, self.table, self.proposed))
+        self.bench = self.extend(LinkBench(self, self.table))
+        self.views = self.extend(LinkViews(self, self.table))
         context.demands.register(self)
 
     @property

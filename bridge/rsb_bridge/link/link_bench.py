@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.extension import Extension
-from rsb_bridge.link.internal_routes import InternalRoutes
+from rsb_bridge.link.proposed_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.benchmark import (
     LEAST_SIZE,
@@ -23,7 +23,6 @@ from rsb_bridge.model.benchmark import (
     Usage,
 )
 from rsb_bridge.model.purposes import BENCH
-from rsb_bridge.model.session import Topic
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.internal_ends import BenchArrivals, BenchDrain, BenchSource, Time, resources
 from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.benchmark import BenchmarkLimits, BenchmarkStep
     from rsb_bridge.ros.ros_interface import Sink
@@ -133,12 +131,11 @@ class LinkBench(Extension):
 
     purpose = BENCH
 
-    def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
+    def __init__(self, link: BaseLink, table: RouteTable) -> None:
         context = self._context = link.context
         self._link = link
         self._table = table
-        self._proposed = proposed
-        self._internal = InternalRoutes(link, BENCH, self._source, self._drain)
+        self._internal = InternalRoutes(link, table, BENCH, self._source, self._drain)
         self._clocks = Time(context.clock.time_ns)
         self._now = context.now
         self._budget = BenchBudget(self._now)
@@ -257,8 +254,7 @@ class LinkBench(Extension):
         rate = max(0.0, count - _MORE_AT_ONCE) / _MORE
         self._end_refused(rate)
         if not self._busy and self._now() - self._used_at > _IDLE_FOR:
-            for route in self._internal.proposed(here=True):
-                self._table.remove(route, _ENDED)
+            self.end()
 
     def _come(self) -> int:
         """Return how many messages the peer has sent since the last tick, on closed routes, too."""
@@ -381,17 +377,10 @@ class LinkBench(Extension):
         if route is None:
             if self._internal.proposed(here=False):
                 raise LinkError("the other side is measuring the link: try again later")
-            protocol: Any = order.transport or None
-            entry = Topic(
-                name,
-                order.direction,
-                protocol=protocol,
-                qos=_DEPTH,
-                compression="none",  # of the zeros in its messages nothing would be left
-                stale_after=0.0,
-                late_after=0.0,
+            # Not compressed: of the zeros in its messages nothing would be left.
+            route = self._internal.open(
+                name, order.direction, depth=_DEPTH, compression="none", transport=order.transport
             )
-            route = self._proposed.add_internal(BENCH, entry)
         if not await self._internal.opened(route):
             raise LinkError(_why_not(route))
         return route

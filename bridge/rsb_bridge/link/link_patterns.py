@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.link.name_watch import Named, Names
-    from rsb_bridge.link.proposed_topics import ProposedTopics
+    from rsb_bridge.link.graph_watch import Named, Names
+    from rsb_bridge.link.proposed_routes import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route

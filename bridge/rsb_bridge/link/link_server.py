@@ -12,11 +12,11 @@ import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
+from rsb_bridge.link.connecting import ServerSearch
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections, Rejected
 from rsb_bridge.link.refused_clients import CAUSES, RefusedClients
 from rsb_bridge.link.server_link import UNKNOWN_ROUTE, DescriptorShare, ServerLink
-from rsb_bridge.link.server_search import ServerSearch
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rsb_bridge.link.connecting import unproven_servers
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.refused_clients import DuplicateClients
-from rsb_bridge.link.server_search import unproven_servers
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause, clocks_differ
 

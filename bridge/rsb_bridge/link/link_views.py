@@ -15,7 +15,7 @@ import msgspec
 from rsb_bridge.config.rights import Use
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.extension import Extension
-from rsb_bridge.link.internal_routes import InternalRoutes
+from rsb_bridge.link.proposed_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.link.topic_view import TopicView, check_names
 from rsb_bridge.model.codes import EventCode
@@ -28,7 +28,6 @@ from rsb_bridge.model.pictures import (
     encode_picture,
 )
 from rsb_bridge.model.purposes import VIEW
-from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
@@ -38,7 +37,6 @@ from rsb_bridge.wire.messages import Look, LookAnswer
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.pictures import Wish
     from rsb_bridge.route.route import Route
@@ -85,12 +83,11 @@ class LinkViews(Extension):
 
     purpose = VIEW
 
-    def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
+    def __init__(self, link: BaseLink, table: RouteTable) -> None:
         self._context = link.context
         self._link = link
         self._table = table
-        self._proposed = proposed
-        self._internal = InternalRoutes(link, VIEW, PictureSource, PictureSink)
+        self._internal = InternalRoutes(link, table, VIEW, PictureSource, PictureSink)
         self.messages = {Look: self._asked, LookAnswer: self._answered}
         self._questions: Questions[LookAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
         self._request = 0
@@ -196,18 +193,12 @@ class LinkViews(Extension):
         if len(self._internal.proposed(here=True)) >= VIEWS_OF_PEER:
             raise LinkError(ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER))
         self._number += 1
-        transport = self._context.transports.of_link(self._context.session.server_ip)
-        entry = Topic(
-            VIEW.route_name(str(self._number)),
-            "receive" if self._link.is_client else "transmit",
-            protocol=transport.name,
-            qos=1,
-            compression="zstd",
-            stale_after=0.0,
-            late_after=0.0,
-            priority="low",
-        )  # fmt: skip
-        view = PeerView(self._proposed.add_internal(VIEW, entry))
+        name = VIEW.route_name(str(self._number))
+        view = PeerView(
+            self._internal.open(
+                name, "receive" if self._link.is_client else "transmit", depth=1, compression="zstd", priority="low"
+            )
+        )
         try:
             await self._opened(view)
         except BaseException:  # the asker may be cancelled

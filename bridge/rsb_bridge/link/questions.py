@@ -16,7 +16,7 @@ import zstandard
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, hash_of_text
 from rsb_bridge.cdr.type_difference import difference_of_texts
-from rsb_bridge.link.control_channel import in_slices
+from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.proposals import KINDS
@@ -282,7 +282,7 @@ class TopicLists(Extension):
         if not self._questions.awaited(message.request):  # a list that nobody waits for is not even unpacked
             return 0
         entries: list[TopicEntry] = []
-        last = yield from in_slices(topic_entries(message.topics), entries.append)
+        last = yield from entries_in_slices(topic_entries(message.topics), entries.append)
         self._questions.answered(message.request, tuple(entries))
         return last
 

@@ -10,8 +10,8 @@ These are no gates:
 - the check of contents (`message_check`), which follows the first gates and precedes the last ones. It stops at the
   wrong field, and operators read the field's name: so it raises an error with that text, as unpacking does. A gate
   around it would make the way of a received message 8 % longer (of 16 that come together, 0.49 µs each).
-- `throttle.LatestLater`, the rate limit of a latched topic: it sends the newest message later instead of dropping it.
-- `throttle.LastLater`, which does so with the last message before a silence, of a topic that moves a robot.
+- `rate_limit.LatestLater`, the rate limit of a latched topic: it sends the newest message later instead of dropping it.
+- `rate_limit.LastLater`, which does so with the last message before a silence, of a topic that moves a robot.
 - a full queue and a lost link: no rule keeps these messages back.
 """
 
@@ -40,9 +40,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.lifecycle import PauseState
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.peer import CallBudget
-    from rsb_bridge.route.rate_limit import AllowedRates
+    from rsb_bridge.route.rate_limit import AllowedRates, LastLater, Throttle
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.throttle import LastLater, Throttle
     from rsb_bridge.route.topic_route import TopicRoute
     from rsb_bridge.wire.framing import Message
 

@@ -30,7 +30,7 @@ from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Un
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
 from rsb_bridge.route.source_publishers import PublicationSpec, SlowSubscriberError, SourcePublishers, bounded
-from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.topic_route import Signs, TopicRoute
 from rsb_bridge.route.topic_verdict import TopicProgress
 from rsb_bridge.route.type_versions import CompareTypes, TypeClash, TypeVersion, unknown_difference
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.gates import LastLook
-    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
 
 _INCOMPLETE_IN_A_ROW = 3

@@ -36,7 +36,7 @@ _LONGEST_DELAY = 3600.0
 _LONGEST_UNDER_WAY = 60.0
 """s; a message that takes longer counts as lost."""
 _REPORTED_EVERY = 1.0
-"""s between the receiver's reports (`link.route_reports`)."""
+"""s between the receiver's reports (`link.link.RouteReports`)."""
 _MOST_MARKS = 600
 """Marks of ten minutes without a report. The age is that of the oldest mark."""
 _USUAL = 0.1

@@ -24,7 +24,7 @@ from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath
-from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
+from rsb_bridge.route.topic_route import MEASURED_FOR, Signs, TopicRoute
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.route.topic_verdict import TopicProgress
 from rsb_bridge.route.type_versions import TypeVersion
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.topic_verdict import Facts
     from rsb_bridge.telemetry.watches import Loss

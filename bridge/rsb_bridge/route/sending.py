@@ -19,8 +19,8 @@ from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
 from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
+from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
 from rsb_bridge.route.route import rank_of
-from rsb_bridge.route.throttle import LastLater, LatestLater, Throttle
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message
 
 if TYPE_CHECKING:

@@ -1,23 +1,21 @@
-"""One topic in one direction over one link: the base of its sending and its receiving half."""
+"""One topic in one direction over one link: the base of both halves, with watches of silence, rest and traffic."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.cdr.resting import DRIVING_TYPES
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.on_end import NONE, ZERO, more_careful
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import EXPIRES, Cause
-from rsb_bridge.route.idling import Idling
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
-from rsb_bridge.route.traffic import TrafficMeter
 from rsb_bridge.route.type_versions import TypeVersion
-from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
+from rsb_bridge.telemetry.meters import HISTORY, LatencyMeter, Smoothed, StaleWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +26,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.topic_verdict import TopicProgress
     from rsb_bridge.wire.messages import Propose
@@ -62,6 +59,19 @@ _DRAINS_FOR = 60.0
 _CALM = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED})
 """States that last until something happens, or until silence has lasted too long."""
 _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
+IDLE_AFTER = float(HISTORY)
+"""s without any change after which a route is idle. By then its rate is 0 and its plot is empty."""
+IDLE_AT_MOST = 15.0
+"""s that a route is idle at most: its signs may not show everything, and its figures should not be older."""
+_AWAKE = 0.9
+"""s after a tick before it is idle again, so that it is also reported and shown."""
+Signs: TypeAlias = tuple[object, ...]
+"""What a route's verdict and its figures follow from; they are equal while nothing happens."""
+_PER_MESSAGE = 60
+"""Bytes on the wire in addition to a message's content: header, seal, and a part of the packets' headers."""
+_SIZE_FADES = 0.8
+"""The part of the messages so far that still counts a second later, for the size of the average one: it is of about
+five seconds. Nothing was measured."""
 
 
 class SilenceWatch:
@@ -125,6 +135,71 @@ class SilenceWatch:
     def stale_since(self, now: float) -> float | None:
         """`quiet_since` if that is too long ago at `now` (s), else None."""
         return self._watch.quiet_since if self._watch.stale(now) else None
+
+
+class Idling:
+    """Whether a route is idle, so that hundreds of quiet ones cost next to nothing.
+
+    An idle route is not ticked or reported, and is shown again only for somebody who looks.
+
+    The rule: its signs have been the same for `IDLE_AFTER`, and time alone changes nothing before its next tick.
+    Messages do not have to tell of themselves: their count is one of the signs.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._random = context.random
+        self._signs: Signs = ()
+        self._since = self._from = self._until = context.now()
+
+    def ticked(self, signs: Signs, now: float, changes_at: float) -> None:
+        """Decide after a tick how long it is idle.
+
+        Args:
+            changes_at: time (s) at which time alone changes the verdict, `now` if it may at any moment, or infinite.
+        """
+        if signs != self._signs:
+            self._signs, self._since = signs, now
+        self._from = self._until = now
+        if now - self._since >= IDLE_AFTER:
+            self._from += _AWAKE
+            # Routes that came together do not wake together.
+            self._until = min(now + self._random.uniform(IDLE_AT_MOST / 2, IDLE_AT_MOST), changes_at)
+
+    def lasts(self, signs: Callable[[], Signs], now: float) -> bool:
+        """Whether the route is idle at `now` (s)."""
+        return self._from <= now < self._until and signs() == self._signs
+
+
+class TrafficMeter:
+    """Measures what one sending half wants to send.
+
+    Attributes:
+        offered: messages that the topic wanted to send since the last look, within its own rate limit.
+    """
+
+    def __init__(self, now: float) -> None:
+        self.offered = 0
+        self._messages = self._bytes = 0.0  # packed lately
+        self._size = 0.0
+        self._wanted = Smoothed(now)
+
+    def measure(self, now: float) -> float:
+        """Return the bytes/s that the topic has wanted to send since the last call. Called once a second."""
+        # Most of hundreds of topics are idle, and each is asked once a second.
+        if not self.offered and self._wanted.idle(now):
+            return 0.0
+        if self._messages:
+            self._size = _PER_MESSAGE + self._bytes / self._messages
+        self._wanted.add(self.offered, now)
+        self._messages *= _SIZE_FADES
+        self._bytes *= _SIZE_FADES
+        self.offered = 0
+        return self._wanted.rate * self._size
+
+    def packed(self, messages: int, size: int) -> None:
+        """Count messages that are sent, of `size` bytes together."""
+        self._messages += messages
+        self._bytes += size
 
 
 class TopicRoute(Route, Generic[ChannelT]):

@@ -14,7 +14,7 @@ from tests.fuzz.parser import Parser, check_text
 from tests.wire.links import CONTROL_HEADER, HELLO, WELCOME, established
 from tests.wire.test_messages import PLAIN
 
-from rsb_bridge.link.control_channel import in_slices
+from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.text import is_clean
@@ -68,7 +68,7 @@ def _read(decode: Callable[[bytes], Any], data: bytes) -> None:
 def _read_topics(data: bytes) -> None:
     entries: list[TopicEntry] = []
     try:
-        for _ in in_slices(topic_entries(zstandard.compress(data)), entries.append):
+        for _ in entries_in_slices(topic_entries(zstandard.compress(data)), entries.append):
             pass
     except ProtocolError as error:
         check_text(str(error), REASON_LENGTH)

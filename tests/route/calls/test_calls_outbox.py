@@ -9,7 +9,7 @@ import zstandard
 from tests.support import constants
 
 from rsb_bridge.model.calls import FEEDBACK, LANES, SEND_GOAL, STATUS
-from rsb_bridge.route.calls.calls_outbox import CallsOutbox
+from rsb_bridge.route.calls.calls_route import CallsOutbox
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.headers import CallFrame, What, unpack_call

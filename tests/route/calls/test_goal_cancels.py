@@ -15,8 +15,8 @@ from rsb_bridge.model.demands import Demands, sources_of_names
 from rsb_bridge.model.session import ArmedName
 from rsb_bridge.ros.ros_interface import RawMessage, Response, RosError
 from rsb_bridge.route.arming import Disarmed
-from rsb_bridge.route.calls.goal_cancels import GoalCancels
 from rsb_bridge.route.calls.kept_calls import CallIdentity
+from rsb_bridge.route.calls.providing_action import GoalCancels
 
 if TYPE_CHECKING:
     from collections.abc import Callable
