@@ -209,7 +209,7 @@ class DriverExporter:
         self._said = ""
         self._topic.open()
 
-    def tick(self, snapshot: Snapshot) -> None:
+    def publish(self, snapshot: Snapshot) -> None:
         """Publish if it is something new; to be called once a second."""
         before = self._clash
         if self._clashes(snapshot):
@@ -374,12 +374,12 @@ class Exporters:
         for _, start in self.by_key:
             start()
 
-    def tick(self, snapshot: Snapshot) -> None:
+    def publish(self, snapshot: Snapshot) -> None:
         """To be called once a second, with the newest snapshot."""
         if self._diagnostics.is_heard(snapshot):
             self._diagnostics.publish(diagnostics(snapshot))
-        self._driver.tick(snapshot)
-        self._fault_hook.tick(snapshot)
+        self._driver.publish(snapshot)
+        self._fault_hook.report(snapshot)
 
     def close(self) -> None:
         """Show nothing more, and wait for nothing: motions have yet to end. May be called twice."""

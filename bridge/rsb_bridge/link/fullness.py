@@ -99,7 +99,7 @@ class LinkFullness:
         self._sent = FullRecord()
         self._record = FullRecord()
 
-    def tick(self, topics: Collection[Asked], arrived: float, *, full: bool, peer: str) -> None:
+    def judge(self, topics: Collection[Asked], arrived: float, *, full: bool, peer: str) -> None:
         """Judge the direction from here. Called once a second.
 
         Args:
@@ -250,7 +250,7 @@ class FullnessWatch:
         self._counts: dict[OutgoingRoute, _Counts] = {}
         self._pings: deque[float] = deque(maxlen=_SHORTEST_PINGS)
 
-    def tick(self, keepalive: Keepalive, peer: str = "", *, lossy: bool = False) -> None:
+    def judge(self, keepalive: Keepalive, peer: str = "", *, lossy: bool = False) -> None:
         """Judge once a second, while linked.
 
         Args:
@@ -275,7 +275,7 @@ class FullnessWatch:
         overloaded = full and not lossy and not all(each.channel.grows for each in busy) and not self._is_measured()
         before = self._fullness.out
         # The link has carried the parts of incomplete messages, too, though nobody gets these.
-        self._fullness.tick(wanted, arrived + parts, full=overloaded, peer=peer)
+        self._fullness.judge(wanted, arrived + parts, full=overloaded, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.measure(received - self._received, now, at, full=False)
         self._received = received

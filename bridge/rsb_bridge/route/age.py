@@ -253,7 +253,7 @@ class MessageAge:
         """Messages that this side has dropped."""
         return self._counts.total()
 
-    def tick(self, messages: int, now: float) -> None:
+    def update(self, messages: int, now: float) -> None:
         """Update the figures, once a second, at `now` (s).
 
         Args:

@@ -130,7 +130,7 @@ class CombinedVerdict:
         self.since(verdict, now)
         if path is not None and path.of_topic(verdict.cause) is not None:
             return None
-        return self._announcer.tick(verdict, now)
+        return self._announcer.announce(verdict, now)
 
     def since(self, verdict: Verdict, now: float) -> float:
         """Return the beginning (s) of the state and cause of `verdict`, which is shown at `now` (s).
@@ -194,8 +194,8 @@ class Announcer:
         self._said_at: dict[tuple[EventCode, str], float] = {}
         self._heard = False
 
-    def tick(self, verdict: Verdict, now: float) -> StateEvent | None:
-        """Take the present verdict at `now` (s); what to say about it, if anything."""
+    def announce(self, verdict: Verdict, now: float) -> StateEvent | None:
+        """Return the event to log about the verdict at `now` (s), if any."""
         if (verdict.state, verdict.cause) != (self._candidate.state, self._candidate.cause):
             self._since = now
         self._candidate = verdict
