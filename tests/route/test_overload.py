@@ -137,5 +137,5 @@ def test_overload_ends_with_the_queue() -> None:
         overload.turns += 1
         overload.judge(tick / 10, 0.0, tick)
     assert overload.lasts
-    overload.over()
+    overload.reset()
     assert not overload.lasts

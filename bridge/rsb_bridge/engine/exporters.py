@@ -192,7 +192,7 @@ class DriverExporter:
         self._context = context
         self._look = look
         self._topic = _SessionTopic(context, "driver_topic", _DRIVER_TYPE, _LATCHED)
-        self._said = self._clash = ""
+        self._published = self._clash = ""
         self.close = self._topic.close
 
     def open(self) -> None:
@@ -206,7 +206,7 @@ class DriverExporter:
 
     def _open(self) -> None:
         # A new publisher has no latched message yet for late subscribers.
-        self._said = ""
+        self._published = ""
         self._topic.open()
 
     def publish(self, snapshot: Snapshot) -> None:
@@ -217,8 +217,8 @@ class DriverExporter:
         # The clash had closed it.
         if before:
             self._open()
-        if self._topic.is_open and (text := holders(snapshot)) != self._said:
-            self._said = text
+        if self._topic.is_open and (text := holders(snapshot)) != self._published:
+            self._published = text
             self._topic.publish({"data": text})
 
     def _clashes(self, snapshot: Snapshot) -> bool:

@@ -35,9 +35,9 @@ _WINDOW = 3
 """Ticks over which the arriving bytes are averaged: fewer than `_BEGINS`, so that a stall is no full link."""
 _OVERLOAD = 1.15
 """A full link is asked for more than so many times the arriving bytes. A round figure: nothing was measured."""
-_ALL = 0.95
+_CARRIED_SHARE = 0.95
 """Share of the asked bytes: a link that carries that much is not full, however short a time it does."""
-_FAR_LESS = 0.6
+_FULL_BELOW_SHARE = 0.6
 """Share of the asked bytes: if less arrives on average, the link is full even if the last tick brought more."""
 _AFTER_STALL = 6
 """Ticks after a stall in which the arriving bytes say nothing about the link's capacity. A round figure."""
@@ -49,17 +49,17 @@ _FASTEST = 1e12
 """bytes/s: a peer may report any figure."""
 _BUSY = 0.5
 """s for which a channel has not been idle."""
-_HELD_UP = 0.2
+_PING_RISE = 0.2
 """s that two pings one after the other take longer than the shortest one: one alone may be the radio's."""
-_POOR, _MUCH = 0.35, 50e3
+_MOSTLY_LOST_SHARE, _MOSTLY_LOST_RATE = 0.35, 50e3
 """The share of datagrams that arrive, and bytes/s of a topic, from which a link is full rather than poor, even if its
 queue is too short to hold anything up. Nothing was measured."""
-_LOSES, _QUEUES = 0.95, 0.2
+_OVERFLOW_SHARE, _OVERFLOW_DELAY = 0.95, 0.2
 """The share of datagrams that arrive, and s that they take longer than before, if they pass through a queue that
 overflows; a poor radio loses datagrams without holding up the others."""
 _DELAYED = 1.0
 """s of delay from which messages wait on the way, as by the default of `late_after`."""
-_MORE = 1.1
+_OWN_OVERLOAD = 1.1
 """Times what arrives. If less is asked for, the link carries it, and somebody else's traffic causes the delay."""
 _SHORTEST_PINGS = 60
 """Pings, one a second, of which the shortest met no queue. A round figure."""
@@ -111,7 +111,7 @@ class LinkFullness:
         self._arrived.append(arrived)
         carried = sum(self._arrived) / len(self._arrived)
         # After a stall, one tick brings less than is asked for, and the next ones bring all of it.
-        too_little = asked > _OVERLOAD * arrived or carried < _FAR_LESS * asked
+        too_little = asked > _OVERLOAD * arrived or carried < _FULL_BELOW_SHARE * asked
         self._stalled = max(0, self._stalled - 1)
         # If nothing arrives any more of what is asked for, the link stalls: a full one still carries some.
         if carried or not asked:
@@ -127,7 +127,7 @@ class LinkFullness:
         self._lately.append(arrived)
         shown = _mean_reported(self._lately)
         self._other = self._other + 1 if over != was else 0
-        carries_all = was and shown >= _ALL * asked
+        carries_all = was and shown >= _CARRIED_SHARE * asked
         if carries_all or self._other >= (_ENDS if was else _BEGINS):
             self._other = 0  # the decision is made: the next one takes as many ticks again
             was = not was
@@ -218,8 +218,8 @@ def _overflows(asking: _Asking) -> bool:
     share = asking.channel.arrived_share
     if share is None:
         return False
-    mostly_lost = share < _POOR and asking.traffic.bytes_per_second >= _MUCH
-    return mostly_lost or (share < _LOSES and asking.route.delays.longer >= _QUEUES)
+    mostly_lost = share < _MOSTLY_LOST_SHARE and asking.traffic.bytes_per_second >= _MOSTLY_LOST_RATE
+    return mostly_lost or (share < _OVERFLOW_SHARE and asking.route.delays.longer >= _OVERFLOW_DELAY)
 
 
 class _Counts(NamedTuple):
@@ -265,7 +265,7 @@ class FullnessWatch:
         arrived, parts, full = self._looked(asking)
         asked = sum(each.traffic.bytes_per_second for each in asking)
         # Where all that is asked for arrives, pings are held up by somebody else's traffic.
-        held_up = self._held_up(keepalive) and asked > _MORE * self._crossed
+        held_up = self._held_up(keepalive) and asked > _OWN_OVERLOAD * self._crossed
         full = full or held_up or self._delayed(asking, asked) or any(map(_overflows, asking))
         self._crossed = self.sending.measure(arrived, now, at, full=full)
         busy = [each for each in asking if each.traffic.bytes_per_second > 0.0]
@@ -328,7 +328,7 @@ class FullnessWatch:
 
     def _delayed(self, asking: Collection[_Asking], asked: float) -> bool:
         """Whether messages wait on the way, for example in a tunnel that accepts more than it carries."""
-        return asked > _MORE * self._crossed and any(each.route.delays.least >= _DELAYED for each in asking)
+        return asked > _OWN_OVERLOAD * self._crossed and any(each.route.delays.least >= _DELAYED for each in asking)
 
     def _is_measured(self) -> bool:
         """Whether a benchmark is open, which fills the link on purpose."""
@@ -344,5 +344,5 @@ class FullnessWatch:
         if rtt is None:
             return False
         self._pings.append(rtt)
-        before, self._held = self._held, rtt - min(self._pings) > _HELD_UP
+        before, self._held = self._held, rtt - min(self._pings) > _PING_RISE
         return before and self._held

@@ -190,7 +190,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
         self._advance()
         if self._subscription.spec is not None and (released := self._loop_filter.release()):
-            self._path.take(released)
+            self._path.receive(released)
 
     def _advance(self) -> None:
         if not self.life.accepted or self.paused:
