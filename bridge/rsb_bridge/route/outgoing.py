@@ -131,7 +131,10 @@ class Health:
 
 
 class OutgoingRoute(TopicRoute[SendingChannel]):
-    """Takes a topic's messages here and sends them to the peer."""
+    """Takes a topic's messages here and sends them to the peer.
+
+    It has more than 40 methods because 27 of them fill in hooks of `TopicRoute` and `Route`.
+    """
 
     peer_report = ReceivedReport
     outgoing: ClassVar[bool] = True
