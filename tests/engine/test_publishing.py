@@ -34,6 +34,7 @@ from rsb_bridge.model.command_origin import acting, on_console
 from rsb_bridge.model.commands import PauseTopics, Publish, ReleaseArmed, RemoveTopic, Restart, ShutDownLinks
 from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import ArmedName, Client, Topic
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.session.landing import Landing, LandingText
 
 if TYPE_CHECKING:
@@ -61,6 +62,11 @@ def publish(engine: Engine, fields: str, topic: str = "/cmd", **more: object) ->
         published = engine.do(Publish(topic, fields, **again)).result(30)  # type: ignore[arg-type]
     assert published.is_done
     return published
+
+
+def refuses(engine: Engine, command: Publish, problem: Wording) -> None:
+    with pytest.raises(EngineError, match=pattern(problem)):
+        engine.do(command).result(30)
 
 
 def armed(engine: Engine) -> bool:
@@ -289,19 +295,32 @@ def test_a_silent_console_ends_a_motion(bridge: Bridge, robot: Domain, pc: Domai
     holds(lambda: [each for each in speeds() if each] == moving and speeds()[-1] == 0.0, 0.5)
 
 
-@pytest.mark.usefixtures("long_lease")
-@pytest.mark.parametrize("topic", [Topic("/cmd", "receive"), Topic("/cmd", "receive", arm=True, max_age=0.0)])
-def test_only_an_armed_topic_with_young_messages_is_driven(
-    bridge: Bridge, pc: Domain, robot: Domain, consoles: Consoles, topic: Topic
-) -> None:
+def test_a_topic_without_arming_is_not_driven(bridge: Bridge, pc: Domain, robot: Domain) -> None:
     motors = robot.listener("/cmd", Twist)
     pc.publisher("/cmd", Twist)
-    server, client = bridge.both(topic)
-    if topic.arm:
-        eventually(lambda: can_be_armed(server, client))
-        consoles.arm(server)
-    with pytest.raises(EngineError, match=pattern(PublishProblem.NO_DEADMAN)):
-        publish(server, "", rest="linear: {x: 0}")
+    server, _ = bridge.both(Topic("/cmd", "receive"))
+    refuses(server, Publish("/cmd", "", rest="linear: {x: 0}"), PublishProblem.NO_DEADMAN)
+    assert not motors.payloads
+
+
+@pytest.mark.usefixtures("long_lease")
+def test_arming_is_asked_first_then_the_holder_the_deadman_the_limits_and_the_ticket(
+    bridge: Bridge, pc: Domain, robot: Domain, consoles: Consoles
+) -> None:
+    """The first command has none of them; each command has one more."""
+    motors = robot.listener("/cmd", Twist)
+    pc.publisher("/cmd", Twist)
+    server, client = bridge.both(replace(DRIVEN, max_age=0.0, limits=VelocityLimits(0.5, 1.0)))
+    eventually(lambda: can_be_armed(server, client))
+    command = Publish("/cmd", "linear: {x: 9}", rest="linear: {x: 0}")
+    with on_console("another"), acting("bert on pts/7"):
+        refuses(server, command, PublishProblem.NOT_ARMED)
+    consoles.arm(server)
+    with on_console("another"), acting("bert on pts/7"):
+        refuses(server, command, PublishProblem.ANOTHER_DRIVES)
+    refuses(server, command, PublishProblem.NO_DEADMAN)
+    refuses(server, replace(command, rest=""), PublishProblem.BEYOND_LIMITS)
+    assert not server.do(replace(command, rest="", fields="")).result(30).is_done
     assert not motors.payloads
 
 
