@@ -105,7 +105,7 @@ def test_arming_is_asked_first_then_the_holder_the_deadman_the_limits_and_the_ti
 
     def refuses(engine: Engine, speed: float, rest: str, problem: PublishProblem) -> None:
         with pytest.raises(EngineError, match=pattern(problem)):
-            publish(engine, f"linear: {{x: {speed}}}", rest=rest)
+            engine.publish("/cmd", f"linear: {{x: {speed}}}", rest=rest).result(30)  # without a ticket
 
     refuses(server, 9.0, "{}", PublishProblem.NOT_ARMED)
     consoles.arm(server)
