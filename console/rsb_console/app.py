@@ -105,7 +105,7 @@ class ConsoleApp(TerminalApp[None]):
         self.fault_bell = Bell(self.bell, is_on=self.preferences.bell)
         self.changes = Changes()
         console: Console = self
-        bridge = BridgeOperations(console, lambda: self.main.selected, lambda: self.main)
+        bridge = BridgeOperations(console, lambda: self.main.topics.selected, lambda: self.main)
         self.sessions = SessionOperations(console, bridge.reload)
         self.main: MainScreen = self.main_screen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
         self.attached_to = ""

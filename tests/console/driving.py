@@ -53,8 +53,8 @@ def engine_of(app: ConsoleApp) -> ScriptedEngine:
 
 def selected_topic(app: ConsoleApp) -> str:
     """The topic under the cursor."""
-    assert app.main.selected is not None
-    return app.main.selected.topic
+    assert app.main.topics.selected is not None
+    return app.main.topics.selected.topic
 
 
 def form_of(app: App[Any]) -> Form:

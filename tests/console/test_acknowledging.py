@@ -57,8 +57,8 @@ async def test_it_is_listed_after_the_other_faults_dimmed_with_a_mark(app: Conso
     assert state[0].split() == [ACK_WORD, STATE_WORD[FIRST.state]]
     assert {look for _, look in (state, *cells)} == {"dim"}
     app.main.action_next_match()
-    assert app.main.selected is not None
-    assert app.main.selected.topic != FIRST.topic
+    assert app.main.topics.selected is not None
+    assert app.main.topics.selected.topic != FIRST.topic
     await pilot.press("f")
     await until(pilot, lambda: FIRST.topic in listed(app) and len(listed(app)) < len(ROUTES), "all faults")
     table.pattern = RowFilter(f"state:{ACK_WORD}")

@@ -114,13 +114,13 @@ async def test_the_key_that_armed_a_topic_disarms_it_wherever_it_and_the_cursor_
     await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
     put(app, ARMED, camera)  # and goes below
     await shown(pilot, "◆ ARMED    /cmd_vel")
-    assert app.main.selected == ARMED
+    assert app.main.topics.selected == ARMED
     for keys in (["A"], ["k", "A"]):
         await until(pilot, lambda: app.deadman.held, "an answer that this console holds it")
         engine_of(app).commands.clear()
         await pilot.press(*keys)
         await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
-    assert app.main.selected == camera
+    assert app.main.topics.selected == camera
 
 
 def asked(seconds: float = 7.0, by: str = "bert on pts/2") -> RouteSnapshot:
@@ -202,7 +202,7 @@ async def test_a_name_is_disarmed_everywhere(app: ConsoleApp, pilot: Pilot[None]
     )
     put(app, ARMED, *others)
     await shown(pilot, "/another")
-    while app.main.selected not in (ARMED, *others[:2]):
+    while app.main.topics.selected not in (ARMED, *others[:2]):
         await pilot.press("j")
     await pilot.press("A")
     await until(pilot, lambda: len(engine_of(app).commands) == 3, "disarmed")

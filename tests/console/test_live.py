@@ -17,7 +17,7 @@ CHATTER = f"/console_{os.getpid()}/chatter"
 
 
 def state(app: ConsoleApp) -> State | None:
-    return None if app.main.selected is None else app.main.selected.state
+    return None if app.main.topics.selected is None else app.main.topics.selected.state
 
 
 async def flowing(app: ConsoleApp, pilot: Pilot[None]) -> None:

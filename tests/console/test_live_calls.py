@@ -32,7 +32,7 @@ async def usable(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
     """Wait until it can be called, and put the cursor there."""
     await until(pilot, lambda: is_offered(app, name), f"{name} is offered")
     await pilot.press("escape", "slash", *f"topic:{name}$", "enter")
-    await until(pilot, lambda: app.main.selected is not None and app.main.selected.topic == name, "the cursor on it")
+    await until(pilot, lambda: (row := app.main.topics.selected) is not None and row.topic == name, "the cursor on it")
 
 
 def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ async def test_removing_pausing_and_editing_are_about_the_pattern(app: ConsoleAp
 async def test_a_pattern_has_no_messages(app: ConsoleApp, pilot: Pilot[None]) -> None:
     with_pattern(app, State.OK)
     engine_of(app).commands.clear()
-    while app.main.selected is None or app.main.selected.topic != "/aa/**":
+    while app.main.topics.selected is None or app.main.topics.selected.topic != "/aa/**":
         await pilot.press("j")
     await pilot.press("v")
     await shown(pilot, "is a pattern")

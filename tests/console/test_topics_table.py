@@ -23,7 +23,7 @@ async def test_the_cursor_begins_with_the_worst_and_then_stays_on_its_topic(
     put(app, route("/a/a/worse", State.DOWN), *ROUTES)
     assert selected_topic(app) == "/robot2/scan"
     put(app, *(r for r in ROUTES if r.topic != "/robot2/scan"))
-    assert app.main.selected is not None
+    assert app.main.topics.selected is not None
 
 
 @on_main()

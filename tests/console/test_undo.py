@@ -47,8 +47,8 @@ def on_scan(*sizes: Any, select: str = "/scan", **options: Any) -> Decorator:
 
     async def selected(pilot: Pilot[None]) -> dict[str, Any]:
         app: Any = pilot.app
-        while app.main.selected is None or app.main.selected.topic != select:
-            await pilot.press("j" if app.main.selected is None or app.main.topics.position == 0 else "k")
+        while app.main.topics.selected is None or app.main.topics.selected.topic != select:
+            await pilot.press("j" if app.main.topics.selected is None or app.main.topics.position == 0 else "k")
         return {"engine": engine_as(app, ChangingEngine)}
 
     made = {"make_engine": ChangingEngine, **options}

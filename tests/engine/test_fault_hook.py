@@ -91,7 +91,7 @@ class Hooked:
         for _ in range(2):
             shown = Shown(routes)
             self.clock.skipped += skip
-            self.hook.tick(Snapshot(NOW, "robot1", "client", "", 0, running=True, links=(LINK,), routes=shown))
+            self.hook.report(Snapshot(NOW, "robot1", "client", "", 0, running=True, links=(LINK,), routes=shown))
             eventually(shown.are_seen.is_set)
 
     @property
@@ -153,7 +153,7 @@ def test_without_a_command_there_is_no_thread(hooked: Hooked) -> None:
     before = threads()
     hooked.names(None)
     assert threads() <= before
-    hooked.hook.tick(Snapshot(NOW, "robot1", "client", "", 0, running=True))
+    hooked.hook.report(Snapshot(NOW, "robot1", "client", "", 0, running=True))
 
 
 def test_it_runs_in_the_sessions_folder_without_what_is_the_bridges(

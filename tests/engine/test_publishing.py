@@ -289,17 +289,10 @@ def test_a_silent_console_ends_a_motion(bridge: Bridge, robot: Domain, pc: Domai
     holds(lambda: [each for each in speeds() if each] == moving and speeds()[-1] == 0.0, 0.5)
 
 
-@pytest.mark.usefixtures("long_lease")
-@pytest.mark.parametrize("topic", [Topic("/cmd", "receive"), Topic("/cmd", "receive", arm=True, max_age=0.0)])
-def test_only_an_armed_topic_with_young_messages_is_driven(
-    bridge: Bridge, pc: Domain, robot: Domain, consoles: Consoles, topic: Topic
-) -> None:
+def test_a_topic_without_arming_is_not_driven(bridge: Bridge, pc: Domain, robot: Domain) -> None:
     motors = robot.listener("/cmd", Twist)
     pc.publisher("/cmd", Twist)
-    server, client = bridge.both(topic)
-    if topic.arm:
-        eventually(lambda: can_be_armed(server, client))
-        consoles.arm(server)
+    server, _ = bridge.both(Topic("/cmd", "receive"))
     with pytest.raises(EngineError, match=pattern(PublishProblem.NO_DEADMAN)):
         publish(server, "", rest="linear: {x: 0}")
     assert not motors.payloads

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.serialization import deserialize_message
@@ -90,6 +91,29 @@ def test_what_follows_a_message_is_held_to_them_too(
         publish(server, "linear: {x: 0.1}", rest="linear: {x: 9}")
     publish(server, "linear: {x: 0.1}", rest="linear: {x: 9}", rest_after=0.2, reduce=True)
     eventually(lambda: twists(motors)[-1:] == [(0.5, 0.0)])
+
+
+@pytest.mark.usefixtures("long_lease")
+def test_arming_is_asked_first_then_the_holder_the_deadman_the_limits_and_the_ticket(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    """The first command has none of them, and each of the next ones one more."""
+    motors = robot.listener("/cmd", Twist)
+    pc.publisher("/cmd", Twist)
+    server, client = bridge.both(msgspec.structs.replace(LIMITED, max_age=0.0))
+    eventually(lambda: can_be_armed(server, client))
+
+    def refuses(engine: Engine, speed: float, rest: str, problem: PublishProblem) -> None:
+        with pytest.raises(EngineError, match=pattern(problem)):
+            engine.publish("/cmd", f"linear: {{x: {speed}}}", rest=rest).result(30)  # without a ticket
+
+    refuses(server, 9.0, "{}", PublishProblem.NOT_ARMED)
+    consoles.arm(server)
+    refuses(client, 9.0, "{}", PublishProblem.ANOTHER_DRIVES)
+    refuses(server, 9.0, "{}", PublishProblem.NO_DEADMAN)
+    refuses(server, 9.0, "", PublishProblem.BEYOND_LIMITS)
+    assert not server.publish("/cmd", "linear: {x: 0.1}").result(30).is_done
+    assert not motors.payloads
 
 
 def test_a_stamped_velocity_has_limits_too(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -31,7 +31,7 @@ class Bed:
 
     def look(self, *arrived: float, full: bool = True) -> bool:
         for each in arrived:
-            self.fullness.tick([SCAN, CAMERA], each, full=full, peer="the server")
+            self.fullness.judge([SCAN, CAMERA], each, full=full, peer="the server")
         return self.fullness.out is not None
 
 
@@ -74,7 +74,7 @@ def test_it_has_room_once_nothing_is_asked() -> None:
     bed = Bed()
     bed.look(25e3, 25e3, 25e3, 25e3)
     for _ in range(4):
-        bed.fullness.tick([], 0.0, full=False, peer="the server")
+        bed.fullness.judge([], 0.0, full=False, peer="the server")
     assert bed.fullness.out is None
 
 
@@ -108,7 +108,7 @@ def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
     carried = [0.33 * asked] * 8 + [2.0 * asked] * 2 + [asked] * 4
     seen = []
     for each in carried:
-        fullness.tick([Asked("/camera", "/camera", asked)], each, full=each < asked, peer="the server")
+        fullness.judge([Asked("/camera", "/camera", asked)], each, full=each < asked, peer="the server")
         seen.append(fullness.out)
         if fullness.out is not None:
             part, _, whole = fullness.out.share.split()[1:4]

@@ -70,7 +70,7 @@ class Path:
                     stalled if stream is self.data else 0,
                     2 if stalled and stream is self.data else 0,
                 )
-            stale += self.watch.tick(
+            stale += self.watch.observe(
                 self.control,
                 dict(self._packets),
                 (),

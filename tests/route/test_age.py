@@ -93,18 +93,18 @@ def test_a_lifespan_drops_what_is_surely_older(
 def test_many_expired_messages_make_a_topic_late(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     age, _ = age_of(make_context())
     for second in range(20):
-        age.tick(100 * second, float(second))
+        age.update(100 * second, float(second))
         assert age.late() is None
     age.expired(Cause.LINK_SLOW, 30)
-    age.tick(2000, 20.0)
+    age.update(2000, 20.0)
     assert age.late() is None  # 30 of 1,000
     age.expired(Cause.CLOCK_UNKNOWN, 40)
-    age.tick(2100, 21.0)
+    age.update(2100, 21.0)
     late = age.late()
     assert late is not None
     assert (late.cause, late.lost, late.of, late.since) == (Cause.CLOCK_UNKNOWN, 70, 1000, 21.0)
     for second in range(22, 33):
-        age.tick(100 * second, float(second))
+        age.update(100 * second, float(second))
     assert age.late() is None
 
 

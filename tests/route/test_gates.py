@@ -128,8 +128,8 @@ def test_the_age_gate_counts_by_cause(make_context: Callable[..., Context]) -> N
     assert gate.check(GatedMessage(now, 0), 0.0) is None
     assert age.total == 0
     assert gate.check(GatedMessage(now - A_SECOND, 0), 0.0) is Refused.TOO_OLD
-    age.tick(1, 1.0)
-    age.tick(2, 2.0)
+    age.update(1, 1.0)
+    age.update(2, 2.0)
     assert age.total == 1
 
 
@@ -213,7 +213,7 @@ def aged_half_a_second(context: Context) -> MessageAge:
 def cause_of(age: MessageAge) -> Cause | None:
     """Return the cause for which an age limit has dropped most."""
     for second in range(3):
-        age.tick(0, float(second))
+        age.update(0, float(second))
     late = age.late()
     return None if late is None else late.cause
 
@@ -241,11 +241,11 @@ def test_without_a_sure_clock_nothing_passes_that_has_to_be_young(
     age.settle((max_age,), armed=False, lifespan=0.5)
     set_clock(context.clock, 100.0)
     for second in range(3):
-        age.tick(second, float(second))
+        age.update(second, float(second))
         stamped = age.stamped([RawMessage(b"young", context.wall_ns())] * 10)
         assert len(FreshSieve(age, ledger).passing(stamped)) == 10 * passed
     assert (ledger.offered, ledger.expired) == (30 - 30 * passed, 30 - 30 * passed)
-    age.tick(3, 3.0)
+    age.update(3, 3.0)
     late = age.late()
     assert (None if late is None else late.cause) is (None if passed else Cause.CLOCK_UNKNOWN)
 
@@ -257,7 +257,7 @@ def test_what_was_kept_too_long_names_who_kept_it(
     context, ledger = make_context(), RouteLedger()
     age, now = aged_half_a_second(context), context.stamps.now()
     old, young = sample_of(now - A_SECOND, replayed=replayed), sample_of(now, replayed=replayed)
-    age.tick(0, 0.0)
+    age.update(0, 0.0)
     assert KeptAgeSieve(age, ledger).passing([old, young]) == [young]
     assert ledger.expired == 1
     assert cause_of(age) is cause
@@ -274,7 +274,7 @@ def test_the_young_sieve_asks_the_clock_of_the_side_that_took_them(make_context:
     context, ledger = make_context(), RouteLedger()
     age, now = aged_half_a_second(context), context.stamps.now()
     messages: list[Message] = [(b"old", now - A_SECOND, 0), (b"young", now, 0)]
-    age.tick(0, 0.0)
+    age.update(0, 0.0)
     assert YoungSieve(age, ledger).passing(messages) == messages[1:]
     assert (ledger.offered, ledger.expired) == (0, 1)
     assert cause_of(age) is Cause.LINK_SLOW
@@ -446,7 +446,7 @@ def test_the_cause_of_an_expired_message_is_that_of_its_age(make_context: Callab
     aged(route)
     for second in range(3):
         route.deliver([(b"old", context.stamps.now() - A_SECOND, 0)] * 10)
-        route.age.tick(10 * second + 10, float(second))
+        route.age.update(10 * second + 10, float(second))
     late = route.age.late()
     assert late is not None
     assert late.cause is Cause.LINK_SLOW

@@ -29,7 +29,7 @@ LATE = Late(12.0, 0.003, WAY, None, NOW - 5)
 def watched(*delays: float | None, bound: float = 1.0, uncertainty: float = 0.0) -> LateWatch:
     watch = LateWatch()
     for second, delay in enumerate(delays):
-        watch.tick(delay, uncertainty, bound, float(second), delay, own=delay or 0.0)
+        watch.judge(delay, uncertainty, bound, float(second), delay, own=delay or 0.0)
     return watch
 
 
@@ -60,10 +60,10 @@ def test_a_clock_that_is_set_makes_nothing_late() -> None:
     """Until the next exchange of pings, messages seem to take as long as the clock was set forward."""
     watch = LateWatch()
     for second, delay in enumerate((0.003, 10.0, 0.003, 0.003)):
-        watch.tick(delay, 0.001, 1.0, float(second), delay)
+        watch.judge(delay, 0.001, 1.0, float(second), delay)
         assert watch.since is None
     for second in (4, 5):
-        watch.tick(10.0, 0.001, 1.0, float(second), 10.0)
+        watch.judge(10.0, 0.001, 1.0, float(second), 10.0)
     assert watch.since == 4.0
 
 
@@ -72,12 +72,12 @@ def test_a_topic_that_is_seldom_published_stays_late_between_its_messages() -> N
     states = []
     for second in range(100):
         delay = 5.0 if second % 10 == 0 else None
-        watch.tick(delay, 0.0, 1.0, float(second), delay)
+        watch.judge(delay, 0.0, 1.0, float(second), delay)
         states.append(watch.since is not None)
     assert all(states[10:])
     assert watch.since == 0.0
     for second in range(100, 130):
-        watch.tick(None, 0.0, 1.0, float(second), None)
+        watch.judge(None, 0.0, 1.0, float(second), None)
     assert watch.since is None, "no message comes any more: the age is unknown"
 
 
@@ -94,7 +94,7 @@ def test_what_is_usual_is_learned_only_in_good_times() -> None:
 def test_no_delay_of_a_full_link_is_usual() -> None:
     watch = LateWatch()
     for second in range(60):
-        watch.tick(0.4, 0.0, 1.0, float(second), 0.4, learns=second < 4 or second > 50)
+        watch.judge(0.4, 0.0, 1.0, float(second), 0.4, learns=second < 4 or second > 50)
         assert watch.usual is None or second > 55
 
 
@@ -211,8 +211,8 @@ def test_figures_of_the_other_side_count_for_as_long() -> None:
 def test_what_cannot_be_a_delay_is_no_report(mistake: float) -> None:
     delays = SendersDelay()
     delays.receive(mistake, 1.0)
-    assert (delays.reported, delays.tick(0.5, 0.0, 1.0)) == (None, None)
+    assert (delays.reported, delays.measure(0.5, 0.0, 1.0)) == (None, None)
     delays.receive(0.2, 1.0)
     delays.receive(mistake, 1.5)
-    assert delays.tick(0.0, 0.05, 2.0) == 0.2
+    assert delays.measure(0.0, 0.05, 2.0) == 0.2
     assert delays.least == pytest.approx(0.15)

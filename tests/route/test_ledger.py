@@ -189,18 +189,18 @@ def test_an_older_peer_finds_what_is_unknown_among_the_drops() -> None:
 def test_missed_messages_are_the_time_at_the_usual_rate_while_somebody_publishes() -> None:
     missed = MissedWhileDown()
     missed.lost(0.0)
-    missed.tick(10.0, 500, published=True)
+    missed.estimate(10.0, 500, published=True)
     assert missed.count == 0  # the rate is not known
     missed.rate = 20.0
     missed.lost(100.0)
-    missed.tick(101.0, 500, published=True)
+    missed.estimate(101.0, 500, published=True)
     missed.lost(101.0)
     assert (missed.count, missed.down) == (20, True)
-    missed.tick(151.0, 500, published=False)  # paused, or nobody is there
+    missed.estimate(151.0, 500, published=False)  # paused, or nobody is there
     missed.subscribed(151.5, 500)
-    missed.tick(152.0, 504, published=True)
+    missed.estimate(152.0, 504, published=True)
     assert (missed.count, missed.down) == (36, False)
-    missed.tick(200.0, 1500, published=True)
+    missed.estimate(200.0, 1500, published=True)
     assert missed.count == 36
 
 
@@ -210,7 +210,7 @@ def test_nothing_is_missed_for_long_of_publishers_that_send_nothing() -> None:
     missed.lost(0.0)
     missed.subscribed(0.0, 7)
     for second in range(1, 10):
-        missed.tick(float(second), 7, published=True)
+        missed.estimate(float(second), 7, published=True)
     assert (missed.count, missed.down) == (60, False)
 
 
@@ -218,9 +218,9 @@ def test_a_burst_of_what_was_kept_is_no_negative_miss() -> None:
     missed = MissedWhileDown()
     missed.rate = 20.0
     missed.lost(0.0)
-    missed.tick(2.0, 7, published=True)
+    missed.estimate(2.0, 7, published=True)
     missed.subscribed(2.1, 7)
-    missed.tick(3.0, 700, published=True)
+    missed.estimate(3.0, 700, published=True)
     assert missed.count == 40
 
 

@@ -121,7 +121,7 @@ def test_of_the_velocities_that_waited_only_the_newest_is_sent(type_name: str, k
     world.route.type_name = type_name
     world.peer.channel.congested = True
     for number in range(3):
-        world.path.take([RawMessage(bytes(number), world.context.stamps.now(), FIRST)])
+        world.path.receive([RawMessage(bytes(number), world.context.stamps.now(), FIRST)])
     world.peer.channel.congested = False
     world.route.flush()
     assert (world.ledger.sent_now, world.ledger.dropped["queue full"]) == (kept, 3 - kept)

@@ -137,7 +137,7 @@ def test_overload_ends_with_the_queue() -> None:
         overload.turn()
         overload.judge(tick / 10, 0.0, tick)
     assert overload.lasts(4.0)
-    overload.over()
+    overload.reset()
     assert not overload.lasts(4.0)
 
 

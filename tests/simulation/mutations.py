@@ -246,7 +246,7 @@ MUTATIONS = (
     Mutation("receipts that are late leave the window as it is",
              ((Window, "acknowledge", _took_in_time),), "s after it was published", STILL, 1, 0.05, _tunnel),
     Mutation("messages that are late are taken for ok",
-             ((LateWatch, "tick", nothing),), "shows it as ok", _WATCHED, 1, 0.05, _delay),
+             ((LateWatch, "judge", nothing),), "shows it as ok", _WATCHED, 1, 0.05, _delay),
     Mutation("an answer goes to the first caller",
              ((PendingCalls, "end", _end_oldest),), "got for call", CALLS, 1, 1.0),
     Mutation("a call that is over keeps its place in the budget",

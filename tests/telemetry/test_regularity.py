@@ -61,7 +61,7 @@ def watched(
         flow = Flow(
             True, True, meter.last or 0.0, meter.rate, given, meter.usual_rate, 0.0, frozenset([publisher]), Ledger()
         )
-        health.tick(flow, now)
+        health.judge(flow, now)
         said.append(health.added_to(said[0]))
         if said[-1].stopped_since is not None and said[-2].stopped_since is None:
             stopped.append(now)

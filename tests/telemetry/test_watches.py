@@ -95,7 +95,7 @@ def test_whatever_comes_the_rate_is_one_that_was_there(counts: list[int]) -> Non
 def slow(watch: SlowWatch, rates: list[float], start: float = 0.0) -> list[bool]:
     said = []
     for number, rate in enumerate(rates):
-        watch.tick(rate, 20.0, start + number)
+        watch.judge(rate, 20.0, start + number)
         said.append(watch.since is not None)
     return said
 
@@ -119,53 +119,53 @@ A, B = frozenset({b"a"}), frozenset({b"b"})
 
 def test_a_topic_has_stopped_after_five_of_its_periods() -> None:
     watch = StopWatch()
-    watch.tick(10.0, 1.0, 15.0, A)
+    watch.judge(10.0, 1.0, 15.0, A)
     assert watch.since is None
-    watch.tick(10.0, 1.0, 15.1, A)
+    watch.judge(10.0, 1.0, 15.1, A)
     assert watch.since == 10.0
     fast = StopWatch()
-    fast.tick(10.0, 100.0, 11.9, A)
+    fast.judge(10.0, 100.0, 11.9, A)
     assert fast.since is None
-    fast.tick(10.0, 100.0, 12.1, A)
+    fast.judge(10.0, 100.0, 12.1, A)
     assert fast.since == 10.0
 
 
 def test_after_a_pause_only_a_longer_one_counts_unless_another_publisher_paused() -> None:
     watch = StopWatch()
-    watch.tick(10.0, 20.0, 15.0, A)
+    watch.judge(10.0, 20.0, 15.0, A)
     assert watch.since == 10.0
-    watch.tick(16.0, 20.0, 16.0, A)
+    watch.judge(16.0, 20.0, 16.0, A)
     for now, stopped in ((19.0, False), (27.9, False), (28.1, True)):  # it has paused for 6 s
-        watch.tick(16.0, 20.0, now, A)
+        watch.judge(16.0, 20.0, now, A)
         assert watch.quiet
         assert (watch.since is not None) is stopped
-    watch.tick(100.0, 20.0, 100.0, B)
-    watch.tick(100.0, 20.0, 103.0, B)
+    watch.judge(100.0, 20.0, 100.0, B)
+    watch.judge(100.0, 20.0, 103.0, B)
     assert watch.since == 100.0
     resumed = 100.0 + 62 * 3600.0
-    watch.tick(resumed, 20.0, resumed, B)
-    watch.tick(resumed, 20.0, resumed + 1201.0, B)
+    watch.judge(resumed, 20.0, resumed, B)
+    watch.judge(resumed, 20.0, resumed + 1201.0, B)
     assert watch.since == resumed, "a weekend without power is no pause to expect"
 
 
 def test_a_new_publisher_has_time_for_its_first_message() -> None:
     watch = StopWatch()
-    watch.tick(10.0, 20.0, 10.0, A)
-    watch.tick(10.0, 20.0, 11.5, A | B)  # DDS lists a dead publisher and its successor
-    watch.tick(10.0, 20.0, 13.4, A | B)
+    watch.judge(10.0, 20.0, 10.0, A)
+    watch.judge(10.0, 20.0, 11.5, A | B)  # DDS lists a dead publisher and its successor
+    watch.judge(10.0, 20.0, 13.4, A | B)
     assert (watch.since, watch.quiet, watch.new) == (None, False, B)
-    watch.tick(10.0, 20.0, 13.6, A | B)
+    watch.judge(10.0, 20.0, 13.6, A | B)
     assert (watch.since, watch.new) == (10.0, B)
-    watch.tick(14.0, 20.0, 14.0, A | B)
+    watch.judge(14.0, 20.0, 14.0, A | B)
     assert (watch.since, watch.new) == (None, frozenset())
 
 
 def test_a_topic_that_has_stopped_does_not_recover_by_a_publisher_that_is_silent_too() -> None:
     watch = StopWatch()
-    watch.tick(10.0, 20.0, 10.0, A)
-    watch.tick(10.0, 20.0, 12.1, frozenset())
+    watch.judge(10.0, 20.0, 10.0, A)
+    watch.judge(10.0, 20.0, 12.1, frozenset())
     for now in (13.0, 14.0, 16.0):
-        watch.tick(10.0, 20.0, now, B)
+        watch.judge(10.0, 20.0, now, B)
         assert (watch.since, watch.new) == (10.0, B)
 
 
@@ -173,7 +173,7 @@ def lossy(watch: LossWatch, seconds: Iterable[tuple[int, int]], state: list[int]
     """Ticks with so many messages delivered and lost each; `state` is the time and both counts so far."""
     for delivered, lost in seconds:
         state[:] = [state[0] + 1, state[1] + delivered, state[2] + lost]
-        watch.tick(state[1], {"lost on the way": state[2], "link lost": 10 * state[2]}, float(state[0]))
+        watch.judge(state[1], {"lost on the way": state[2], "link lost": 10 * state[2]}, float(state[0]))
 
 
 def test_losses_are_counted_over_the_last_ten_seconds() -> None:
@@ -197,7 +197,7 @@ def test_a_few_lost_messages_are_no_fault() -> None:
 def test_what_was_dropped_as_disarmed_is_not_lost() -> None:
     watch = LossWatch()
     for second in range(12):
-        watch.tick(100, {"disarmed": 20 * second}, float(second))
+        watch.judge(100, {"disarmed": 20 * second}, float(second))
     assert watch.loss is None
 
 
@@ -218,7 +218,7 @@ def said(announcer: Announcer, verdicts: Iterable[Verdict], start: float = 0.0) 
     return [
         (now, announcement.code, announcement.cause)
         for now, verdict in enumerate(verdicts, int(start))
-        if (announcement := announcer.tick(verdict, float(now)))
+        if (announcement := announcer.announce(verdict, float(now)))
     ]
 
 

@@ -115,7 +115,7 @@ def _check_link(path: Path) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text where the user wants it: a file as a whole or not at all; a device or a pipe as it comes.
+    """Write a text to a path: a file atomically, a device or a pipe directly.
 
     The file has mode 0600, also where it replaces one that others could read. Control characters in the text are
     escaped.

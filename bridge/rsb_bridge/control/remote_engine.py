@@ -156,7 +156,7 @@ class RemoteEngine(EngineApi):
             self._thread.join(timeout)
 
     def snapshot(self) -> Snapshot:
-        """Return the newest state that has come; the next one is asked for, so that it is there at the next call."""
+        """Return the newest state, and request the next one."""
         now = time.monotonic()
         since, self._used_at = now - self._used_at, now
         delay = since - _COMES_BEFORE_USE if since < _USED_REGULARLY else 0.0

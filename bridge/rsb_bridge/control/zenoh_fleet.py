@@ -71,7 +71,7 @@ class EngineChoice(Wording):
 
 
 class Member(NamedTuple):
-    """An engine of a fleet, as it announces itself: anybody in the network may, under any name.
+    """An engine's announcement in a fleet. It is not authenticated: anybody may use any name.
 
     Attributes:
         address: of its endpoint, new in each of its lives.

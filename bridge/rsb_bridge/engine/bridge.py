@@ -208,7 +208,7 @@ class Bridge:
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
             self._viewing.tick()
             self._publishing.tick()
-            self._exporters.tick(self._snapshots.latest)
+            self._exporters.publish(self._snapshots.latest)
 
     def _ros_failed(self, reason: str) -> None:
         """End because the ROS side is gone, so that a supervisor starts the process again."""

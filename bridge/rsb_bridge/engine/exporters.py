@@ -192,7 +192,7 @@ class DriverExporter:
         self._context = context
         self._look = look
         self._topic = _SessionTopic(context, "driver_topic", _DRIVER_TYPE, _LATCHED)
-        self._said = self._clash = ""
+        self._published = self._clash = ""
         self.close = self._topic.close
 
     def open(self) -> None:
@@ -206,10 +206,10 @@ class DriverExporter:
 
     def _open(self) -> None:
         # A new publisher has no latched message yet for late subscribers.
-        self._said = ""
+        self._published = ""
         self._topic.open()
 
-    def tick(self, snapshot: Snapshot) -> None:
+    def publish(self, snapshot: Snapshot) -> None:
         """Publish if it is something new; to be called once a second."""
         before = self._clash
         if self._clashes(snapshot):
@@ -217,8 +217,8 @@ class DriverExporter:
         # The clash had closed it.
         if before:
             self._open()
-        if self._topic.is_open and (text := holders(snapshot)) != self._said:
-            self._said = text
+        if self._topic.is_open and (text := holders(snapshot)) != self._published:
+            self._published = text
             self._topic.publish({"data": text})
 
     def _clashes(self, snapshot: Snapshot) -> bool:
@@ -374,12 +374,12 @@ class Exporters:
         for _, start in self.by_key:
             start()
 
-    def tick(self, snapshot: Snapshot) -> None:
+    def publish(self, snapshot: Snapshot) -> None:
         """To be called once a second, with the newest snapshot."""
         if self._diagnostics.is_heard(snapshot):
             self._diagnostics.publish(diagnostics(snapshot))
-        self._driver.tick(snapshot)
-        self._fault_hook.tick(snapshot)
+        self._driver.publish(snapshot)
+        self._fault_hook.report(snapshot)
 
     def close(self) -> None:
         """Show nothing more, and wait for nothing: motions have yet to end. May be called twice."""

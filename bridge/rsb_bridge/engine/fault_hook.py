@@ -148,8 +148,8 @@ class FaultHook:
             self._runner = _Runner(self._context, command_words(self._context.session.on_fault), self._folder())
             self._runner.thread.start()
 
-    def tick(self, snapshot: Snapshot) -> None:
-        """Look for faults in the newest snapshot. Called once a second."""
+    def report(self, snapshot: Snapshot) -> None:
+        """Report the faults of the newest snapshot to the command. Called once a second."""
         if self._runner is not None:
             self._runner.show(snapshot)
 

@@ -438,17 +438,17 @@ class BaseLink(ABC):
     def tick(self) -> None:
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
-            self._tick_path(self.control)  # first: a path that loses packets is not taken for a full one
+            self._observe_path(self.control)  # first: a path that loses packets is not taken for a full one
             if (scheduler := self.channels.scheduler) is not None:
-                self.fullness_watch.tick(scheduler, self.peer_name, lossy=self.path.loss.lossy > 0)
+                self.fullness_watch.judge(scheduler, self.peer_name, lossy=self.path.loss.lossy > 0)
             self.send(self.keepalive.tick())
             self.channels.tick()
         for each in self._extensions:
             each.tick()
 
-    def _tick_path(self, control: ControlChannel) -> None:
+    def _observe_path(self, control: ControlChannel) -> None:
         counts = {each: each.packets() for each in self.carriers() if isinstance(each, Stream)}
-        stalled = self.path.tick(
+        stalled = self.path.observe(
             control.stream,
             {stream: packets for stream, packets in counts.items() if packets is not None},
             [route.channel for route in self.routes.values() if isinstance(route.channel, DatagramSender)],

@@ -267,7 +267,7 @@ class ClientLink(Link):
         begins = self.fault.cause is not LinkCause.NAME_TAKEN
         self.fault.duplicates.take_news(message, self.context.wall())
         if not message.address and not begins:
-            self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.fault.duplicates.over(), link_status=True)
+            self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.fault.duplicates.ended_text(), link_status=True)
         if message.address and (begins or now - self._duplicates_logged_at >= _DUPLICATES_LOGGED_EVERY):
             self._duplicates_logged_at = now
             self.log(Level.WARNING, EventCode.LINK_NAME_TAKEN, self.fault.duplicates.text(now), link_status=True)

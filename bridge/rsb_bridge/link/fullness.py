@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _TICKS = 4
 """Ticks that have to agree before a link counts as full, or as no longer full. A round figure."""
-_ALL = 0.95
+_CARRIED_SHARE = 0.95
 """Share of the asked bytes: a link that carries that much is not full. The rest is what the two figures may differ by,
 since asked bytes are counted before they are packed. Nothing was measured."""
 _AFTER_STALL = 6
@@ -76,7 +76,7 @@ class LinkFullness:
         self._sent = FullRecord()
         self._record = FullRecord()
 
-    def tick(self, topics: Collection[Asked], arrived: float, *, full: bool, peer: str) -> None:
+    def judge(self, topics: Collection[Asked], arrived: float, *, full: bool, peer: str) -> None:
         """Judge the direction from here. Called once a second.
 
         Args:
@@ -99,7 +99,7 @@ class LinkFullness:
             self._arrived.clear()  # it carried what it was asked for
         self._arrived.append(arrived)
         carried = sum(self._arrived) / len(self._arrived)
-        carries_all = carried >= _ALL * asked
+        carries_all = carried >= _CARRIED_SHARE * asked
         over = full and carried > 0.0 and not carries_all and (was or not self._stalled)
         self._other = self._other + 1 if over != was else 0
         if (was and carries_all) or self._other >= _TICKS:
@@ -178,7 +178,7 @@ class FullnessWatch:
         self._fullness = fullness
         self._arrived = self._received = 0
 
-    def tick(self, scheduler: Scheduler, peer: str = "", *, lossy: bool = False) -> None:
+    def judge(self, scheduler: Scheduler, peer: str = "", *, lossy: bool = False) -> None:
         """Judge once a second, while linked.
 
         Args:
@@ -199,7 +199,7 @@ class FullnessWatch:
         # While all windows still grow, what waits behind them says nothing about the link. And a benchmark fills it on
         # purpose.
         overloaded = full and not lossy and not grows and not self._is_measured()
-        self._fullness.tick(asked, arrived, full=overloaded, peer=peer)
+        self._fullness.judge(asked, arrived, full=overloaded, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.measure(received - self._received, now, at, full=False)
         self._received = received

@@ -217,7 +217,7 @@ class LinkPatterns(Extension):
         self.unseen = 0
         self.gone: dict[Identity, float] = {}
         self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
-        self._told_full: set[Identity] = set()
+        self._logged_full: set[Identity] = set()
         table.on_removed = self.leave_out
         table.on_vacated = self._vacated
 
@@ -307,7 +307,7 @@ class LinkPatterns(Extension):
         self.entries = [self._entry(topic) for topic in topics]
         self._context.demands.changed()
         self._known.clear()
-        self._told_full &= before & {entry.topic.identity for entry in self.entries}
+        self._logged_full &= before & {entry.topic.identity for entry in self.entries}
         self._ask()
         self._context.names_changed()
         self.reconcile()
@@ -493,7 +493,7 @@ class LinkPatterns(Extension):
             else:
                 counts[of_entry] += 1
                 total += 1
-        self._tell_full()
+        self._log_full()
 
     def _longest_gone(self, pattern: Identity | None) -> Route | None:
         """Return the route whose topic has been gone for longest, of one pattern or of any."""
@@ -505,7 +505,7 @@ class LinkPatterns(Extension):
 
     def _drop(self, route: Route, reason: str) -> None:
         self.gone.pop(route.spec.identity, None)
-        self._table.remove(route, reason, told=False)
+        self._table.remove(route, reason, anonymous=True)
 
     def tick(self) -> None:
         """Take the peer's latest names, and remove routes whose topic has long been gone."""
@@ -530,15 +530,15 @@ class LinkPatterns(Extension):
 
     # --- what operators see
 
-    def _tell_full(self) -> None:
+    def _log_full(self) -> None:
         for entry in self.entries:
             identity, name = entry.topic.identity, entry.topic.topic
-            if entry.beyond and identity not in self._told_full:
-                self._told_full.add(identity)
+            if entry.beyond and identity not in self._logged_full:
+                self._logged_full.add(identity)
                 text = f"pattern {name}: {_limit_reached(entry, len(self.routes_of(entry)))}"
                 self._link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, text, topic=name)
-            elif not entry.beyond and identity in self._told_full:
-                self._told_full.discard(identity)
+            elif not entry.beyond and identity in self._logged_full:
+                self._logged_full.discard(identity)
                 text = f"pattern {name}: all that match are bridged"
                 self._link.log(Level.INFO, EventCode.LINK_PATTERN_ROOM, text, topic=name)
 

@@ -80,8 +80,8 @@ class PacketLoss:
         if self._skipped >= _TICKS:
             self.clear()
 
-    def tick(self, sent: int, lost: int) -> None:
-        """Take the packets of a second."""
+    def count(self, sent: int, lost: int) -> None:
+        """Count the packets of a second."""
         self._skipped = 0
         counted = min(sent, _COUNTED)
         if lost and not any(part for _, part in self._ticks):
@@ -130,11 +130,11 @@ class PathWatch:
         self._counts: dict[object, PacketCounts] = {}  # of each carrier, when it last made progress
         self._pings: deque[float] = deque(maxlen=_PINGS)
         self._shortest = Shortest()
-        self._ticked_at = float("-inf")
+        self._observed_at = float("-inf")
         self._record = self._sent = PathRecord()
         self._logged = False
 
-    def tick(
+    def observe(
         self,
         control: Stream,
         streams: Mapping[Stream, PacketCounts],
@@ -145,7 +145,7 @@ class PathWatch:
         *,
         large_vanish: bool,
     ) -> list[Stream]:
-        """Look at the path. Called once a second, while linked.
+        """Observe the path. Called once a second, while linked.
 
         Args:
             streams: the packets of all streams, as far as they are known.
@@ -155,15 +155,15 @@ class PathWatch:
         Returns:
             The streams that are stalled, to be opened again.
         """
-        if now - self._ticked_at > _FORGOTTEN_AFTER:  # after a shorter gap, the losses of the last connection count
+        if now - self._observed_at > _FORGOTTEN_AFTER:  # after a shorter gap, the losses of the last connection count
             self.loss.clear()
-        self._ticked_at = now
+        self._observed_at = now
         sent, lost, passed = self._gained(streams, senders)
         queues = self._queues(pings.round_trip, now)
         if queues or not passed:  # a full link, or a gap
             self.loss.skip()
         else:
-            self.loss.tick(sent, lost)
+            self.loss.count(sent, lost)
         own = streams[control].lost if control in streams else 0
         stalled = self._probe_sizes(control, streams, pings, own, now, vanish=large_vanish)
         share = self.loss.share
@@ -240,7 +240,7 @@ class PathWatch:
     def take_record(self, record: PathRecord, peer: str) -> None:
         """Take the peer's record of the direction to here."""
         self.into = record
-        # Only `tick` knows whether the peer is silent; until then, it stays as it was.
+        # Only `observe` knows whether the peer is silent; until then, it stays as it was.
         self._judge(peer, silent=self.fault is not None and self.fault.cause is LinkCause.SILENT)
 
     def _judge(self, peer: str, *, silent: bool) -> None:

@@ -322,7 +322,7 @@ class DuplicateClients:
         what, remedy = self._words(now)
         return f"{what}: {remedy}" if what else ""
 
-    def over(self) -> str:
+    def ended_text(self) -> str:
         """Return the text for the log when the last one has gone."""
         return SameName.NO_MORE(name=self.name)
 

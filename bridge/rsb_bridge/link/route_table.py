@@ -251,10 +251,10 @@ class RouteTable(Extension):
         routes.insert(at, route)
         self._link.routes = {each.key: each for each in routes}
 
-    def remove(self, route: Route, reason: str, *, told: bool = True) -> None:
-        """Remove a route on both sides; `told` means that the other side learns the operator's name."""
+    def remove(self, route: Route, reason: str, *, anonymous: bool = False) -> None:
+        """Remove a route on both sides; `anonymous` keeps the operator's name from the other side."""
         self.listed -= {topic.identity for topic in (route.spec, self.superseded.get(route.key)) if topic is not None}
-        self._tell_removed(route, reason, acting_operator() if told else "")  # first: `_forget` forgets its ids
+        self._tell_removed(route, reason, "" if anonymous else acting_operator())  # first: `_forget` forgets its ids
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
     def undo_edit(self, route: Route, reason: str) -> None:

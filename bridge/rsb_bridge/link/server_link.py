@@ -351,7 +351,7 @@ class ServerLink(Link):
         news = self.fault.duplicates.news(self.context.now())
         if self.linked and news != self._told:
             if not news.address:
-                self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.fault.duplicates.over(), link_status=True)
+                self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.fault.duplicates.ended_text(), link_status=True)
             self._told = news
             self.send(news)
 

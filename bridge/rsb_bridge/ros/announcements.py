@@ -275,7 +275,7 @@ class Announcements:
         self.own_publishers = self._own.publishers.of
         self.own_servers = self._own.services.of
         self._offers = 0
-        self._said = b""
+        self._published = b""
         self._saying: asyncio.TimerHandle | None = None
         self._lock = threading.Lock()
         self._inbox = _Inbox()  # under the lock
@@ -376,7 +376,7 @@ class Announcements:
         self._saying = None
         self.changed()  # for our own routes that subscribe to our publishers
         content = self._own.content()
-        if content == self._said or self._publisher is None:
+        if content == self._published or self._publisher is None:
             return
         try:
             self._publisher.publish(serialize_string(content))
@@ -385,7 +385,7 @@ class Announcements:
                 self._warn(f"this bridge cannot announce its publishers to the other bridges in its domain: {error}")
             self._saying = self._loop.call_later(_SAY_AGAIN, self._say)
         else:
-            self._said = content
+            self._published = content
 
     # --- the others'
 

@@ -117,7 +117,7 @@ class Expired(NamedTuple):
 
 
 class MessageAge:
-    """One half's.
+    """Age limit of one route half, and what it has dropped.
 
     Attributes:
         is_on: whether ages are limited at all.
@@ -253,7 +253,7 @@ class MessageAge:
         """Messages that this side has dropped."""
         return self._counts.total()
 
-    def tick(self, messages: int, now: float) -> None:
+    def update(self, messages: int, now: float) -> None:
         """Update the figures, once a second, at `now` (s).
 
         Args:

@@ -52,8 +52,8 @@ _MENDABLE: dict[str, Level] = {
 _AGAIN_AFTER = 60.0
 """s until the log repeats a verdict. A round figure: nothing was measured. With a tenth of it, a topic that comes and
 goes would fill the log."""
-_MOST_SAID = 32
-_SAID_ELSEWHERE = frozenset(
+_MOST_LOGGED = 32
+_LOGGED_ELSEWHERE = frozenset(
     {
         Cause.LINK_DOWN, Cause.REFUSED, Cause.LOOP, Cause.PAUSED, Cause.DISARMED, Cause.DISARMING,
         Cause.SUBSCRIBE_FAILED, Cause.SILENT, Cause.NO_MESSAGE,
@@ -130,7 +130,7 @@ class CombinedVerdict:
         self.since(verdict, now)
         if path is not None and path.of_topic(verdict.cause) is not None:
             return None
-        return self._announcer.tick(verdict, now)
+        return self._announcer.announce(verdict, now)
 
     def since(self, verdict: Verdict, now: float) -> float:
         """Return the beginning (s) of the state and cause of `verdict`, which is shown at `now` (s).
@@ -189,13 +189,13 @@ class Announcer:
         self._candidate = FINE
         self._since = float("-inf")
         self._bad_since: float | None = None
-        self._said = FINE
-        self._said_as: tuple[EventCode, str] | None = None
-        self._said_at: dict[tuple[EventCode, str], float] = {}
+        self._logged = FINE
+        self._logged_as: tuple[EventCode, str] | None = None
+        self._logged_at: dict[tuple[EventCode, str], float] = {}
         self._heard = False
 
-    def tick(self, verdict: Verdict, now: float) -> StateEvent | None:
-        """Take the present verdict at `now` (s); what to say about it, if anything."""
+    def announce(self, verdict: Verdict, now: float) -> StateEvent | None:
+        """Return the event to log about the verdict at `now` (s), if any."""
         if (verdict.state, verdict.cause) != (self._candidate.state, self._candidate.cause):
             self._since = now
         self._candidate = verdict
@@ -204,7 +204,7 @@ class Announcer:
         elif self._bad_since is None:
             self._bad_since = now
         # What changes its cause again and again lasts, too.
-        flaps = self._said_as is None and self._bad_since is not None and now - self._bad_since >= _LOSS_LASTS
+        flaps = self._logged_as is None and self._bad_since is not None and now - self._bad_since >= _LOSS_LASTS
         if now - self._since < (_LOSS_LASTS if verdict.cause == Cause.LOSSY else _LASTS) and not flaps:
             return None
         if verdict.state is State.OK:
@@ -212,7 +212,7 @@ class Announcer:
             return self._over()
         if verdict.state is State.WAITING:
             return self._waiting(verdict, now)
-        if verdict.state not in _ANNOUNCED or verdict.cause in _SAID_ELSEWHERE:
+        if verdict.state not in _ANNOUNCED or verdict.cause in _LOGGED_ELSEWHERE:
             return None
         if verdict.cause == Cause.NO_SUBSCRIBER and not self._heard:
             return None  # nobody has been there yet, which the screen shows
@@ -226,16 +226,16 @@ class Announcer:
 
     def _say(self, level: Level, code: EventCode, verdict: Verdict, now: float) -> StateEvent | None:
         what = code, verdict.cause
-        if what == self._said_as or now - self._said_at.get(what, float("-inf")) < _AGAIN_AFTER:
+        if what == self._logged_as or now - self._logged_at.get(what, float("-inf")) < _AGAIN_AFTER:
             return None
-        self._said, self._said_as = verdict, what
-        if len(self._said_at) >= _MOST_SAID:  # a peer may make up causes
-            self._said_at.clear()
-        self._said_at[what] = now
+        self._logged, self._logged_as = verdict, what
+        if len(self._logged_at) >= _MOST_LOGGED:  # a peer may make up causes
+            self._logged_at.clear()
+        self._logged_at[what] = now
         return StateEvent(level, code, f"{verdict.state.upper()}: {verdict.said(now)}", verdict.cause)
 
     def _over(self) -> StateEvent | None:
-        said, self._said, self._said_as = self._said, FINE, None
-        if said.state is State.OK:
+        logged, self._logged, self._logged_as = self._logged, FINE, None
+        if logged.state is State.OK:
             return None
-        return StateEvent(Level.INFO, EventCode.ROUTE_RECOVERED, f"no longer {said.state}", said.cause)
+        return StateEvent(Level.INFO, EventCode.ROUTE_RECOVERED, f"no longer {logged.state}", logged.cause)

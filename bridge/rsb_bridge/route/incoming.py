@@ -429,7 +429,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self.lateness.reset()
         else:
             recent = self.latency.recent
-            self.lateness.tick(recent, uncertainty, self.late_after, now, recent, learns=self.learns)
+            self.lateness.judge(recent, uncertainty, self.late_after, now, recent, learns=self.learns)
 
     def _signs(self) -> Signs:
         return *super()._signs(), self._report, self._subscribers, self._clash, self._others

@@ -87,7 +87,7 @@ class LateWatch:
         self._seen_at: float | None = None
         self._gap = 0.0  # s, between the last two delays
 
-    def tick(
+    def judge(
         self,
         delay: float | None,
         uncertainty: float,
@@ -98,7 +98,7 @@ class LateWatch:
         own: float = 0.0,
         learns: bool = True,
     ) -> None:
-        """Take a delay.
+        """Judge a delay.
 
         Args:
             delay: s, or None if no message has come since the last tick.
@@ -213,8 +213,8 @@ class SendersDelay:
         self.least = 0.0
         return self._unreported.age(sent, accounted, now)
 
-    def tick(self, own: float, uncertainty: float, now: float) -> float | None:
-        """Find out how long messages take while they cross.
+    def measure(self, own: float, uncertainty: float, now: float) -> float | None:
+        """Measure how long messages take while they cross.
 
         Args:
             own: s that they take at least, as this side knows without the other one's clock.

@@ -342,7 +342,7 @@ class MissedWhileDown:
         if self._since is not None:
             self._subscribed = (now, offered)
 
-    def tick(self, now: float, offered: int, *, published: bool) -> None:
+    def estimate(self, now: float, offered: int, *, published: bool) -> None:
         """Count the time until `now` (s), if somebody publishes, without the messages that were taken meanwhile.
 
         Args:

@@ -128,7 +128,7 @@ class Reopening:
             self._broke_at = now
         self.retry_at = now + self._backoff.next()
 
-    def tick(self, *, connected: bool, flowing: bool) -> None:
+    def observe(self, *, connected: bool, flowing: bool) -> None:
         """Begin again with the shortest pause once messages flow: acceptance is not enough, as a refusal may follow."""
         if connected:
             self._broke_at = None

@@ -92,11 +92,11 @@ class Health:
         self._loss = LossWatch()
         self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
 
-    def tick(self, flow: Flow, now: float) -> None:
-        """Watch the flow at `now` (s). Called once a second."""
+    def judge(self, flow: Flow, now: float) -> None:
+        """Judge the flow at `now` (s). Called once a second."""
         ledger = flow.ledger
         self._lost_in_dds.append(ledger.lost_in_dds)
-        self._loss.tick(ledger.delivered, ledger.dropped, now)
+        self._loss.judge(ledger.delivered, ledger.dropped, now)
         expected = flow.given_rate or flow.usual_rate
         if expected and flow.limit:
             expected = min(expected, flow.limit)
@@ -105,11 +105,11 @@ class Health:
             self._stop.reset()
             self._slow.reset()
             return
-        self._stop.tick(flow.last, expected, now, flow.publishers, promised=bool(flow.given_rate))
+        self._stop.judge(flow.last, expected, now, flow.publishers, promised=bool(flow.given_rate))
         if self._stop.since is not None or not flow.flowing:
             self._slow.reset()
         elif not self._stop.quiet:  # a pause is not slow
-            self._slow.tick(flow.rate, expected, now)
+            self._slow.judge(flow.rate, expected, now)
 
     @property
     def loss(self) -> Loss | None:
@@ -130,7 +130,10 @@ class Health:
 
 
 class OutgoingRoute(TopicRoute[SendingChannel]):
-    """Takes a topic's messages here and sends them to the peer."""
+    """Takes a topic's messages here and sends them to the peer.
+
+    It has more than 40 methods because 27 of them fill in hooks of `TopicRoute` and `Route`.
+    """
 
     peer_report = ReceivedReport
     outgoing: ClassVar[bool] = True
@@ -189,7 +192,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
         self._advance()
         if self._subscription.spec is not None and (released := self._loop_filter.release()):
-            self._path.take(released)
+            self._path.receive(released)
 
     def _advance(self) -> None:
         if not self.life.accepted or self.paused:
@@ -339,7 +342,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         now = self.context.now()
         latched = self.is_latched  # may be silent for any time, unless an operator expects a rate
         # Before `super().tick`, whose verdict needs it.
-        self._health.tick(
+        self._health.judge(
             Flow(
                 self.flowing,
                 self._subscription.receives if self.flowing else self.awaited,
@@ -353,7 +356,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             ),
             now,
         )
-        self._tick_missed(now, latched=latched)
+        self._estimate_missed(now, latched=latched)
         super().tick()
         self._subscription.tick()
         self._tick_clocks()
@@ -366,11 +369,11 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
             self.request_reopen(EventCode.ROUTE_CLOCK_SET, "this side's clock was set, and publishers' stamps seem old")
 
-    def _tick_missed(self, now: float, *, latched: bool) -> None:
+    def _estimate_missed(self, now: float, *, latched: bool) -> None:
         """Learn the rate at which messages cross, or estimate how many are missed now."""
         missed = self._ledger.missed
         if missed.down:
-            missed.tick(now, self._ledger.offered, published=self._is_published)
+            missed.estimate(now, self._ledger.offered, published=self._is_published)
         elif self.flowing:
             usual = None if latched else self.meter.usual_rate
             missed.rate = self.limit.lowered(usual or self.spec.expected_rate)
@@ -391,8 +394,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
             unreported = min(unreported, self.peer.keepalive.ping_wait)
         own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.keepalive.ping_delay))
-        measured = self.delays.tick(own, self.peer.clock.uncertainty or 0.0, now)
-        self.lateness.tick(self.delays.least, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
+        measured = self.delays.measure(own, self.peer.clock.uncertainty or 0.0, now)
+        self.lateness.judge(self.delays.least, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
 
     def _held_up_where(self) -> str:
         return QUEUE if self._path.waits(self.context.now()) >= self.lateness.seconds / 2 else WAY

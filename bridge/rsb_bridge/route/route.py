@@ -373,7 +373,7 @@ class Route:
         """Update the meter and report a changed verdict; called once a second while the route is not idle."""
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
-        self.reopening.tick(connected=self.connected, flowing=self.flowing)
+        self.reopening.observe(connected=self.connected, flowing=self.flowing)
         self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
         verdict = self.verdict()

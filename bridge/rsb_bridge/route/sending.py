@@ -197,7 +197,7 @@ class Overload:
             oldest_since: when (s) the oldest message was queued, or None if the queue is empty.
         """
         if oldest_since is None:
-            self.over()
+            self.reset()
             return
         age = now - oldest_since
         # Without turns the link stands still, which says nothing about its speed. And a queue that is young now may
@@ -209,7 +209,7 @@ class Overload:
             self._grows = self._grows or (age >= age_before and length >= length_before)
             self._before, self._turned = (now, age, length), False
 
-    def over(self) -> None:
+    def reset(self) -> None:
         """End the overload: the queue is empty."""
         self._grows, self._before, self._turned = False, None, False
 
@@ -274,7 +274,7 @@ class Outbox:
         if queue.waiting:
             channel.ask()
         else:
-            self._overload.over()
+            self._overload.reset()
 
     def __len__(self) -> int:
         return len(self._queue)
@@ -286,7 +286,7 @@ class Outbox:
 
     def clear(self) -> int:
         """Remove all messages; returns how many they were."""
-        self._overload.over()
+        self._overload.reset()
         return self._queue.clear()
 
     @property
@@ -382,7 +382,7 @@ class OutgoingPath:
             batch = self._stamped(batch)
         elif shift := self._context.stamps.shift:
             batch = [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
-        self.take(self._arriving(batch))
+        self.receive(self._arriving(batch))
 
     def too_late(self, batch: Sequence[RawMessage]) -> None:
         """Drop messages that come after their opening."""
@@ -390,10 +390,10 @@ class OutgoingPath:
 
     # --- of a volatile topic
 
-    def take(self, batch: Sequence[RawMessage]) -> None:
-        """Take messages that do not loop, oldest first."""
+    def receive(self, batch: Sequence[RawMessage]) -> None:
+        """Receive messages that do not loop, oldest first."""
         if self.histories is not None:
-            self._take_latched(self.histories.receive(batch), ())
+            self._receive_latched(self.histories.receive(batch), ())
             return
         if not batch:
             return
@@ -451,9 +451,9 @@ class OutgoingPath:
 
     def emit(self, samples: Sequence[Sample]) -> None:
         """Take messages of a latched topic whose histories are known by now."""
-        self._take_latched(0, samples)
+        self._receive_latched(0, samples)
 
-    def _take_latched(self, new: int, samples: Sequence[Sample]) -> None:
+    def _receive_latched(self, new: int, samples: Sequence[Sample]) -> None:
         """Take messages of a latched topic. `new` have just come; others have waited in the histories."""
         if self._route.peek_slot.wanted and samples:
             self._show(samples[-1].message)

@@ -350,7 +350,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Update histories, stale warnings and the verdict. Called once a second while the route is not idle."""
         self.latency.tick()
         self._tick_lateness(self.context.now())
-        self.age.tick(self._came_here, self.context.now())
+        self.age.update(self._came_here, self.context.now())
         if self.link_full is not None:
             self._full_at = self.context.now()
         # The verdict needs the ticks above; the lines below need the verdict.

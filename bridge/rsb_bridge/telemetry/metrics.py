@@ -263,7 +263,7 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
             return [b"internal error: see the bridge's log\n"]
 
     def server_bind(self) -> None:
-        """Without the look-up of the host's name, which may take its time."""
+        """Bind without a reverse DNS lookup, which may block."""
         TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
         self.setup_environ()

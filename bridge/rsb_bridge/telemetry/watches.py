@@ -60,8 +60,8 @@ class SlowWatch:
         self.since: float | None = None
         self._other = 0
 
-    def tick(self, rate: float, expected: float, now: float) -> None:
-        """Take the rate of the last seconds, in Hz as the expected one, at `now` (s)."""
+    def judge(self, rate: float, expected: float, now: float) -> None:
+        """Judge the rate of the last seconds, in Hz as the expected one, at `now` (s)."""
         if expected < _SLOWEST:
             self.reset()
             return
@@ -100,10 +100,10 @@ class StopWatch:
         self._publishers: frozenset[bytes] | None = None
         self._longest_pause = 0.0
 
-    def tick(
+    def judge(
         self, last: float, expected: float, now: float, publishers: frozenset[bytes], *, promised: bool = False
     ) -> None:
-        """Look at the time.
+        """Judge the silence.
 
         Args:
             last: s, when the last message came.
@@ -208,8 +208,8 @@ class LossWatch:
         self._arrived_at: float | None = None
         self._marks: deque[tuple[float, int, Mapping[str, int]]] = deque()
 
-    def tick(self, delivered: int, lost: Mapping[str, int], now: float) -> None:
-        """Take a ledger's counts so far.
+    def judge(self, delivered: int, lost: Mapping[str, int], now: float) -> None:
+        """Judge a ledger's counts so far.
 
         Args:
             delivered: messages that arrived and were published.

@@ -188,7 +188,7 @@ class Stream(asyncio.Protocol):
         """Take several answers to this side's first bytes, until `adopt`, where others than the peer may answer."""
 
     def adopt(self) -> None:
-        """Go on with the answer that the handler has just been given."""
+        """Accept the answer that the handler has just been given, and end the trial."""
 
     def authenticate(self, secret: bytes | None, *, opener: bool) -> None:
         """Take only what the peer proves to have sent, where others could send, too.

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
     from rsb_console.actions import Action
     from rsb_console.console_api import Console
-    from rsb_console.look.formats import Row
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.selectable_list import SelectableList
 
@@ -275,10 +274,6 @@ class MainScreen(Screen[None]):
         if self.console.readonly and any(a.changes and event.key in self.console.preferences.keys(a) for a in ACTIONS):
             self.notify(MainText.READ_ONLY(), timeout=2)
 
-    @property
-    def selected(self) -> Row | None:
-        return self.topics.selected
-
     def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
         if event.pane is self.topics:
             self.show_detail()
@@ -373,7 +368,7 @@ class MainScreen(Screen[None]):
     def action_message(self) -> None:
         from rsb_console.screens.view_screen import has_picture  # noqa: PLC0415 -- keeps the start short
 
-        route = self.selected
+        route = self.topics.selected
         if route is None or self.console.engine is None:
             return
         if isinstance(route, PatternRow):

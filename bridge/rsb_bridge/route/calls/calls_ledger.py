@@ -19,9 +19,9 @@ LATELY = 10
 """s that verdicts look back."""
 _TIMED = 512
 """Calls that are timed at most in a second: the newest."""
-_SAID_AGAIN_AFTER = 60.0
+_REPEATED_AFTER = 60.0
 """s until the log repeats a failure of the same route."""
-_MOST_SAID = 32
+_MOST_LOGGED = 32
 """Texts that are remembered: nodes' names in them make ever new ones."""
 
 REMEDIES = {
@@ -169,7 +169,7 @@ class CallFailures:
         self._notices = notices
         self._log = log
         self._now = now
-        self._said: dict[str, float] = {}
+        self._logged_at: dict[str, float] = {}
 
     def refused(self, why: Refused) -> str:
         """Count a call that either side refuses, log it once, and return the reason in words."""
@@ -192,11 +192,11 @@ class CallFailures:
         self._calls.last_failure = text
         self._notices.record(text)
         now = self._now()
-        if now - self._said.get(text, float("-inf")) < _SAID_AGAIN_AFTER:
+        if now - self._logged_at.get(text, float("-inf")) < _REPEATED_AFTER:
             return
-        if len(self._said) >= _MOST_SAID:
-            self._said.clear()
-        self._said[text] = now
+        if len(self._logged_at) >= _MOST_LOGGED:
+            self._logged_at.clear()
+        self._logged_at[text] = now
         self._log(Level.WARNING, code, text)
 
     def tick(self) -> None:

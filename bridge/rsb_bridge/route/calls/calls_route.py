@@ -303,13 +303,9 @@ class CallsRoute(Route):
     def message_types(self) -> tuple[TypeVersion, ...]:
         return self.types.messages
 
-    def held(self, lane: int) -> Refused | None:
-        """Return why a pause or arming holds up a lane, or None. Nothing ever holds up a cancel."""
-        if not self.members[lane].limited:
-            return None
-        if self.paused:
-            return Refused.PAUSED
-        return None if self.arming.stands(self.context.now()) else Refused.DISARMED
+    def held(self, lane: int) -> bool:
+        """Whether a pause or arming holds up a lane. Nothing ever holds up a cancel."""
+        return self.members[lane].limited and (self.paused or not self.arming.stands(self.context.now()))
 
     # --- opening and closing
 

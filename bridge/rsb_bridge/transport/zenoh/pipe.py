@@ -36,7 +36,7 @@ SAMPLE = 1024 * 1024
 
 _LONGEST = 2 * SAMPLE
 """Bytes of a peer's sample that is taken at most: `LARGEST_SAMPLE`, too."""
-_SAID_EVERY = IN_FLIGHT // 4
+_REPORTED_EVERY = IN_FLIGHT // 4
 """Bytes between two windows: a part of `IN_FLIGHT`, so that what has arrived does not count as in flight for long."""
 _ASKED_AFTER = 2.0
 """Seconds after which a sender asks for a missing window, and after which an idle sender reports that it has sent all:
@@ -120,7 +120,7 @@ class Pipe(asyncio.Transport):
         self._resuming = self._saying = False
         self._asking: asyncio.TimerHandle | None = None
         self._held = bytearray()  # and no list of samples, of which each, however small, would take memory of its own
-        self._received_samples = self._received = self._taken = self._said = 0
+        self._received_samples = self._received = self._taken = self._reported = 0
         endpoint.add(peer, stream, self)
         protocol.connection_made(self)
 
@@ -189,7 +189,7 @@ class Pipe(asyncio.Transport):
         self._trial = True
 
     def adopt(self) -> None:
-        """Go on with the answer that the protocol has just been given: it proves the key."""
+        """Accept the answer that the protocol has just been given, which proves the key, and end the trial."""
         self._trial = False
         self.longest = _LONGEST
 
@@ -331,7 +331,7 @@ class Pipe(asyncio.Transport):
 
     def _deliver(self, payload: bytes) -> None:
         self._taken += len(payload)
-        if self._taken - self._said >= _SAID_EVERY:
+        if self._taken - self._reported >= _REPORTED_EVERY:
             self._say()
         self._protocol.data_received(payload)
 
@@ -344,7 +344,7 @@ class Pipe(asyncio.Transport):
     def _say(self) -> None:
         self._saying = False
         if not self._over:
-            self._said = self._taken
+            self._reported = self._taken
             self._put_sample(SampleKind.WINDOW, self._taken, b"")
 
     # --- sending
