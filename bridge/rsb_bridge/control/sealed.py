@@ -28,9 +28,9 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.zenoh.pipe import Pipe
+from rsb_bridge.wire.connection import RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.events import Admitted, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.handshake import ReplayCache
-from rsb_bridge.wire.operator_connection import RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.preamble import Refusal
 from rsb_bridge.wire.sealed_stream import Credential
 
