@@ -29,11 +29,10 @@ from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Established, Event, Failed, MessageReceived, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, LENGTH, DataWriter, pack_frame
-from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
 from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, Welcome
 from rsb_bridge.wire.preamble import PreambleKind, Refusal, RefusalText, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken, Misuse
-from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.sealed_stream import Credential, NoiseHandshake, ReplayCache
 from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal, Role, Sealer
 
 ROLES: tuple[Role, ...] = ("client", "server")

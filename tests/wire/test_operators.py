@@ -19,7 +19,6 @@ from rsb_bridge.wire.connection import (
 )
 from rsb_bridge.wire.events import Admitted, Event, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
-from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
 from rsb_bridge.wire.preamble import (
     PreambleKind,
     Refusal,
@@ -30,7 +29,7 @@ from rsb_bridge.wire.preamble import (
     preamble_frame,
 )
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
-from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.sealed_stream import Credential, NoiseHandshake, ReplayCache
 from rsb_bridge.wire.sealing import Sealer
 
 VERSION = 7

@@ -30,9 +30,8 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.zenoh.pipe import Pipe
 from rsb_bridge.wire.connection import RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.events import Admitted, Failed, OperatorOpened, RefusalCode, StreamRefused
-from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.preamble import Refusal
-from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.sealed_stream import Credential, ReplayCache
 
 if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key

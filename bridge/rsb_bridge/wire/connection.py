@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.wire.events import StreamName
-    from rsb_bridge.wire.handshake import ReplayCache
     from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
+    from rsb_bridge.wire.sealed_stream import ReplayCache
 
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
 OPERATOR_SUITE = CipherSuite.CHACHAPOLY
