@@ -36,8 +36,8 @@ from rsb_bridge.wire.sealed_stream import Credential, ReplayCache
 if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Granted
-    from rsb_bridge.control.connectors import Connection
     from rsb_bridge.control.control_server import ControlServer
+    from rsb_bridge.control.remote_engine import Connection
     from rsb_bridge.engine.access import Access
 
 _PLACES = protocol.CONSOLES - 8
@@ -511,7 +511,7 @@ class _OperatorConnection(asyncio.Protocol):
             self._transport.abort()
 
     async def read(self) -> bytes:
-        """Read, write and abort as in `rsb_bridge.control.connectors.Connection`."""
+        """Read, write and abort as in `rsb_bridge.control.remote_engine.Connection`."""
         return await self._reader.read(_READ_SIZE)
 
     def write(self, data: bytes) -> None:
