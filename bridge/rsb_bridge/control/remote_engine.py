@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol
 
 from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError, NoAnswerError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.cleaning import UntrustedMessages
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError, try_connect
 from rsb_bridge.control.protocol import (
     CommandFailed,
@@ -27,7 +26,7 @@ from rsb_bridge.control.protocol import (
     RestartStep,
     UnexpectedMessage,
 )
-from rsb_bridge.control.states import StateReceiver
+from rsb_bridge.control.states import StateReceiver, UntrustedMessages
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
