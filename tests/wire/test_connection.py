@@ -196,9 +196,9 @@ def other_version(frame: bytes, version: int = 9) -> bytes:
     return pack_frame(b"rsb" + bytes((version,)) + frame[4:])
 
 
-@pytest.mark.parametrize(("version", "text"), [(1, RefusalText.PEER_OLDER), (9, RefusalText.THIS_SIDE_OLDER)])
+@pytest.mark.parametrize(("version", "text"), [(0, RefusalText.PEER_OLDER), (9, RefusalText.THIS_SIDE_OLDER)])
 def test_a_client_of_another_version(version: int, text: RefusalText) -> None:
-    server, words = make_server(), text(ours=2, theirs=version)
+    server, words = make_server(), text(ours=1, theirs=version)
     (event,) = server.receive_data(other_version(preamble_frame(PreambleKind.CONTROL, b"whatever it means"), version))
     assert event == StreamRefused(RefusalCode.WRONG_VERSION, words)
     assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.WRONG_VERSION, words))
@@ -208,7 +208,7 @@ def test_a_client_of_another_version(version: int, text: RefusalText) -> None:
 def test_a_server_of_another_version(kind: PreambleKind) -> None:
     client = make_client()
     client.start()
-    words = RefusalText.THIS_SIDE_OLDER(ours=2, theirs=9)
+    words = RefusalText.THIS_SIDE_OLDER(ours=1, theirs=9)
     events = client.receive_data(other_version(preamble_frame(kind, b"\x01whatever")))
     assert events == [StreamRefused(RefusalCode.WRONG_VERSION, words)]
     assert client.data_to_send() == b""

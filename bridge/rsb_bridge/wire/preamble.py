@@ -52,7 +52,7 @@ def recognise(data: Buffer) -> str:
     return _ZENOH if is_init or start.startswith(_ZENOH_CLOSE) else ""
 
 
-VERSION = 2
+VERSION = 1
 """Of the wire format. A peer of another version is refused."""
 MESSAGE_LIMIT = 512
 """Bytes of a refusal's message."""
