@@ -228,7 +228,7 @@ def _said(number: int, size: int) -> bytes:
     """Return one stranger's bytes: an unfinished frame, a first message with a wrong key, or noise; then zeros."""
     match number % 3:
         case 0:
-            begun = struct.pack(">I", 4096) + b"rsb\x02\x01"
+            begun = struct.pack(">I", 4096) + b"rsb\x01\x01"
         case 1:
             begun = ClientConnection(Hello("1", "bench", "x", 0), os.urandom(32), CipherSuite.AESGCM).start()
         case _:

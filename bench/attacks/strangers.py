@@ -65,7 +65,7 @@ def bare(target: Target, tally: Tally) -> None:
 
 
 def half_open(target: Target, tally: Tally) -> None:
-    _connections(target, tally, 500, lambda _: struct.pack(">I", 200) + b"rsb\x02\x01\x01", _anybody)
+    _connections(target, tally, 500, lambda _: struct.pack(">I", 200) + b"rsb\x01\x01\x01", _anybody)
 
 
 def rubbish(target: Target, tally: Tally) -> None:
@@ -115,7 +115,7 @@ def replay(target: Target, tally: Tally) -> None:
 
 def slow(target: Target, tally: Tally) -> None:
     """Hold twice as many connections as the server keeps, from eight hosts, with a byte of a preamble just in time."""
-    said = struct.pack(">I", 4000) + b"rsb\x02\x01\x01\x06robot1" + bytes(3000)
+    said = struct.pack(">I", 4000) + b"rsb\x01\x01\x01\x06robot1" + bytes(3000)
     talking: dict[socket.socket, int] = {}
     hosts = [f"127.0.2.{number}" for number in range(1, 8)] + ["127.0.0.1"]
     for number in count():

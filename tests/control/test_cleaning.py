@@ -17,9 +17,16 @@ from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.cleaning import MOST_ITEMS, ROUTE_BYTES, TEXT, UntrustedMessages, check_routes, clean
 from rsb_bridge.control.protocol import BridgeInfo, ControlProtocolError, ToConsole, UnexpectedMessage
-from rsb_bridge.control.states import StateReceiver
+from rsb_bridge.control.states import (
+    LONGEST_TEXT,
+    MOST_ITEMS,
+    ROUTE_BYTES,
+    StateReceiver,
+    UntrustedMessages,
+    check_routes,
+    clean,
+)
 from rsb_bridge.model.snapshot import Event, Level, RouteSnapshot
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.telemetry.event_log import KEPT
@@ -114,8 +121,8 @@ def test_answers_keep_their_lines_and_other_texts_have_one() -> None:
     assert clean(protocol.CommandFailed(1, "no\nsuch\x9b")).reason == "no\nsuch\ufffd"
     (event,) = clean(protocol.Events((Event(1, 0.0, Level.INFO, "a\nb", "t"),))).events
     assert event.code == "a\ufffdb"
-    assert len(clean(protocol.CommandFailed(1, "x" * 100_000)).reason) == TEXT
-    assert len(clean(protocol.RestartStep(1, "x" * 100_000)).text) == TEXT
+    assert len(clean(protocol.CommandFailed(1, "x" * 100_000)).reason) == LONGEST_TEXT
+    assert len(clean(protocol.RestartStep(1, "x" * 100_000)).text) == LONGEST_TEXT
 
 
 def test_too_much_is_refused() -> None:

@@ -13,8 +13,8 @@ from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.attached_console import TicketClock
 from rsb_bridge.control.protocol import RequestProblem
-from rsb_bridge.control.tickets import TicketClock
 from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock

@@ -15,7 +15,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.attached_console import RequestRefused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.wire.operator_connection import RECORD_CONTENT
+from rsb_bridge.wire.connection import RECORD_CONTENT
 from rsb_console.session.attaching import attach, file_here
 
 if TYPE_CHECKING:

@@ -35,7 +35,7 @@ from rsb_bridge.model.commands import AnyCommand, Right
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire import events
-from rsb_bridge.wire.operator_connection import OperatorConsole
+from rsb_bridge.wire.connection import OperatorConsole
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,9 +14,9 @@ from tests.support.wording import pattern
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.attached_console import AttachedConsole
-from rsb_bridge.control.connectors import UnixSocket
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError
 from rsb_bridge.control.protocol import VERSION, BridgeInfo, ConsoleHello, ConsoleWelcome, Summary, Watch, encode
+from rsb_bridge.control.remote_engine import UnixSocket
 from rsb_bridge.control.sealed import OperatorRefused
 from rsb_bridge.control.summaries import watch
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_bridge.control.connectors import Connector
+    from rsb_bridge.control.remote_engine import Connector
 
 INFO = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
 

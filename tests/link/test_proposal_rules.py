@@ -15,14 +15,16 @@ from rsb_bridge.config.file_form import as_topic, as_written, foreign
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.config.topic_rules import topic_problems, unreported
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.proposals import authorized, proposal_of, topic_of
+from rsb_bridge.link.proposals import amended, amended_topic, amendment, authorized, proposal_of, same_route, topic_of
 from rsb_bridge.model.limits import TOPIC_LENGTH
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.session import Client, Problem, Session, Topic
+from rsb_bridge.model.session import HIGHEST, Client, Problem, Session, Topic, priority_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import Protocol
 from rsb_bridge.model.velocity_limits import VelocityLimits
+from rsb_bridge.route.rate_limit import limits_changed
+from rsb_bridge.route.route import rank_of
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.messages import Propose
@@ -76,6 +78,10 @@ def refusal(proposal: Propose, link: Link, session: Session) -> str:
     except LinkError as error:
         return str(error)
     return ""
+
+
+def proposed(topic: Topic) -> Propose:
+    return proposal_of(topic, TRANSPORTS["tcp"], client_name="robot1", use_name=False)
 
 
 changes: st.SearchStrategy[dict[str, Any]] = st.lists(
@@ -138,6 +144,21 @@ def test_the_peer_is_told_each_key_that_a_proposal_has(key: str) -> None:
     """A key that is added to the session and to the message crosses without a line of its own."""
     value = VALUES.get(key, True if TOPIC_KEYS[key].value == "switch" else 7)
     topic = Topic(**{"topic": "/a", "direction": "transmit", "arm": True, key: value})
-    proposal = proposal_of(topic, TRANSPORTS["tcp"], client_name="robot1", use_name=False)
-    received = topic_of(cast("Propose", decode(encode(proposal))))
+    received = topic_of(cast("Propose", decode(encode(proposed(topic)))))
     assert getattr(received, key) == value
+
+
+def test_a_newer_side_s_ranks_count_as_the_nearest_word() -> None:
+    """Else each of them would keep a part of the link, until nothing is left for the highest."""
+    normal = proposed(Topic("/scan", "transmit"))
+    ranks = [rank_of(msgspec.structs.replace(normal, priority=rank), armed=False) for rank in range(-100, 101)]
+    assert ranks == [-1] * 100 + [0] + [1] * 100
+    assert [priority_of(rank) for rank in (-100, -1, 0, 1, 100)] == ["low", "low", "normal", "high", "high"]
+    assert rank_of(msgspec.structs.replace(normal, priority=-1), armed=True) == HIGHEST
+
+
+def test_a_priority_changes_while_the_route_is_open() -> None:
+    normal, low = (proposed(Topic("/scan", "transmit", priority=each)) for each in ("normal", "low"))
+    assert same_route(normal, low)
+    assert "priority" in limits_changed(normal, low)
+    assert amended_topic(Topic("/scan", "transmit"), amended(normal, amendment(low, 1))).priority == "low"

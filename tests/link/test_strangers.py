@@ -45,11 +45,11 @@ def first_message(name: str = "robot1", key: bytes | None = None) -> bytes:
 SAID = {
     "nothing": b"",
     "rubbish": os.urandom(200_000),
-    "a frame that never ends": struct.pack(">I", 4096) + b"rsb\x02\x01",
+    "a frame that never ends": struct.pack(">I", 4096) + b"rsb\x01\x01",
     "a wrong key": first_message(),
     "a wrong key, and more": first_message() + bytes(1_000_000),
     "an unknown name": first_message("nobody"),
-    "a stream's preamble": struct.pack(">I", 30) + b"rsb\x02\x02" + bytes(25),
+    "a stream's preamble": struct.pack(">I", 30) + b"rsb\x01\x02" + bytes(25),
     "HTTP": b"GET / HTTP/1.1\r\n\r\n",
 }
 

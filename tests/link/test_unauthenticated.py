@@ -129,11 +129,11 @@ NO_HANDSHAKES: list[tuple[bytes, str | Wording, dict[str, object]]] = [
     (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", Broken.FOREIGN_KNOWN, {"protocol": "HTTP"}),
     (frame(b"rsb\x09\x01whatever comes later"), RefusalText.THIS_SIDE_OLDER, {"theirs": 9}),
     (
-        frame(b"rsb\x02\x01\x01\x06robot1" + bytes(200)),
+        frame(b"rsb\x01\x01\x01\x06robot1" + bytes(200)),
         RefusalText.KEY_NOT_NAMED,
         {"name": "robot1", "there": "client", "here": "server"},
     ),
-    (frame(b"rsb\x02\x02" + bytes(28)), "unknown route", {}),
+    (frame(b"rsb\x01\x02" + bytes(28)), "unknown route", {}),
 ]
 """A sample; tests/wire and tests/fuzz have all."""
 
@@ -143,7 +143,7 @@ def test_what_is_no_handshake(friend: Any, bridge: Bridge) -> None:
     server, *_ = friend
     for number, (sent, why, parameters) in enumerate(NO_HANDSHAKES, 1):
         answer = talk(("127.0.0.1", bridge.port), sent, source=f"127.0.1.{number}")
-        assert answer[4:9] == b"rsb\x02\x04"
+        assert answer[4:9] == b"rsb\x01\x04"
         assert has_text(answer.decode(errors="replace"), why, **parameters)
         codes = EventCode.LINK_REJECTED, EventCode.LINK_WRONG_KEY
         event = eventually(
@@ -174,7 +174,7 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge, monkeypa
             crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=60)) for _ in range(100)
         ]
         for stranger in strangers:
-            stranger.sendall(frame(b"rsb\x02\x01")[:5])
+            stranger.sendall(frame(b"rsb\x01\x01")[:5])
         eventually(lambda: happened(server, EventCode.LINK_REJECTED, "too many"))
         newcomer = bridge.client(name="robot2", key_file="other.key")
         eventually(lambda: linked(newcomer, "robot2"))
@@ -188,7 +188,7 @@ def test_a_client_links_during_a_flood_of_connections_from_its_own_address(frien
     served.
     """
     server, _, out, there = friend
-    with flood(bridge.port, 500, b"") as silent, flood(bridge.port, 50, frame(b"rsb\x02\x63")):
+    with flood(bridge.port, 500, b"") as silent, flood(bridge.port, 50, frame(b"rsb\x01\x63")):
         eventually(lambda: happened(server, EventCode.LINK_REJECTED, "too many"))
         newcomer = bridge.client(name="robot2", key_file="other.key")
         eventually(lambda: linked(newcomer, "robot2"))
@@ -197,7 +197,7 @@ def test_a_client_links_during_a_flood_of_connections_from_its_own_address(frien
     assert len([event for event in server.events() if event.code == EventCode.LINK_REJECTED]) <= 8
 
 
-@pytest.mark.parametrize("sent", [b"", frame(b"rsb\x02\x01")[:5]], ids=["silent", "half a handshake"])
+@pytest.mark.parametrize("sent", [b"", frame(b"rsb\x01\x01")[:5]], ids=["silent", "half a handshake"])
 def test_a_client_is_read_among_many_that_arrive_at_once(sent: bytes, friend: Any, bridge: Bridge) -> None:
     """All of them wait to be accepted; none may push out another that has spoken, and has not been read yet."""
     server, known, out, _ = friend

@@ -12,8 +12,7 @@ from tests.support.captured import captured
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
-from rsb_bridge.ros.distribution import package_of
-from rsb_bridge.ros.middleware import MiddlewareProblem, check_middleware
+from rsb_bridge.ros.distribution import MiddlewareProblem, check_middleware, package_of
 from rsb_bridge.ros.ros_interface import RosError
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))

@@ -7,8 +7,7 @@ import math
 import pytest
 from geometry_msgs.msg import Twist
 
-from rsb_bridge.ros import simulated_room
-from rsb_bridge.ros.simulation import Motion
+from rsb_bridge.ros.simulation import Motion, is_free
 
 STEP = 0.05
 RADIUS, MARGIN = 2.0, 0.35
@@ -23,7 +22,7 @@ class Drive:
         for _ in range(round(seconds / STEP)):
             self.now += STEP
             x, y, _ = self.motion.pose()
-            assert simulated_room.is_free(x, y, MARGIN)
+            assert is_free(x, y, MARGIN)
         return self.motion.pose()
 
     def command(self, forward: float, turn: float = 0.0) -> None:

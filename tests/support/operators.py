@@ -20,8 +20,8 @@ from rsb_bridge.engine.access import Access
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import Operator
 from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.wire.connection import OperatorConsole
 from rsb_bridge.wire.events import Admitted, OperatorOpened
-from rsb_bridge.wire.operator_connection import OperatorConsole
 
 if TYPE_CHECKING:
     from tests.support.control import Machine

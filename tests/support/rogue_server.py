@@ -11,9 +11,8 @@ from tests.support.rogue import whole
 from rsb_bridge.wire.connection import ServerConnection
 from rsb_bridge.wire.events import Established, MessageReceived
 from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
-from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.sealed_stream import Credential, ReplayCache
 
 
 class RogueServer:

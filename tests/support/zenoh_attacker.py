@@ -125,7 +125,7 @@ def churn(stranger: Stranger) -> None:
 
 def answers(stranger: Stranger) -> None:
     """Answer each new stream at once, in its server's place: with a refusal, rubbish, a reset and an end."""
-    refusal = b"\0\0\0\x10rsb\x02" + bytes([PreambleKind.REFUSE]) + b"\x01forged-12"
+    refusal = b"\0\0\0\x10rsb\x01" + bytes([PreambleKind.REFUSE]) + b"\x01forged-12"
 
     def answer(key: str) -> None:
         back = reverse(key)

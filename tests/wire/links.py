@@ -7,9 +7,8 @@ from tests.support.session_keys import propose
 
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Established, Event
-from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Hello, Welcome
-from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.sealed_stream import Credential, ReplayCache
 from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
 KEY = bytes(range(32))

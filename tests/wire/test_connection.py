@@ -29,11 +29,10 @@ from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Established, Event, Failed, MessageReceived, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, LENGTH, DataWriter, pack_frame
-from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
 from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, Welcome
 from rsb_bridge.wire.preamble import PreambleKind, Refusal, RefusalText, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken, Misuse
-from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.sealed_stream import Credential, NoiseHandshake, ReplayCache
 from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal, Role, Sealer
 
 ROLES: tuple[Role, ...] = ("client", "server")
@@ -197,9 +196,9 @@ def other_version(frame: bytes, version: int = 9) -> bytes:
     return pack_frame(b"rsb" + bytes((version,)) + frame[4:])
 
 
-@pytest.mark.parametrize(("version", "text"), [(1, RefusalText.PEER_OLDER), (9, RefusalText.THIS_SIDE_OLDER)])
+@pytest.mark.parametrize(("version", "text"), [(0, RefusalText.PEER_OLDER), (9, RefusalText.THIS_SIDE_OLDER)])
 def test_a_client_of_another_version(version: int, text: RefusalText) -> None:
-    server, words = make_server(), text(ours=2, theirs=version)
+    server, words = make_server(), text(ours=1, theirs=version)
     (event,) = server.receive_data(other_version(preamble_frame(PreambleKind.CONTROL, b"whatever it means"), version))
     assert event == StreamRefused(RefusalCode.WRONG_VERSION, words)
     assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.WRONG_VERSION, words))
@@ -209,7 +208,7 @@ def test_a_client_of_another_version(version: int, text: RefusalText) -> None:
 def test_a_server_of_another_version(kind: PreambleKind) -> None:
     client = make_client()
     client.start()
-    words = RefusalText.THIS_SIDE_OLDER(ours=2, theirs=9)
+    words = RefusalText.THIS_SIDE_OLDER(ours=1, theirs=9)
     events = client.receive_data(other_version(preamble_frame(kind, b"\x01whatever")))
     assert events == [StreamRefused(RefusalCode.WRONG_VERSION, words)]
     assert client.data_to_send() == b""

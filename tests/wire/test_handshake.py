@@ -8,8 +8,8 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from tests.support.wording import pattern
 
-from rsb_bridge.wire.handshake import NoiseHandshake, PlainHandshake, _hkdf
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
+from rsb_bridge.wire.sealed_stream import NoiseHandshake, PlainHandshake, _hkdf
 from rsb_bridge.wire.sealing import CipherSuite, Sealer, SealError, StreamOpener
 
 PSK = bytes.fromhex("54686973206973206d7920417573747269616e20706572737065637469766521")

@@ -9,26 +9,31 @@ from tests.support.wording import pattern
 from tests.wire.links import KEY, OTHER_KEY, make_client, make_server, the
 
 from rsb_bridge.model.fingerprints import fingerprint_of
-from rsb_bridge.wire.events import Admitted, Event, Failed, OperatorOpened, RefusalCode, StreamRefused
-from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
-from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
-from rsb_bridge.wire.operator_connection import (
+from rsb_bridge.wire.connection import (
     HOST_BYTES,
+    OPERATOR_SUITE,
     RECORD_CONTENT,
     RECORD_LIMIT,
-    SUITE,
     OperatorConsole,
     OperatorEngine,
-    operator_header,
-    parse_operator,
 )
-from rsb_bridge.wire.preamble import PreambleKind, Refusal, parse_control, parse_preamble, preamble_frame
+from rsb_bridge.wire.events import Admitted, Event, Failed, OperatorOpened, RefusalCode, StreamRefused
+from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
+from rsb_bridge.wire.preamble import (
+    PreambleKind,
+    Refusal,
+    operator_header,
+    parse_control,
+    parse_operator,
+    parse_preamble,
+    preamble_frame,
+)
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
-from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.sealed_stream import Credential, NoiseHandshake, ReplayCache
 from rsb_bridge.wire.sealing import Sealer
 
 VERSION = 7
-TAG = SUITE.tag_length
+TAG = OPERATOR_SUITE.tag_length
 
 
 def make_console(
@@ -63,7 +68,7 @@ def contents(events: list[Event]) -> bytes:
 
 def first_message(*, header: bytes | None = None, host: bytes = b"") -> bytes:
     header = header or operator_header(VERSION, "anna", "robot1", fingerprint_of(KEY))
-    return pack_frame(header, NoiseHandshake(SUITE, KEY, header).write(host))
+    return pack_frame(header, NoiseHandshake(OPERATOR_SUITE, KEY, header).write(host))
 
 
 # --- the handshake
@@ -139,7 +144,7 @@ def test_who_is_unknown_or_means_another_engine_is_not_told_which_this_is(operat
 
 def test_a_key_that_only_claims_its_fingerprint_opens_nothing() -> None:
     header = operator_header(VERSION, "anna", "robot1", fingerprint_of(KEY))
-    forged = pack_frame(header, NoiseHandshake(SUITE, OTHER_KEY, header).write(b""))
+    forged = pack_frame(header, NoiseHandshake(OPERATOR_SUITE, OTHER_KEY, header).write(b""))
     assert the(StreamRefused, make_engine().receive_data(forged)).code is RefusalCode.WRONG_KEY
 
 
@@ -233,7 +238,7 @@ def test_an_operator_has_no_link_even_with_the_same_key() -> None:
 
 
 def test_a_link_s_first_message_under_an_operator_s_header_does_not_open() -> None:
-    offer = parse_control(make_client(SUITE).start()[LENGTH.size :])
+    offer = parse_control(make_client(OPERATOR_SUITE).start()[LENGTH.size :])
     header = operator_header(VERSION, "anna", "robot1", offer.fingerprint)
     assert (
         the(StreamRefused, make_engine().receive_data(pack_frame(header, offer.message))).code is RefusalCode.WRONG_KEY

@@ -6,10 +6,8 @@ import msgspec
 import pytest
 from tests.wire.links import HELLO, KEY, WELCOME, ready_to_accept
 
-from rsb_bridge.wire.connection import ClientConnection, ServerConnection
-from rsb_bridge.wire.handshake import ReplayCache
-from rsb_bridge.wire.operator_connection import OperatorConsole, OperatorEngine
-from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.connection import ClientConnection, OperatorConsole, OperatorEngine, ServerConnection
+from rsb_bridge.wire.sealed_stream import Credential, ReplayCache
 from rsb_bridge.wire.sealing import TAG_LENGTH, CipherSuite, SampleTags
 
 SECRET, STREAM = bytes(range(32)), "5" * 16

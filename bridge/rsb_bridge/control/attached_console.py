@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import secrets
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
@@ -12,14 +13,16 @@ from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
-from rsb_bridge.control.tickets import TicketClock
 from rsb_bridge.model.by_hand import TICKET_LIFE
+from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.command_origin import acting, on_console, undoing
 from rsb_bridge.model.commands import ArmTopic, AskHolder, ReleaseArmed, Right, Stop, TakeArming
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
 
@@ -104,6 +107,31 @@ class ConsoleHost(Protocol):
 
     def stop_process(self) -> None:
         """End the process, as `rsb_bridge.model.commands.Stop` asks."""
+
+
+class TicketClock:
+    """Issues the tickets of one connection: proofs that its console has heard from the bridge a moment ago.
+
+    A command may wait in a frozen program, a hung tunnel or a full buffer. Answers and states bring tickets, a request
+    brings the newest one back, and the bridge refuses what moves a robot if the ticket is old. Only the bridge's clock
+    counts, and another connection's tickets are void.
+
+    Args:
+        steady: gives s on a clock that is never set.
+    """
+
+    def __init__(self, steady: Callable[[], float] = Clock.steady) -> None:
+        self._steady = steady
+        # 40 bits of ms are 35 years: a ticket of another connection is far too old, or not issued yet.
+        self._first = secrets.randbits(40) - int(steady() * 1e3)
+
+    def issue(self) -> int:
+        """Return a ticket."""
+        return self._first + int(self._steady() * 1e3)
+
+    def age(self, ticket: int) -> float:
+        """Return the age of a ticket in s. It is negative for one that was never issued."""
+        return (self.issue() - ticket) / 1e3
 
 
 class AttachedConsole:

@@ -179,7 +179,7 @@ class CommandRequest(_Message, frozen=True, tag="request"):
     Attributes:
         id: of the console's choosing.
         undo: whether it takes back an earlier command of this console; the bridge's log marks it.
-        ticket: the newest one that the console has (`rsb_bridge.control.tickets`).
+        ticket: the newest one that the console has (`rsb_bridge.control.attached_console.TicketClock`).
     """
 
     id: int

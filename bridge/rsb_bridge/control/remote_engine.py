@@ -1,4 +1,4 @@
-"""An engine in another process, attached through its control socket, or from another machine."""
+"""An engine in another process, attached over the control socket of this machine, or from another machine."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic
+from typing import TYPE_CHECKING, Any, Generic, Protocol
 
 from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError, NoAnswerError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.cleaning import UntrustedMessages
-from rsb_bridge.control.connectors import UnixSocket
-from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError
+from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError, try_connect
 from rsb_bridge.control.protocol import (
     CommandFailed,
     CommandRequest,
@@ -28,7 +26,7 @@ from rsb_bridge.control.protocol import (
     RestartStep,
     UnexpectedMessage,
 )
-from rsb_bridge.control.states import StateReceiver
+from rsb_bridge.control.states import StateReceiver, UntrustedMessages
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
@@ -42,7 +40,6 @@ from rsb_bridge.telemetry.snapshot_publisher import out_of_reach
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.control.connectors import Connection, Connector
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
     from rsb_bridge.model.commands import Command
     from rsb_bridge.model.session import Session
@@ -57,6 +54,9 @@ _COMES_BEFORE_USE = 0.1
 _USED_REGULARLY = 3.0
 """s between two uses up to which the next use is expected after the same time. A round figure."""
 
+_BUSY_TRIED_EVERY = 0.05
+_READ_SIZE = 256 << 10
+
 _logger = logging.getLogger(__name__)
 
 
@@ -65,6 +65,90 @@ class AttachedAgain(Wording):
 
     SAME = "attached again to {name}"
     RESTARTED = "attached again to {name}, which was restarted (pid {pid})"
+
+
+class Connection(Protocol):
+    """A console's end of a connection; belongs to one event loop."""
+
+    async def read(self) -> bytes:
+        """Return the next bytes, or nothing if the connection has ended.
+
+        Raises:
+            ControlError: the engine or this side ended it; the message has the reason.
+            OSError: it broke.
+        """
+
+    def write(self, data: bytes) -> None:
+        """Send, or keep until that is possible. After the end, nothing happens."""
+
+    def abort(self) -> None:
+        """Close, and forget what waits."""
+
+
+class Connector(Protocol):
+    """Connects to one engine, any number of times."""
+
+    @property
+    def same_machine(self) -> bool:
+        """Whether the engine is on this machine: its files are this machine's files."""
+
+    @property
+    def text(self) -> str:
+        """The name of the engine for messages, until the engine itself has given one."""
+
+    async def open(self, within: float) -> Connection:
+        """Connect. Nothing is left open if this fails or is cancelled.
+
+        Args:
+            within: s in which the engine has to answer.
+
+        Raises:
+            ControlError: there is no connection; the message has the reason.
+            OSError: the same.
+            TimeoutError: the engine does not answer.
+        """
+
+
+class UnixSocket:
+    """The control socket of an engine on this machine."""
+
+    same_machine = True
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def text(self) -> str:
+        return str(self.path)
+
+    async def open(self, within: float) -> Connection:
+        """Connect.
+
+        The socket is made between two awaits, so that a cancellation cannot come before somebody owns it.
+        """
+        async with asyncio.timeout(within):
+            while (connection := try_connect(self.path)) is None:  # noqa: ASYNC110 — the kernel tells of no event
+                await asyncio.sleep(_BUSY_TRIED_EVERY)
+        try:
+            return _SocketConnection(*await asyncio.open_unix_connection(sock=connection))
+        except BaseException:
+            connection.close()
+            raise
+
+
+class _SocketConnection:
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader, self._writer = reader, writer
+
+    async def read(self) -> bytes:
+        return await self._reader.read(_READ_SIZE)
+
+    def write(self, data: bytes) -> None:
+        if not self._writer.is_closing():
+            self._writer.write(data)
+
+    def abort(self) -> None:
+        self._writer.transport.abort()
 
 
 class RemoteEngine(EngineApi):

@@ -28,17 +28,16 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.zenoh.pipe import Pipe
+from rsb_bridge.wire.connection import RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.events import Admitted, Failed, OperatorOpened, RefusalCode, StreamRefused
-from rsb_bridge.wire.handshake import ReplayCache
-from rsb_bridge.wire.operator_connection import RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.preamble import Refusal
-from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.sealed_stream import Credential, ReplayCache
 
 if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Granted
-    from rsb_bridge.control.connectors import Connection
     from rsb_bridge.control.control_server import ControlServer
+    from rsb_bridge.control.remote_engine import Connection
     from rsb_bridge.engine.access import Access
 
 _PLACES = protocol.CONSOLES - 8
@@ -512,7 +511,7 @@ class _OperatorConnection(asyncio.Protocol):
             self._transport.abort()
 
     async def read(self) -> bytes:
-        """Read, write and abort as in `rsb_bridge.control.connectors.Connection`."""
+        """Read, write and abort as in `rsb_bridge.control.remote_engine.Connection`."""
         return await self._reader.read(_READ_SIZE)
 
     def write(self, data: bytes) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.control.connectors import Connection, Connector
+    from rsb_bridge.control.remote_engine import Connection, Connector
     from rsb_bridge.model.robot_summary import LostMessages
     from rsb_bridge.model.snapshot import PeekedMessage, RouteSnapshot, Snapshot
 

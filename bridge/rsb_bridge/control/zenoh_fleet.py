@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.config.fleet_file import FleetFile
-    from rsb_bridge.control.connectors import Connection
     from rsb_bridge.control.control_server import ControlServer
+    from rsb_bridge.control.remote_engine import Connection
     from rsb_bridge.engine.access import Access
     from rsb_bridge.transport.zenoh.endpoint import Seen, ZenohEndpoint
     from rsb_bridge.transport.zenoh.outbox import Header

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.distribution import described, distribution, rclpy_version
+from rsb_bridge.ros.distribution import check_middleware, described, distribution, rclpy_version
 from rsb_bridge.ros.memory import PROFILE_VARIABLES
-from rsb_bridge.ros.middleware import check_middleware
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:

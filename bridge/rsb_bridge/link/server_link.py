@@ -25,9 +25,9 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.transport import ListenError, StreamTransport
 from rsb_bridge.wire.events import RefusalCode
-from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
 from rsb_bridge.wire.preamble import Refusal
+from rsb_bridge.wire.sealed_stream import ReplayCache
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:

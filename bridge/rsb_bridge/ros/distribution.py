@@ -1,16 +1,27 @@
-"""The ROS 2 distribution that is installed here, for texts that name its packages. This module does not load ROS."""
+"""What of ROS 2 is installed here: its distribution, and the middleware (rmw). This module does not load ROS."""
 
 from __future__ import annotations
 
 import os
+import sys
 from functools import cache
 from importlib import import_module
-from typing import Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.ros_interface import RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 DEFAULT: Final = "jazzy"
 """The distribution that texts name where none is installed."""
 _BY_RCLPY = {"3.3": "humble", "7.1": "jazzy", "9.1": "kilted"}
 """Distributions by their version of rclpy."""
+_VARIABLES = ("RMW_IMPLEMENTATION", "RCL_ASSERT_RMW_ID_MATCHES")
+_INDEX = "share/ament_index/resource_index"
+_NOT_ONE = "rmw_implementation"  # it is listed too, and loads one of the others
 
 
 @cache
@@ -41,3 +52,39 @@ def described() -> str:
 def package_of(name: str) -> str:
     """Return the name under which systems install a ROS package: ``ros-jazzy-std-msgs``."""
     return f"ros-{distribution() or DEFAULT}-{name.replace('_', '-')}"
+
+
+class MiddlewareProblem(Wording):
+    """The reasons why ROS can't use a middleware."""
+
+    NOT_INSTALLED = (
+        "{variable} is {wanted}, which is not installed (installed: {installed}): unset {variable}, or install "
+        "{package}"
+    )
+
+
+def check_middleware(environment: Mapping[str, str]) -> None:
+    """Check that the middleware implementation that the environment asks for is installed.
+
+    rcl checks it while it is being loaded, and a wrong one ends the process with exit code 102
+    (rcl/rmw_implementation_identifier_check.c). So it has to be checked before.
+
+    Raises:
+        RosError: it is not installed; the message lists the installed ones.
+    """
+    prefixes = [*environment.get("AMENT_PREFIX_PATH", "").split(":"), sys.prefix]
+    indexes = (Path(prefix).glob(f"{_INDEX}/rmw_typesupport*/*") for prefix in prefixes if prefix)
+    installed = {entry.name for index in indexes for entry in index} - {_NOT_ONE}
+    if not installed:
+        return  # an installation without an index: rcl itself reports a missing implementation
+    for variable in _VARIABLES:
+        wanted = environment.get(variable, "")
+        if wanted and wanted not in installed:
+            raise RosError(
+                MiddlewareProblem.NOT_INSTALLED(
+                    variable=variable,
+                    wanted=wanted,
+                    installed=", ".join(sorted(installed)),
+                    package=package_of(wanted),
+                )
+            )

@@ -12,8 +12,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.model.qos import incompatible
+from rsb_bridge.ros.distribution import check_middleware
 from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
-from rsb_bridge.ros.middleware import check_middleware
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
 from rsb_bridge.ros.ros_interface import BATCH, RawMessage, Request, Response, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns

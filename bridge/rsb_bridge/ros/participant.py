@@ -39,13 +39,15 @@ from rsb_bridge.ros.raw_types import borrow_service, borrow_type
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
 from rsb_bridge.ros.self_test import ARGUMENTS, findings
 from rsb_bridge.ros.service_endpoints import (
+    CallerTable,
     RawServiceClient,
     RawServiceServer,
     ServiceEndpoint,
     TypedClient,
     TypedServer,
+    callers_in_graph,
+    servers_in_graph,
 )
-from rsb_bridge.ros.service_graph import CallerTable, callers, servers
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 if TYPE_CHECKING:
@@ -134,11 +136,11 @@ class Participant:
 
     def servers(self, service: str) -> list[Endpoint]:
         """The servers of a service, our own left out."""
-        return [each for each in servers(self._ask_dds, service) if each.node != self._name]
+        return [each for each in servers_in_graph(self._ask_dds, service) if each.node != self._name]
 
     def callers(self, service: str) -> list[Endpoint]:
         """The clients of a service, our own left out."""
-        return [each for each in callers(self._ask_dds, service) if each.node != self._name]
+        return [each for each in callers_in_graph(self._ask_dds, service) if each.node != self._name]
 
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]

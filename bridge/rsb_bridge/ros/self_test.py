@@ -45,8 +45,7 @@ from rsb_bridge.ros.native.rclpy_extension import (
 )
 from rsb_bridge.ros.native.typesupport import HASH_PREFIX, installed_class, type_support_of
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
-from rsb_bridge.ros.service_endpoints import RawServiceClient, RawServiceServer
-from rsb_bridge.ros.service_graph import CallerTable
+from rsb_bridge.ros.service_endpoints import CallerTable, RawServiceClient, RawServiceServer
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 if TYPE_CHECKING:

@@ -1,4 +1,8 @@
-"""Raw endpoints of services, on rcl through ctypes.
+"""Endpoints of services: raw ones, on rcl through ctypes, and the servers and callers that the graph shows.
+
+A request of ``/name`` travels on the DDS topic ``rq/nameRequest``, a response on ``rr/nameReply`` (ROS 2's design
+article on topic and service names). Each endpoint announces the hash of the message that it carries, so that only both
+of a server's, or both of a caller's, tell which version of the service it is.
 
 The behaviour of rmw_fastrtps_cpp with calls, and its consequences here:
 
@@ -16,6 +20,7 @@ from __future__ import annotations
 
 import ctypes
 import itertools
+import re
 import threading
 import time
 import warnings
@@ -25,6 +30,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from rclpy.serialization import deserialize_message
 
+from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.native.fast_cdr import outgoing
 from rsb_bridge.ros.native.librcl import (
     CALL_INFO,
@@ -39,15 +45,27 @@ from rsb_bridge.ros.native.librcl import (
     take_request,
     take_response,
 )
-from rsb_bridge.ros.native.rclpy_extension import reason_of
+from rsb_bridge.ros.native.rclpy_extension import PUBLISHERS, SUBSCRIPTIONS, endpoint_of, reason_of
+from rsb_bridge.ros.native.typesupport import joined_hash
 from rsb_bridge.ros.ros_interface import Request, Response, RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.native.rclpy_extension import Handle
-    from rsb_bridge.ros.service_graph import CallerTable
+    from rsb_bridge.ros.ros_interface import Endpoint
 
+    AskDds = Callable[..., list[dict[str, Any]]]
+    """Asks one of rclpy's questions about a DDS topic."""
+
+_GRAPH_ASKED_AGAIN_AFTER = 0.05
+"""s; many answers to callers that have gone must not ask for each."""
+_PARTICIPANT = 12
+"""Bytes of an endpoint's GUID that all endpoints of a participant share."""
+_WRITER = b"\x03"
+"""The kind of a writer without key, a GUID's last byte (RTPS 2.5, 9.3.1.2)."""
+_DDS_TYPE = re.compile(r"([a-z]\w*)::(srv|action)::dds_::(\w+)_(?:Request|Response)_", re.ASCII)
 _CALLERS_REMEMBERED = 1024
 """Callers of one server whose readers it knows. A round figure."""
 
@@ -63,6 +81,91 @@ _MOST_LATE_BYTES = 16 << 20
 """Of one server. Round figures: callers that go before their answers come must not fill the memory in 10 s."""
 _CALLS_REMEMBERED = 5000
 """As many as DDS keeps of one service (`participant._KEPT`)."""
+
+
+def servers_in_graph(ask: AskDds, service: str) -> list[Endpoint]:
+    """Return the servers of a service."""
+    return _pairs(
+        ask(SUBSCRIPTIONS, f"rq{service}Request"),
+        ask(PUBLISHERS, f"rr{service}Reply"),
+    )
+
+
+def callers_in_graph(ask: AskDds, service: str) -> list[Endpoint]:
+    """Return the clients of a service."""
+    return _pairs(
+        ask(PUBLISHERS, f"rq{service}Request"),
+        ask(SUBSCRIPTIONS, f"rr{service}Reply"),
+    )
+
+
+def _pairs(requesting: list[dict[str, Any]], responding: list[dict[str, Any]]) -> list[Endpoint]:
+    """Return one endpoint for each pair; of a pair, one may be discovered a moment before the other."""
+    hashes = {_participant_of(each): endpoint_of(each).type_hash for each in responding}
+    found = []
+    for info in requesting:
+        if (response := hashes.get(_participant_of(info))) is not None:
+            endpoint = endpoint_of(info)
+            type_hash = joined_hash(endpoint.type_hash, response)
+            found.append(endpoint._replace(type_name=_service_type(endpoint.type_name), type_hash=type_hash))
+    return found
+
+
+def _participant_of(info: dict[str, Any]) -> bytes:
+    return bytes(info["endpoint_gid"][:_PARTICIPANT])
+
+
+def _service_type(dds: str) -> str:
+    match = _DDS_TYPE.fullmatch(dds)
+    return "/".join(match.groups()) if match else dds
+
+
+def _next_writer(reader: bytes) -> bytes:
+    number = int.from_bytes(reader[_PARTICIPANT:15], "big") + 1
+    return reader[:_PARTICIPANT] + (number & 0xFFFFFF).to_bytes(3, "big") + _WRITER
+
+
+class CallerTable:
+    """The callers of a service that the graph shows, asked for when it has changed.
+
+    Those whose QoS DDS never matches with the service's are left out: it delivers them no answer.
+    """
+
+    def __init__(self, ask: AskDds, service: str, offered: Qos, version: Callable[[], int]) -> None:
+        """Ask nothing yet.
+
+        Args:
+            version: another number when the graph has changed.
+        """
+        self._ask = ask
+        self._service = service
+        self._offered = offered
+        self._version = version
+        self._asked = -1
+        self._asked_at = 0.0
+        self._writers: dict[bytes, bytes] = {}
+
+    def writer_of(self, reader: bytes) -> bytes | None:
+        """Return the GUID of a caller's writer of requests, or None if the graph does not show the caller.
+
+        Return empty bytes for a middleware that may not create the reader and the writer one after the other.
+
+        Args:
+            reader: the GUID of its reader of responses.
+        """
+        version = self._version()
+        # One that was not found is asked for again: the number changes only with the ROS thread's next wait.
+        if version == self._asked and (writer := self._writers.get(reader)) is not None:
+            return writer
+        now = time.monotonic()
+        if version != self._asked or now >= self._asked_at + _GRAPH_ASKED_AGAIN_AFTER:
+            self._asked, self._asked_at = version, now
+            writing = self._ask(PUBLISHERS, f"rq{self._service}Request")
+            reading = self._ask(SUBSCRIPTIONS, f"rr{self._service}Reply")
+            writers = {bytes(each["endpoint_gid"]) for each in writing}
+            readers = [end.gid for each in reading if not incompatible(self._offered, (end := endpoint_of(each)).qos)]
+            self._writers = {each: next_ if (next_ := _next_writer(each)) in writers else b"" for each in readers}
+        return self._writers.get(reader)
 
 
 class ServiceEndpoint:

@@ -22,8 +22,8 @@ _OVERDUE_AFTER = 2.0
 loss shows after 3 s."""
 _FOUND_WITHIN = 3.0
 """s within which publishers find a new subscription; who has sent nothing by then sends nothing now."""
-_MOST_CAUSES = 31
-"""Causes of drops with a count of their own; a report has room for one more, `UNKNOWN` (PROTOCOL.md, 3)."""
+_MOST_CAUSES = 32
+"""Causes of drops with a count of their own, as many as a report has room for (PROTOCOL.md, 3)."""
 _OTHER = "other"
 THROTTLED = "throttled"
 """The receiver left these out, for the rate that it allows."""
@@ -36,8 +36,6 @@ CAUSES = {
 """The causes under which messages count that a gate keeps back (`rsb_bridge.route.gates`)."""
 INCOMPLETE = "incomplete"
 """The receiver gave these up because parts of them did not come."""
-UNKNOWN = "unknown"
-"""Cause under which a report lists `Ledger.unknown`."""
 _ON_THE_WAY = "lost on the way"
 _LARGEST = 2**53
 """The largest count that is kept or sent; anything beyond it is a mistake."""
@@ -286,9 +284,8 @@ class RouteLedger:
                     drop(_ON_THE_WAY, lost)
         # The receiver lists these among its drops; here they have parts of their own.
         throttled = self.throttled + dropped.pop(THROTTLED, 0)
-        unknown = self.unknown + dropped.pop(UNKNOWN, 0)
         expired = self.expired + dropped.pop(EXPIRED, 0)
-        accounted = delivered + expired + throttled + unknown + sum(dropped.values())
+        accounted = delivered + expired + throttled + self.unknown + sum(dropped.values())
         return Ledger(
             offered=self.offered,
             delivered=delivered,
@@ -296,7 +293,7 @@ class RouteLedger:
             expired=expired,
             in_flight=self.offered - accounted,
             dropped=dropped if len(dropped) <= _MOST_CAUSES else dict(_folded(Counter(dropped))),
-            unknown=unknown,
+            unknown=self.unknown,
             lost_in_dds=min(lost_in_dds, _LARGEST),
             missed_while_down=self.missed.count,
         )
@@ -363,28 +360,22 @@ class MissedWhileDown:
 
 def reported_ledger(report: SentReport) -> Ledger | None:
     """Return the ledger that a sender reports, or None if its figures are impossible."""
-    parts = (report.delivered, report.throttled, report.expired, report.in_flight, *report.dropped.values())
+    known = (report.delivered, report.throttled, report.expired, *report.dropped.values())
+    parts = (*known, report.unknown, report.in_flight)
     figures = (*parts, report.lost_in_dds, report.missed_while_down)
     if sum(parts) != report.offered or not all(0 <= figure <= _LARGEST for figure in figures):
         return None
-    dropped = dict(report.dropped)
-    unknown = dropped.pop(UNKNOWN, 0)
     return Ledger(
         offered=report.offered,
         delivered=report.delivered,
         throttled=report.throttled,
         expired=report.expired,
         in_flight=report.in_flight,
-        dropped=dropped,
-        unknown=unknown,
+        dropped=report.dropped,
+        unknown=report.unknown,
         lost_in_dds=report.lost_in_dds,
         missed_while_down=report.missed_while_down,
     )
-
-
-def reported_drops(ledger: Ledger) -> dict[str, int]:
-    """Return the drops that a report lists: by the ledger's causes, and the unknown messages."""
-    return {**ledger.dropped, UNKNOWN: ledger.unknown} if ledger.unknown else ledger.dropped
 
 
 def _folded(dropped: Counter[str]) -> Counter[str]:

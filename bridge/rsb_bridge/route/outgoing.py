@@ -19,7 +19,7 @@ from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, SendersDelay, delay_of_sender
-from rsb_bridge.route.ledger import RouteLedger, reported_drops
+from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.resolving import Resolver
@@ -443,7 +443,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             throttled=ledger.throttled,
             expired=ledger.expired,
             in_flight=ledger.in_flight,
-            dropped=reported_drops(ledger),
+            dropped=ledger.dropped,
+            unknown=ledger.unknown,
             lost_in_dds=ledger.lost_in_dds,
             missed_while_down=ledger.missed_while_down,
             publishers=len(self.endpoints),

@@ -1,4 +1,4 @@
-"""The state machines of a stream: bytes in, events out (PROTOCOL.md, 1).
+"""The state machines of a link's streams, and of an operator's: bytes in, events out (PROTOCOL.md, 1 and 10).
 
 The caller reads a socket, passes the bytes to `receive_data`, acts on the events, and writes what `data_to_send` and
 `send` return, in the order of the calls. After `StreamRefused` or `Failed` a connection ignores further bytes.
@@ -8,9 +8,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of
+from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.wire.codec import decode_hello, decode_welcome, encode
-from rsb_bridge.wire.events import Accepted, DataFrame, Established, MessageReceived, RefusalCode, StreamRefused
+from rsb_bridge.wire.events import (
+    Accepted,
+    Admitted,
+    DataFrame,
+    Established,
+    MessageReceived,
+    OperatorOpened,
+    RefusalCode,
+    StreamRefused,
+)
 from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, pack_frame
 from rsb_bridge.wire.preamble import (
     MAGIC,
@@ -23,8 +33,10 @@ from rsb_bridge.wire.preamble import (
     control_header,
     data_header,
     key_of,
+    operator_header,
     parse_control,
     parse_data,
+    parse_operator,
     parse_preamble,
     parse_refuse,
     parse_suite,
@@ -38,10 +50,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.wire.events import StreamName
-    from rsb_bridge.wire.handshake import ReplayCache
     from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
+    from rsb_bridge.wire.sealed_stream import ReplayCache
 
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
+OPERATOR_SUITE = CipherSuite.CHACHAPOLY
+"""The one suite of operators' connections, which are always encrypted: a console transfers little."""
+RECORD_CONTENT = 16 << 10
+"""Bytes of a record's content at most. A round figure: nothing was measured."""
+_RECORD_HEADER = b""
+RECORD_LIMIT = RECORD_CONTENT + OPERATOR_SUITE.tag_length
+HOST_BYTES = 64
+"""Bytes of the console's host name in UTF-8."""
+_AT_BYTES = 64
 
 
 class _Control(SealedStream):
@@ -270,3 +291,97 @@ class DataConnection(PreambleStream):
                 self._refused_by_peer(body)
             case _:
                 raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
+
+
+class _Records(SealedStream):
+    """Either end of an operator's connection, in addition to its handshake."""
+
+    def send(self, content: bytes) -> bytes:
+        """Seal the next bytes for the other end, in as many records as they take.
+
+        Returns:
+            The bytes to write.
+
+        Raises:
+            RuntimeError: the connection was never `Admitted`.
+        """
+        view = memoryview(content)
+        return b"".join(self._seal(view[at : at + RECORD_CONTENT]) for at in range(0, len(content), RECORD_CONTENT))
+
+    def _on_content(self, content: bytes) -> None:
+        if not content:
+            raise ProtocolError(Broken.EMPTY_RECORD())
+        self._events.append(OperatorOpened(content))
+
+
+class OperatorConsole(_Records, ConnectingStream):
+    """The console's end of its connection with an engine over a network."""
+
+    def __init__(self, operator: str, key: bytes, engine: str, *, version: int, host: str = "") -> None:
+        """Prepare to attach.
+
+        Args:
+            operator: as the engine's session names them.
+            key: 32 bytes, the operator's.
+            engine: the name of the session that is meant.
+            version: of the control protocol.
+            host: this machine's name, for the engine's events.
+
+        Raises:
+            ValueError: a name is too long.
+        """
+        super().__init__(_RECORD_HEADER, RECORD_LIMIT)
+        self._key = key
+        self._mark = fingerprint_of(key)
+        self._preamble = operator_header(version, operator, engine, self._mark)
+        self._host = host.encode(errors="replace")[:HOST_BYTES]
+
+    def start(self) -> bytes:
+        """Return the bytes to write first."""
+        return self._first_message(OPERATOR_SUITE, self._key, self._preamble, self._host)
+
+    def _on_accept(self, message: bytes) -> None:
+        wrong_key = RefusalText.ENGINE_SEALED_WITH_ANOTHER_KEY(fingerprint=format_fingerprint(self._mark))
+        self.at = self._read_answer(message, wrong_key)[:_AT_BYTES].decode(errors="replace")
+        self.proven = True
+        self._start_sealing(OPERATOR_SUITE, self._handshake.split())
+        self._confirm()
+        self._events.append(Admitted())
+
+
+class OperatorEngine(AcceptingStream, _Records):
+    """The engine's end of a console's connection.
+
+    It tells strangers as much as a link does: that an operator is unknown, or that keys differ. Neither opens anything.
+    """
+
+    def __init__(self, engine: str, identity: Callable[[str], Credential], at: str = "") -> None:
+        """Wait for a console.
+
+        Args:
+            identity: the credential of an operator by their name, which is not authenticated yet; may raise `Refusal`.
+            at: this engine's address in a Zenoh network, or empty elsewhere.
+        """
+        super().__init__(_RECORD_HEADER, RECORD_LIMIT, "console", identity)
+        self._at = at
+        self._engine = engine
+
+    def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
+        if kind is not PreambleKind.OPERATOR:
+            raise ProtocolError(Broken.UNEXPECTED_FROM_OPERATOR(kind=kind.name))
+        offer = parse_operator(frame)
+        # Before the operator's name, so that it is asked about only where this engine is meant.
+        if offer.engine != self._engine:
+            raise Refusal(RefusalCode.UNKNOWN_NAME, RefusalText.ANOTHER_ENGINE(name=offer.engine))
+        self.name = offer.operator
+        keys, replays = self._identity(offer.operator)
+        key = key_of(keys, offer.fingerprint, offer.operator, "console", "engine")
+        handshake = handshake_of(OPERATOR_SUITE, key, offer.header)
+        host = self._read_first(handshake, offer.message)
+        if len(host) > HOST_BYTES:
+            raise ProtocolError(Broken.HOST_NAME_TOO_LONG())
+        # After it has opened, or strangers could push all of the operator's messages out of the memory.
+        self._check_new(replays, offer.message)
+        answer = handshake.write(self._at.encode())
+        admitted = Admitted(sanitize_text(host.decode(errors="replace")), key)
+        self._accept(OPERATOR_SUITE, handshake.split(), answer, admitted)

@@ -52,7 +52,7 @@ def recognise(data: Buffer) -> str:
     return _ZENOH if is_init or start.startswith(_ZENOH_CLOSE) else ""
 
 
-VERSION = 2
+VERSION = 1
 """Of the wire format. A peer of another version is refused."""
 MESSAGE_LIMIT = 512
 """Bytes of a refusal's message."""
@@ -62,6 +62,8 @@ MAGIC = b"rsb"
 PREFIX_LENGTH = 5
 """Bytes of a preamble frame before its body."""
 _DATA = struct.Struct(f">{LINK_ID_LENGTH}sIH?")
+_CONTROL_VERSION = struct.Struct(">H")
+"""Of the control protocol, in an OPERATOR frame."""
 
 
 class PreambleKind(IntEnum):
@@ -156,6 +158,25 @@ class ControlPreamble(NamedTuple):
     message: bytes
 
 
+class OperatorPreamble(NamedTuple):
+    """A console's request for a connection.
+
+    Attributes:
+        version: of the control protocol that the console speaks.
+        engine: the engine that is meant.
+        fingerprint: of the operator's key, as the console says: 8 bytes.
+        header: the frame up to the handshake message: the handshake's prologue.
+        message: the first handshake message.
+    """
+
+    version: int
+    operator: str
+    engine: str
+    fingerprint: bytes
+    header: bytes
+    message: bytes
+
+
 def take_frame(stream: bytearray) -> bytes | None:
     """Remove one frame of the handshake from the front of a stream's buffer.
 
@@ -188,10 +209,24 @@ def control_header(suite: CipherSuite, name: str, fingerprint: bytes = bytes(FIN
     Raises:
         ValueError: the name is too long.
     """
+    return preamble_frame(PreambleKind.CONTROL, bytes((suite,)) + _packed_name(name) + fingerprint)
+
+
+def operator_header(version: int, operator: str, engine: str, fingerprint: bytes) -> bytes:
+    """Return the part of an OPERATOR frame before its handshake message.
+
+    Raises:
+        ValueError: a name is too long.
+    """
+    body = _CONTROL_VERSION.pack(version) + _packed_name(operator) + _packed_name(engine)
+    return preamble_frame(PreambleKind.OPERATOR, body + fingerprint)
+
+
+def _packed_name(name: str) -> bytes:
     encoded = name.encode()
     if len(encoded) > NAME_BYTES:
         raise ValueError(Misuse.NAME_TOO_LONG(length=len(encoded), limit=NAME_BYTES))
-    return preamble_frame(PreambleKind.CONTROL, bytes((suite, len(encoded))) + encoded + fingerprint)
+    return bytes((len(encoded),)) + encoded
 
 
 def data_header(link_id: bytes, name: StreamName) -> bytes:
@@ -239,13 +274,45 @@ def parse_control(frame: bytes) -> ControlPreamble:
         raise ProtocolError(Broken.CONTROL_TOO_SHORT())
     name_end = 2 + body[1]
     end = name_end + FINGERPRINT_LENGTH
-    try:
-        name = body[2:name_end].decode()
-    except UnicodeDecodeError:
-        raise ProtocolError(Broken.NAME_NOT_UTF8(frame="CONTROL")) from None
-    if not is_clean(name):
-        raise ProtocolError(Broken.NAME_UNPRINTABLE(frame="CONTROL"))
+    name = _read_name(body[2:name_end], "CONTROL")
     return ControlPreamble(parse_suite(body), name, body[name_end:end], frame[: PREFIX_LENGTH + end], body[end:])
+
+
+def parse_operator(frame: bytes) -> OperatorPreamble:
+    """Read an OPERATOR frame.
+
+    Raises:
+        ProtocolError: the frame is invalid.
+    """
+    names_at = PREFIX_LENGTH + _CONTROL_VERSION.size
+    if len(frame) < names_at:
+        raise ProtocolError(Broken.OPERATOR_TOO_SHORT(field="version"))
+    operator, engine_at = _name_at(frame, names_at)
+    engine, at = _name_at(frame, engine_at)
+    end = at + FINGERPRINT_LENGTH
+    if len(frame) < end:
+        raise ProtocolError(Broken.OPERATOR_TOO_SHORT(field="fingerprint"))
+    (version,) = _CONTROL_VERSION.unpack_from(frame, PREFIX_LENGTH)
+    return OperatorPreamble(version, operator, engine, frame[at:end], frame[:end], frame[end:])
+
+
+def _name_at(frame: bytes, at: int) -> tuple[str, int]:
+    """Return a name behind its length, and where it ends."""
+    begin = at + 1
+    end = begin + frame[at] if at < len(frame) else begin
+    if len(frame) < end:
+        raise ProtocolError(Broken.OPERATOR_TOO_SHORT(field="names"))
+    return _read_name(frame[begin:end], "OPERATOR"), end
+
+
+def _read_name(encoded: bytes, frame: str) -> str:
+    try:
+        name = encoded.decode()
+    except UnicodeDecodeError:
+        raise ProtocolError(Broken.NAME_NOT_UTF8(frame=frame)) from None
+    if not is_clean(name):
+        raise ProtocolError(Broken.NAME_UNPRINTABLE(frame=frame))
+    return name
 
 
 def parse_data(frame: bytes) -> Attach:

@@ -44,14 +44,15 @@ class VerdictRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The sending side's ledger of a route: offered = delivered + throttled + expired + dropped + in flight.
+    """The sending side's ledger of a route: offered = delivered + throttled + expired + dropped + unknown + in flight.
 
     Attributes:
         offered: messages taken from ROS since the route was made, as for all counts here.
         delivered: published by the receiver, according to its last report.
         throttled: left out because of `Propose.max_rate`.
         expired: datagram messages that the receiver gave up incomplete.
-        dropped: by cause; ``unknown``: sent to a process that ended before it reported whether they arrived.
+        dropped: by cause.
+        unknown: sent to a process that ended before it reported whether they arrived.
         lost_in_dds: lost before the bridge could take them.
         missed_while_down: published while the route was down, estimated; not part of `offered`.
         publisher_qos: their combined offer, or None without publishers.
@@ -66,6 +67,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     expired: int = 0
     in_flight: int = 0
     dropped: Causes = {}  # msgspec makes a new one for each message
+    unknown: int = 0
     lost_in_dds: int = 0
     missed_while_down: int = 0
     publishers: int = 0

@@ -1,17 +1,22 @@
 """Both ends of a stream that begins with a handshake, and goes on with sealed frames (PROTOCOL.md, 1.2 and 10).
 
-A link's control connection and an operator's connection add their first messages, and the content of their frames.
+The handshake is Noise_NNpsk0_25519 over the session key (Noise specification, revision 34). A link's control connection
+and an operator's connection add their first messages, and the content of their frames.
 """
 
 from __future__ import annotations
 
 import copy
+import hashlib
+import hmac
 from abc import abstractmethod
-from typing import TYPE_CHECKING, NamedTuple
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from rsb_bridge.wire.events import Failed, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import FrameReader, pack_frame
-from rsb_bridge.wire.handshake import NoiseHandshake, PlainHandshake
 from rsb_bridge.wire.preamble import (
     PreambleKind,
     PreamblePhase,
@@ -22,15 +27,173 @@ from rsb_bridge.wire.preamble import (
     take_frame,
 )
 from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
-from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, derive_sample_secret
+from rsb_bridge.wire.sealing import KEY_LENGTH, CipherSuite, Sealer, SealError, StreamOpener, derive_sample_secret
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Self
 
     from rsb_bridge.wire.events import Event
-    from rsb_bridge.wire.handshake import Handshake, HandshakeKeys, ReplayCache
-    from rsb_bridge.wire.sealing import Buffer, CipherSuite
+    from rsb_bridge.wire.sealing import Buffer
+
+_NOISE_NAMES = {
+    CipherSuite.AESGCM: b"Noise_NNpsk0_25519_AESGCM_SHA256",
+    CipherSuite.CHACHAPOLY: b"Noise_NNpsk0_25519_ChaChaPoly_SHA256",
+}
+_DH_LENGTH = 32
+_HASH_LENGTH = 32
+_MOST_REPLAYS = 512
+"""Remembered first messages of a client. A round figure: an older one is answered again, but cannot confirm."""
+
+
+class HandshakeKeys(NamedTuple):
+    """The keys that a handshake gives; all None without encryption.
+
+    Attributes:
+        client: 32 bytes; seals the control frames from client to server.
+        server: 32 bytes; seals those from server to client.
+        export: 32 bytes; data keys are derived from it.
+    """
+
+    client: bytes | None
+    server: bytes | None
+    export: bytes | None
+
+
+class PlainHandshake:
+    """The handshake of a link without encryption: its messages are the payloads."""
+
+    def write(self, payload: bytes) -> bytes:
+        return payload
+
+    def read(self, message: bytes) -> bytes:
+        return message
+
+    def split(self) -> HandshakeKeys:
+        return HandshakeKeys(None, None, None)
+
+
+class NoiseHandshake:
+    """One end of Noise NNpsk0: ``-> psk, e`` then ``<- e, ee``; names are the specification's (section 5).
+
+    Every payload is sealed under a key of its own (psk handshakes mix a key at each ``e``, section 9.2), so the nonce
+    is always 0: a fresh `Sealer`.
+    """
+
+    def __init__(
+        self, suite: CipherSuite, psk: bytes, prologue: bytes, ephemeral: X25519PrivateKey | None = None
+    ) -> None:
+        """Start either end.
+
+        Args:
+            psk: 32 bytes, the session key.
+            prologue: data that both ends must have in common.
+            ephemeral: the key of a test vector, or None for a new key.
+
+        Raises:
+            ValueError: the psk is not 32 bytes long.
+        """
+        if len(psk) != KEY_LENGTH:
+            raise ValueError(Misuse.SESSION_KEY_LENGTH(expected=KEY_LENGTH, length=len(psk)))
+        self._suite = suite
+        self._ephemeral = ephemeral or X25519PrivateKey.generate()
+        self._written = False
+        self._remote: bytes | None = None
+        name = _NOISE_NAMES[suite]
+        # Noise, 5.2. The one suite's name is exactly as long as a hash, and the other's is longer.
+        self._h = name.ljust(_HASH_LENGTH, b"\0") if len(name) <= _HASH_LENGTH else hashlib.sha256(name).digest()
+        self._ck = self._h
+        self._k = b""
+        self._mix_hash(prologue)
+        self._mix_key_and_hash(psk)
+
+    def write(self, payload: bytes) -> bytes:
+        """Return this end's message: its ephemeral key, then the payload sealed."""
+        public = self._ephemeral.public_key().public_bytes_raw()
+        self._mix_hash(public)
+        self._mix_key(public)
+        if self._remote is not None:
+            self._mix_key(self._dh(self._remote))
+        self._written = True
+        sealed = Sealer(self._suite, self._k).seal(payload, self._h)
+        self._mix_hash(sealed)
+        return public + sealed
+
+    def read(self, message: bytes) -> bytes:
+        """Return the payload of the other end's message.
+
+        Raises:
+            SealError: the other end has another key.
+            ProtocolError: the message is invalid.
+        """
+        if len(message) < _DH_LENGTH + self._suite.tag_length:
+            raise ProtocolError(Broken.HANDSHAKE_TOO_SHORT(length=len(message)))
+        self._remote, sealed = message[:_DH_LENGTH], message[_DH_LENGTH:]
+        self._mix_hash(self._remote)
+        self._mix_key(self._remote)
+        if self._written:
+            self._mix_key(self._dh(self._remote))
+        payload = StreamOpener(self._suite, self._k).open(sealed, self._h)
+        self._mix_hash(sealed)
+        return payload
+
+    def split(self) -> HandshakeKeys:
+        """Return the control keys, and a third output of the same HKDF, from which data keys are derived.
+
+        The handshake forgets its secrets, because the connection keeps it.
+        """
+        keys = HandshakeKeys(*_hkdf(self._ck, b""))
+        self._ck = self._k = b""
+        del self._ephemeral
+        return keys
+
+    def _dh(self, remote: bytes) -> bytes:
+        try:
+            return self._ephemeral.exchange(X25519PublicKey.from_public_bytes(remote))
+        except ValueError:  # a point of low order: the secret would be all zeros
+            raise ProtocolError(Broken.EPHEMERAL_KEY_INVALID()) from None
+
+    def _mix_hash(self, data: bytes) -> None:
+        self._h = hashlib.sha256(self._h + data).digest()
+
+    def _mix_key(self, material: bytes) -> None:
+        self._ck, self._k, _ = _hkdf(self._ck, material)
+
+    def _mix_key_and_hash(self, material: bytes) -> None:
+        self._ck, mixed, self._k = _hkdf(self._ck, material)
+        self._mix_hash(mixed)
+
+
+Handshake: TypeAlias = PlainHandshake | NoiseHandshake
+"""One end of a handshake of two messages: the client writes then reads, the server reads then writes."""
+
+
+def handshake_of(suite: CipherSuite, key: bytes | None, prologue: bytes) -> Handshake:
+    """Return one end of a handshake, which seals nothing without a key."""
+    return PlainHandshake() if key is None else NoiseHandshake(suite, key, prologue)
+
+
+def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:
+    """HKDF of section 4.3 with three outputs, of which the first two equal HKDF with two."""
+    temporary = hmac.digest(chaining_key, material, "sha256")
+    first = hmac.digest(temporary, b"\x01", "sha256")
+    second = hmac.digest(temporary, first + b"\x02", "sha256")
+    return first, second, hmac.digest(temporary, second + b"\x03", "sha256")
+
+
+class ReplayCache:
+    """A client's newest first messages that opened under its key."""
+
+    def __init__(self) -> None:
+        self._seen: deque[bytes] = deque(maxlen=_MOST_REPLAYS)
+
+    def is_new(self, message: bytes) -> bool:
+        """Remember a first message; returns False where it came before."""
+        ephemeral = message[:_DH_LENGTH]  # random bytes: the sender's ephemeral key
+        if ephemeral in self._seen:
+            return False
+        self._seen.append(ephemeral)
+        return True
 
 
 class Credential(NamedTuple):
@@ -228,8 +391,3 @@ class AcceptingStream(SealedStream):
         else:
             self._events.append(outcome)
         return True
-
-
-def handshake_of(suite: CipherSuite, key: bytes | None, prologue: bytes) -> Handshake:
-    """Return one end of a handshake, which seals nothing without a key."""
-    return PlainHandshake() if key is None else NoiseHandshake(suite, key, prologue)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.control.remote_engine import RemoteEngine
 
 if TYPE_CHECKING:
-    from rsb_bridge.control.connectors import Connector
+    from rsb_bridge.control.remote_engine import Connector
 
 
 def attach(where: Path | Connector, *, read_only: bool) -> RemoteEngine:

@@ -21,7 +21,7 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.ros.middleware import check_middleware
+from rsb_bridge.ros.distribution import check_middleware
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_console.child import ChildProcess
 

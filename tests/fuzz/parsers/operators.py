@@ -9,9 +9,9 @@ from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser, check_text
 from tests.wire.test_operators import attached, make_console, make_engine
 
+from rsb_bridge.wire.connection import HOST_BYTES, RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.events import Admitted, Event, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
-from rsb_bridge.wire.operator_connection import HOST_BYTES, RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.preamble import MESSAGE_LIMIT, PreambleKind, preamble_frame, refuse_frame
 
 End = OperatorConsole | OperatorEngine
