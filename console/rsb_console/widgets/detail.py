@@ -23,8 +23,8 @@ from rsb_console.look.glyphs import (
     UNKNOWN,
     braille_plot,
 )
-from rsb_console.widgets.columns import carries, present_rate
 from rsb_console.widgets.lines import FixedLines, Line, fit, width_of
+from rsb_console.widgets.topics import carries, present_rate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
