@@ -9,8 +9,7 @@ from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Button
 
-from rsb_console.widgets.form import Field, Form
-from rsb_console.widgets.form_inputs import Choice
+from rsb_console.widgets.form import Choice, Field, Form
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
