@@ -17,9 +17,8 @@ from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import BY_ID
 from rsb_console.screens.dialog import Dialog
-from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.saving import path_problem
-from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.form import Field, FormScreen, Spec
 from rsb_console.widgets.lines import Line, fit
 from rsb_console.widgets.picker import PickField, Suggestion
 from rsb_console.widgets.selectable_list import SelectableList
