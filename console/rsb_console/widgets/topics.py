@@ -12,7 +12,7 @@ from rsb_console.look import formats
 from rsb_console.look.formats import KIND_SHORT, PatternRow, Row, rows_of
 from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.filter import table_title
-from rsb_console.widgets.sorted_table import Column, Order, SortedTable, filled
+from rsb_console.widgets.selectable_list import Column, Order, SortedTable, filled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
-    from rsb_console.widgets.sorted_table import Layout
+    from rsb_console.widgets.selectable_list import Layout
 
 FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.DISARMING, State.OK))
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
