@@ -21,10 +21,9 @@ from textual.pilot import Pilot
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.wording import Wording
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.form_screen import FormScreen
 from rsb_console.terminal.input_queue import _is_idle
 from rsb_console.terminal_app import TerminalApp
-from rsb_console.widgets.form import Form
+from rsb_console.widgets.form import Form, FormScreen
 
 E = TypeVar("E", bound=ScriptedEngine)
 Steps = Callable[[Pilot[None]], Awaitable[None]]

@@ -31,7 +31,6 @@ from rsb_console.app import ConsoleApp
 from rsb_console.preferences import KeymapError, PreferenceProblem, load_keymap, split_keys
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.drive_screen import _WAYS, DriveScreen
-from rsb_console.screens.form_screen import FormScreen
 from rsb_console.screens.help import HelpScreen
 from rsb_console.screens.links_screen import LinksScreen
 from rsb_console.screens.look_screen import Subject
@@ -39,6 +38,7 @@ from rsb_console.screens.main import MainText
 from rsb_console.screens.session_files import WelcomeScreen
 from rsb_console.screens.topic_form import TopicScreen
 from rsb_console.screens.view_screen import ViewScreen
+from rsb_console.widgets.form import FormScreen
 
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
 

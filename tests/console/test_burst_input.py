@@ -22,7 +22,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.screens.new_session import NewSessionScreen
 from rsb_console.screens.session_files import FileText
 from rsb_console.terminal.driver import KeyParser
-from rsb_console.widgets.form_inputs import FieldInput
+from rsb_console.widgets.form import FieldInput
 
 SENTENCE = "the quick brown fox jumps over y n q/the lazy dog 0123456789"
 F8 = "\x1b[19~"

@@ -19,9 +19,8 @@ from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
-from rsb_console.widgets.columns import layout, via
-from rsb_console.widgets.detail_parts import DetailText
-from rsb_console.widgets.topics import FAULTS
+from rsb_console.widgets.detail import DetailText
+from rsb_console.widgets.topics import FAULTS, layout, via
 
 ALL = (*ROUTES, *CALL_ROUTES)
 

@@ -12,8 +12,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
-from rsb_console.widgets.detail import detail_lines
-from rsb_console.widgets.detail_parts import DetailText
+from rsb_console.widgets.detail import DetailText, detail_lines
 
 
 def said(about: RouteSnapshot, width: int = 60) -> str:

@@ -15,8 +15,8 @@ from rsb_bridge.model.snapshot import PatternSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look.formats import pattern_rows
 from rsb_console.session.history_report import export_topics
-from rsb_console.widgets.columns import COLUMNS
 from rsb_console.widgets.fault_pane import faults_of
+from rsb_console.widgets.topics import COLUMNS
 
 SPEC = Topic("/aa/**", "transmit", remote_topic="/robot1/**", excepts=("/aa/raw",))
 KEY = "key of /aa/**"

@@ -16,7 +16,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.look.glyphs import to_ascii
 from rsb_console.screens.new_session import FIELDS
 from rsb_console.widgets.filter import RowFilter
-from rsb_console.widgets.form_inputs import Choice
+from rsb_console.widgets.form import Choice
 from rsb_console.widgets.topics import TopicsTable
 
 

@@ -31,10 +31,9 @@ from rsb_bridge.model.session import Client, Kind, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.model.transports import Protocol
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.form_screen import FormScreen
 from rsb_console.screens.topic_form import KINDS, fields_by_kind, suggestions_for
 from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
-from rsb_console.widgets.form import Field
+from rsb_console.widgets.form import Field, FormScreen
 
 SERVER = msgspec.structs.replace(
     SESSION, role="server", clients=(Client("robot1", use_name=True), Client("robot2")), server_ip="0.0.0.0"

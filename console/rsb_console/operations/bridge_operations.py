@@ -25,7 +25,7 @@ from rsb_console.session.changes import (
     named_by_client,
     patterns_of,
 )
-from rsb_console.widgets.columns import is_armed
+from rsb_console.widgets.topics import is_armed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine

@@ -229,7 +229,7 @@ class SessionOperations:
 
     async def _save_to(self, path: Path) -> bool:
         """Save the session to a file. Return False if the operator may name another one."""
-        from rsb_console.screens.save_screens import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.session_files import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of, is_changed, reopened  # noqa: PLC0415 -- keeps the start short
 
         engine, opened = self._console.engine, self._console.file

@@ -24,12 +24,11 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
 from rsb_console.screens.dialog import ConfirmScreen, beginning
-from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.landing import answered
 from rsb_console.session.parameter_values import refusal, set_request
 from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, Notice, Spec, TextField
+from rsb_console.widgets.form import Field, FormScreen, Notice, Spec, TextField
 from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:

@@ -24,12 +24,11 @@ from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen
-from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session import client_files
 from rsb_console.session.changes import CannotUndoError, Change, Undo
 from rsb_console.session.saving import is_changed
 from rsb_console.terminal.driver import copy
-from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.form import Field, FormScreen, Spec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

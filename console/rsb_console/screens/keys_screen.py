@@ -27,10 +27,9 @@ from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen, Dialog
-from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.saving import path_problem
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, Notice, Spec
+from rsb_console.widgets.form import Field, FormScreen, Notice, Spec
 from rsb_console.widgets.lines import Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
 

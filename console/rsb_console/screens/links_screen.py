@@ -18,12 +18,11 @@ from rsb_console.look import formats
 from rsb_console.look.glyphs import ACK_WORD, STATE_SIGN, STATE_WORD
 from rsb_console.screens.dialog import Dialog, is_meant
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.columns import state_order
-from rsb_console.widgets.detail_parts import acknowledged_by
+from rsb_console.widgets.detail import acknowledged_by
 from rsb_console.widgets.fault_pane import link_fault
 from rsb_console.widgets.lines import FixedLines, Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
-from rsb_console.widgets.topics import TopicsTable
+from rsb_console.widgets.topics import TopicsTable, state_order
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -21,12 +21,11 @@ from rsb_console.look import formats
 from rsb_console.look.formats import PatternRow
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.bars import BarState, KeyBar, KeyEntry, StatusBar, state_counts, warning_count
-from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.fault_pane import Fault, FaultLines, MoreKeys, faults_of
 from rsb_console.widgets.filter import Prompt
 from rsb_console.widgets.log import WORD, LogPane, plain
-from rsb_console.widgets.topics import FAULTS, TopicsTable
+from rsb_console.widgets.topics import FAULTS, TopicsTable, is_armed
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -127,7 +126,7 @@ class MainScreen(Screen[None]):
     BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
     BLANK = True  # as its `Panes`
     AUTO_FOCUS = "#topics"
-    # From 110 columns on, the table has `columns.WIDE` cells with the details in sight.
+    # From 110 columns on, the table has `topics.WIDE` cells with the details in sight.
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual declares it without ClassVar
     VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- as above
 

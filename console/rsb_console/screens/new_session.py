@@ -18,21 +18,20 @@ from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.clients_screen import HandoutScreen, words
 from rsb_console.screens.dialog import ConfirmScreen
-from rsb_console.screens.form_screen import FormScreen
-from rsb_console.screens.save_screens import save_asking
 from rsb_console.screens.session_files import (
     FileText,
     OpenedFile,
     is_file,
     is_path,
     no_suggestion,
+    save_asking,
     suggestions,
     yaml_files,
 )
 from rsb_console.session.client_files import handed_out, key_file_name
 from rsb_console.session.saving import path_problem
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.form import Field, FormScreen, Spec
 from rsb_console.widgets.picker import PickField
 
 if TYPE_CHECKING:

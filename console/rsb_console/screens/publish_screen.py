@@ -18,11 +18,10 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.glyphs import DONE, FAILED
 from rsb_console.screens.dialog import ConfirmScreen, beginning
-from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.landing import REPORTED_WITHIN, Landing
 from rsb_console.session.manual_messages import publish
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, Notice, Spec, TextField
+from rsb_console.widgets.form import Field, FormScreen, Notice, Spec, TextField
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -22,10 +22,9 @@ from rsb_bridge.model.text import plural
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.look.formats import KIND_NOUN
 from rsb_console.look.glyphs import IN, OUT
-from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.draft import SWITCHES, Ends, problems_of, topic_of, values_of
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.form import Field, FormScreen, Spec
 from rsb_console.widgets.lines import Line, fit_middle
 from rsb_console.widgets.picker import PickField, Suggestion
 

@@ -12,9 +12,9 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
 from rsb_console.look.glyphs import ACK_WORD, KNOWN, STATE_SIGN, STATE_WORD, sparkline
-from rsb_console.widgets.columns import HISTORY, WIDE
 from rsb_console.widgets.lines import FixedLines, fit
-from rsb_console.widgets.sorted_table import Column, Order, SortedTable, filled
+from rsb_console.widgets.selectable_list import Column, Order, SortedTable, filled
+from rsb_console.widgets.topics import HISTORY, WIDE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import Robot, RobotFleet
     from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
-    from rsb_console.widgets.sorted_table import Layout
+    from rsb_console.widgets.selectable_list import Layout
 
 ROBOT_SIGN = {
     RobotState.MISSING: "✗",

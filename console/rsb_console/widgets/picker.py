@@ -11,8 +11,7 @@ from textual.binding import Binding
 from textual.widgets import Input
 
 from rsb_console.widgets.filter import RowFilter
-from rsb_console.widgets.form import Field, Spec
-from rsb_console.widgets.form_inputs import FieldInput
+from rsb_console.widgets.form import Field, FieldInput, Spec
 from rsb_console.widgets.lines import Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
 

@@ -1,27 +1,214 @@
-"""The table of bridged topics, services, actions and nodes' parameters."""
+"""The table of bridged topics, services, actions and nodes' parameters, with the columns that fit its width."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING, cast
 
 from rsb_bridge.model.snapshot import State
-from rsb_console.look.formats import KIND_SHORT, PatternRow, rows_of
-from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
-from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, is_armed, last_failure, layout, via
+from rsb_bridge.model.text import plural
+from rsb_console.look import formats
+from rsb_console.look.formats import KIND_SHORT, PatternRow, Row, rows_of
+from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.filter import table_title
-from rsb_console.widgets.sorted_table import Order, SortedTable
+from rsb_console.widgets.selectable_list import Column, Order, SortedTable, filled
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-    from rsb_console.look.formats import Row
     from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
-    from rsb_console.widgets.sorted_table import Column, Layout
+    from rsb_console.widgets.selectable_list import Layout
 
 FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.DISARMING, State.OK))
+WIDE = 70  # cells; a narrower table shows a state's sign without its word
+HISTORY = 12  # s
+_STATE_WIDTH = 10  # cells
+TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
+_SHORT_NAMES = {"zenoh-drop": "DROP"}
+_BESIDE_CALLS = 100  # cells; wider tables have room for both topics' bytes and figures of calls
 
 
-class TopicsTable(SortedTable["Row"]):
+def state_order(state: State, *, acknowledged: bool) -> float:
+    """Return the rank of a state, the worst first; acknowledged faults come after all others."""
+    return State.WAITING.rank - 0.5 if acknowledged else state.rank
+
+
+def _by_state(row: Row) -> tuple[float, int, str]:
+    return state_order(row.state, acknowledged=row.acknowledged is not None), row.state.rank, row.topic
+
+
+def _state(row: Row) -> str:
+    if row.acknowledged is not None:
+        return f"{ACK_WORD} {STATE_WORD[row.state]}"
+    word = ARMED_WORD if is_armed(row) and row.state is State.OK else STATE_WORD[row.state]
+    text = f"{_sign(row)} {word}"
+    # DISARMING has no room for its sign.
+    return text if len(text) <= _STATE_WIDTH else word
+
+
+def _sign(row: Row) -> str:
+    if row.acknowledged is not None:
+        return KNOWN
+    return ARMED if is_armed(row) else STATE_SIGN[row.state]
+
+
+def is_armed(row: Row) -> bool:
+    """Whether a topic requires arming and is armed."""
+    return row.arming is not None and row.arming.armed
+
+
+def _by_way(row: Row) -> tuple[bool, str, int]:
+    return row.outgoing, row.transport, 0 if isinstance(row, PatternRow) else row.port
+
+
+def via(row: Row) -> str:
+    """Return the direction of a topic or of requests, and the transport."""
+    way = OUT if row.outgoing else IN
+    if isinstance(row, PatternRow):
+        return f"{way} match"
+    if row.transport == "bluetooth":
+        return f"{way} BT {row.port}"
+    return f"{way} {_SHORT_NAMES.get(row.transport, row.transport.upper())}"
+
+
+def _rate(route: RouteSnapshot) -> str:
+    rate = formats.hertz(present_rate(route)) if carries(route) else "-"
+    if route.calls is not None:
+        return f"{rate} +{route.calls.in_flight}" if route.calls.in_flight else rate
+    return rate if route.expected_rate is None else f"{rate}/{formats.expected(route.expected_rate)}"
+
+
+def present_rate(route: RouteSnapshot) -> float:
+    """Return a topic's rate in Hz, 0 after it has stopped: the mean still covers seconds in which it flowed."""
+    return 0.0 if route.state in {State.STALE, State.STOPPED} else route.rate
+
+
+def carries(route: RouteSnapshot) -> bool:
+    """Whether a topic's rate and throughput have a meaning in its present state."""
+    return route.state.flows or route.state in {State.STALE, State.STOPPED}
+
+
+def _way(route: RouteSnapshot) -> float | None:
+    """Return the time in transit (s): a message's, or a call's there and back."""
+    return route.latency_p50 if route.calls is None else route.calls.way_p50
+
+
+def _node(route: RouteSnapshot) -> float | None:
+    return None if route.calls is None else route.calls.node_p50
+
+
+def _milliseconds(seconds: float | None) -> str:
+    return "-" if seconds is None else formats.milliseconds(seconds)
+
+
+def last_failure(route: RouteSnapshot) -> str:
+    """Return the last failure of a route's calls, or an empty string."""
+    return "" if route.calls is None else route.calls.last_failure
+
+
+# Each `from_width` leaves the topics' names 14 cells at least, in a table of any width from 40 on.
+_FIGURES: tuple[Column[RouteSnapshot], ...] = (
+    Column(
+        "kB/s",
+        6,
+        lambda r: formats.kilobytes(r.bytes_per_second) if carries(r) else "-",
+        lambda r: -r.bytes_per_second,
+        from_width=56,
+        beside_calls=_BESIDE_CALLS,
+    ),
+    Column(
+        "TOTAL",
+        8,
+        lambda r: formats.byte_count(r.bytes_total),
+        lambda r: -r.bytes_total,
+        from_width=TOTAL_FROM,
+        beside_calls=_BESIDE_CALLS + 16,
+    ),
+    Column("ms", 5, lambda r: _milliseconds(_way(r)), lambda r: -(_way(r) or 0.0), from_width=64),
+    Column(
+        "NODE",
+        5,
+        lambda r: _milliseconds(_node(r)),
+        lambda r: -(_node(r) or 0.0),
+        from_width=_BESIDE_CALLS,
+        only_calls=True,
+    ),
+    Column("AGE", 5, lambda r: "-" if r.age is None else formats.age(r.age), lambda r: -(r.age or 0.0), from_width=48),
+    Column(
+        " HISTORY",
+        HISTORY + 1,
+        lambda r: sparkline(r.history, HISTORY, r.expected_rate or max(r.history, default=0)),
+        lambda r: -sum(r.history),
+        right=False,
+        from_width=78,
+    ),
+    Column("LAST FAILURE", 36, last_failure, last_failure, right=False, from_width=156, only_calls=True),
+)
+
+
+def _of_routes(column: Column[RouteSnapshot], of_pattern: Callable[[PatternRow], str] = lambda _: "") -> Column[Row]:
+    """Make a column of figures, which patterns don't have. They come after all routes if it sorts the table.
+
+    Args:
+        of_pattern: formats a pattern's cell.
+    """
+    text, order = column.text, column.order
+    return replace(
+        cast("Column[Row]", column),
+        text=lambda row: of_pattern(row) if isinstance(row, PatternRow) else text(row),
+        order=lambda row: (1,) if isinstance(row, PatternRow) else (0, order(row)),
+    )
+
+
+COLUMNS: tuple[Column[Row], ...] = (
+    Column("STATE", _STATE_WIDTH, _state, _by_state, right=False, from_width=WIDE),
+    Column("", 2, _sign, _by_state, right=False),
+    Column(
+        "KIND",
+        4,
+        lambda r: KIND_SHORT[r.spec.kind],
+        lambda r: (tuple(KIND_SHORT).index(r.spec.kind), r.topic),
+        right=False,
+        from_width=50,
+        only_calls=True,
+    ),
+    Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False, names=True),
+    Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
+    Column("VIA", 7, via, _by_way, right=False, from_width=40),
+    _of_routes(
+        Column("HZ/EXP", 9, _rate, lambda r: (-present_rate(r), -r.calls.in_flight if r.calls else 0)),
+        lambda pattern: f"{pattern.routes} {plural(pattern.routes, 'name')}",
+    ),
+    *map(_of_routes, _FIGURES),
+)
+STATE, SIGN, PEER, HISTORY_COLUMN = (
+    next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "PEER", " HISTORY")
+)
+
+
+@cache
+def layout(width: int, *, peers: bool, grouped: bool = False, calls: bool = False) -> Layout[Row]:
+    """Return the columns that fit, each with its width in cells.
+
+    Args:
+        width: width of the table in cells.
+        peers: whether there are several peers, so that the table needs a column for them.
+        grouped: whether that column comes first, however narrow the table is.
+        calls: whether the table has more than topics.
+    """
+    hidden = {SIGN if width >= WIDE else STATE} | (set() if peers and not grouped else {PEER})
+    shown = [column for column in COLUMNS if column.fits(width, calls=calls) and column not in hidden]
+    if grouped:
+        shown.insert(0, PEER)
+        if width < TOTAL_FROM and shown[-1] is HISTORY_COLUMN:
+            shown.pop()  # the names need its room
+    return filled(shown, width - 1)
+
+
+class TopicsTable(SortedTable[Row]):
     """Shows the routes of a snapshot, and the patterns that make some of them, one per line."""
 
     def __init__(self) -> None:
