@@ -29,8 +29,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.view_types import VIEWS
 from rsb_console.look import formats
-from rsb_console.look.picture_rows import COLOURS, Part, UnreadableError, picture_rows, reads_webp, with_mark
-from rsb_console.look.plot_lines import AXIS
+from rsb_console.look.picture_rows import AXIS, COLOURS, Part, UnreadableError, picture_rows, reads_webp, with_mark
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.drive_screen import drive, full_type, why_not_driven
 from rsb_console.screens.look_screen import is_map
