@@ -13,8 +13,7 @@ from rsb_console.look.glyphs import AsciiFilter, ControlFilter
 from rsb_console.preferences import Preferences
 from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
-from rsb_console.terminal.input_gate import InputGate, is_guarded
-from rsb_console.terminal.input_queue import InputQueue
+from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
 from rsb_console.terminal.pulse import ASKED_EVERY
 from rsb_console.terminal.shutdown import ForcedEnd, ShutdownReason, record_crash
 from rsb_console.widgets.lines import LOOK_CLASSES
