@@ -34,7 +34,7 @@ WRITES_OTHERWISE = {
     "bench/processes.py": "likewise",
     "model/text.py": "standard output itself",
     "cli.py": "crash.log, with `owner_only`",
-    "terminal/shutdown.py": "crash.txt, with `owner_only`",
+    "terminal_app.py": "crash.txt, with `owner_only`",
     "command/shell.py": "the null device",
 }
 
