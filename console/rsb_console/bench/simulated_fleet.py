@@ -20,7 +20,7 @@ from rsb_bridge.model.transports import ZENOH_HOST
 from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
-from rsb_console.bench.processes import Process
+from rsb_console.bench.loopback import Process
 from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import RobotRecord, RobotRecords, RobotTraffic
 
