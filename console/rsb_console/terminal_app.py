@@ -17,9 +17,8 @@ from textual.screen import SystemModalScreen
 from rsb_bridge.config.files import owner_only
 from rsb_bridge.model.text import several_lines
 from rsb_console.actions import ACTIONS, BY_ID, Action, Group, bindings
-from rsb_console.look import themes
 from rsb_console.look.glyphs import AsciiFilter, ControlFilter
-from rsb_console.preferences import Preferences
+from rsb_console.preferences import THEME_VARIABLES, Preferences, config_path
 from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
@@ -85,7 +84,7 @@ class TerminalApp(App[ReturnType]):
         super().__init__(driver_class=ConsoleDriver)
         self._readonly = readonly
         self.ascii_only = ascii_only
-        self.config = themes.config_path() if config is None else config
+        self.config = config_path() if config is None else config
         self.preferences = Preferences(self.config, theme)
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, dialogs)
@@ -111,7 +110,7 @@ class TerminalApp(App[ReturnType]):
 
     def get_theme_variable_defaults(self) -> dict[str, str]:
         """Return the style sheet's variables that a theme may leave out (for Textual)."""
-        return themes.VARIABLES
+        return THEME_VARIABLES
 
     def get_line_filters(self) -> Sequence[LineFilter]:
         filters = [*super().get_line_filters(), self._filters_control]
