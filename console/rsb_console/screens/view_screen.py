@@ -87,11 +87,6 @@ class ViewText(Wording):
     SEVERAL_DRIVEN = "several topics can be driven: choose one in the list of topics, and press its key there"
 
 
-def has_picture(type_name: str) -> bool:
-    """Whether messages of a type have a picture other than their fields."""
-    return type_name in VIEWS
-
-
 def _is_points(type_name: str) -> bool:
     return VIEWS.get(type_name) == VIEWS["sensor_msgs/msg/PointCloud2"]
 
