@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_console.bench import loopback
-from rsb_console.bench.loopback import TOPIC, Bed, ready
-from rsb_console.bench.processes import Process
+from rsb_console.bench.loopback import TOPIC, Bed, Process, ready
 from rsb_console.session.demo_session import free_port
 
 if TYPE_CHECKING:

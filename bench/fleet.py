@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.model.snapshot import Snapshot
-    from rsb_console.bench.processes import Process
+    from rsb_console.bench.loopback import Process
 
 DOMAIN = 96
 _WITHIN = 120.0

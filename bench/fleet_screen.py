@@ -26,7 +26,7 @@ from rsb_console.command.shell import allow_many_descriptors
 from rsb_console.fleet.zenoh_source import ZenohFleet
 
 if TYPE_CHECKING:
-    from rsb_console.bench.processes import Process
+    from rsb_console.bench.loopback import Process
 
 DOMAIN = 98
 LOAD = RobotTraffic((Talk("/pose", 1.0, 200), Talk("/battery_state", 0.2, 0, BATTERY_STATE)), ())

@@ -34,7 +34,7 @@ from rsb_console.bench.results import BenchError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from rsb_console.bench.processes import Process
+    from rsb_console.bench.loopback import Process
 
 FLAT = 10.0
 """MB by which the memory may grow. At most 6 were measured (bench/README.md, Attacks)."""

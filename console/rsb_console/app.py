@@ -25,8 +25,7 @@ from rsb_console.screens.main import MainScreen
 from rsb_console.screens.take_over import HandOverScreen, NewQuestions
 from rsb_console.session.changes import Changes
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.terminal.shutdown import ShutdownReason
-from rsb_console.terminal_app import TerminalApp
+from rsb_console.terminal_app import ShutdownReason, TerminalApp
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,8 +12,7 @@ from rsb_console.app import SSH_RATE, ConsoleApp
 from rsb_console.screens.fleet_screen import FleetScreen
 from rsb_console.screens.main import MODES, MainScreen
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.terminal.shutdown import ShutdownReason
-from rsb_console.terminal_app import TerminalApp
+from rsb_console.terminal_app import ShutdownReason, TerminalApp
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,26 +1,61 @@
-"""The user's themes, keys and settings. The console reports mistakes in them and uses its defaults instead."""
+"""The user's themes, keys and settings. The console reports mistakes in them and uses its defaults instead.
+
+A theme is a YAML file of its own, whose name is the theme's. It holds Textual's theme colours (``primary: "#5fafff"``,
+...), ``dark: true`` or ``false``, ``ansi: true`` for the terminal's own sixteen colours (``ansi_green``), and
+``variables`` for single CSS variables.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import os
+import sysconfig
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import yaml
+from platformdirs import user_config_path
+from textual.color import Color, ColorParseError
+from textual.theme import Theme
 
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS
-from rsb_console.look.themes import default_theme, load_themes, shipped_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
     from rsb_console.actions import Action
 
+THEME_COLORS = (
+    "primary", "secondary", "warning", "error", "success", "accent", "foreground", "background", "surface", "panel",
+    "boost",
+)  # fmt: skip
+_THEME_SWITCHES = ("dark", "ansi")
+_DEFAULT_THEME, _SIXTEEN_COLORS = "dark", "terminal"
+THEME_VARIABLES = {
+    "row-cursor": "#303030",
+    "row-cursor-blurred": "#262626",
+    "alarm": "#ffffff",
+    "alarm-background": "#d70000",
+    "quiet": "#808080",
+    "rule": "#444444",
+}
+"""Defaults of the variables that our style sheet adds to Textual's."""
 KEY_SIGNS = {
     "slash": "/", "question_mark": "?", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">", "plus": "+",
     "minus": "-", "exclamation_mark": "!", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp",
 }  # fmt: skip
 UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
+
+
+class ThemeProblem(Wording):
+    """Mistakes in a theme file."""
+
+    NO_MAPPING = 'must map names to colours, like primary: "#5fafff"'
+    UNKNOWN_KEYS = "{keys}: not part of a theme; it has {known}"
+    KEY_MISSING = "{key} is missing"
+    NO_SWITCH = "{key}: {value!r} is neither true nor false"
+    NO_VARIABLES = "variables: must map names to values"
+    NO_COLOR = '{key}: {value!r} is not a colour; give "#rrggbb" in quotes, or a name'
 
 
 class PreferenceProblem(Wording):
@@ -32,8 +67,84 @@ class PreferenceProblem(Wording):
     UNKNOWN_THEME = "no theme is named {theme!r}; choose one of {themes}"
 
 
-class KeymapError(ValueError):
-    """A mistake in ``keys.yaml`` or ``console.yaml``; the message is for the user."""
+class PreferenceError(ValueError):
+    """A mistake in one of the user's files; the message is for the user."""
+
+
+def config_path() -> Path:
+    """Return the user's configuration folder, with ``keys.yaml`` and ``themes/``."""
+    return user_config_path("rsb-console")
+
+
+def shipped_themes() -> Path:
+    """Return the folder of the shipped themes: next to the packages in a checkout, or in the installed shared data."""
+    checkout = Path(__file__).parents[2]
+    if (checkout / "pyproject.toml").is_file():
+        return checkout / "themes"
+    return Path(sysconfig.get_path("data")) / "share" / "rsb_console" / "themes"
+
+
+def load_themes(*folders: Path) -> tuple[dict[str, Theme], list[str]]:
+    """Read every ``*.yaml`` in `folders`; of two themes of the same name, the later one counts.
+
+    Returns:
+        The themes by name, and a line for each file that is no theme.
+    """
+    found: dict[str, Theme] = {}
+    problems: list[str] = []
+    for path in (path for folder in folders for path in sorted(folder.glob("*.yaml"))):
+        try:
+            found[path.stem] = _read_theme(path)
+        except (PreferenceError, OSError, UnicodeDecodeError) as error:
+            problems.append(f"{path}: {error}")
+    return found, problems
+
+
+def _read_theme(path: Path) -> Theme:
+    """Read one theme.
+
+    Raises:
+        PreferenceError: it has a mistake.
+        OSError: it cannot be read.
+    """
+    try:
+        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        # On one line, as all mistakes together are one toast.
+        raise PreferenceError(" ".join(str(error).split())) from None
+    if not isinstance(loaded, dict):
+        raise PreferenceError(ThemeProblem.NO_MAPPING())
+    unknown = sorted(str(key) for key in loaded if key not in {*THEME_COLORS, *_THEME_SWITCHES, "variables"})
+    if unknown:
+        raise PreferenceError(ThemeProblem.UNKNOWN_KEYS(keys=", ".join(unknown), known=", ".join(THEME_COLORS)))
+    if "primary" not in loaded:
+        raise PreferenceError(ThemeProblem.KEY_MISSING(key="primary"))
+    for key in THEME_COLORS:
+        if key in loaded:
+            _check_color(key, loaded[key])
+    for key in _THEME_SWITCHES:
+        if not isinstance(loaded.get(key, True), bool):
+            raise PreferenceError(ThemeProblem.NO_SWITCH(key=key, value=loaded[key]))
+    variables = loaded.pop("variables", {})
+    if not isinstance(variables, dict):
+        raise PreferenceError(ThemeProblem.NO_VARIABLES())
+    for key, value in variables.items():
+        if key in THEME_VARIABLES:  # Textual's own may be no colours, such as a style
+            _check_color(f"variables.{key}", value)
+    return Theme(name=path.stem, variables={str(key): str(value) for key, value in variables.items()}, **loaded)
+
+
+def _check_color(key: str, value: Any) -> None:
+    try:
+        Color.parse(value)
+    except (ColorParseError, TypeError, AttributeError):  # no text: to YAML, #5fafff without quotes is a comment
+        raise PreferenceError(ThemeProblem.NO_COLOR(key=key, value=value)) from None
+
+
+def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:
+    """Return the theme that suits this terminal: one of sixteen colours if the terminal announces no more."""
+    many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256color" in environ.get("TERM", "")
+    return _DEFAULT_THEME if many else _SIXTEEN_COLORS
 
 
 def load_keymap(path: Path) -> dict[str, str]:
@@ -46,16 +157,16 @@ def load_keymap(path: Path) -> dict[str, str]:
         Action ids to comma-separated keys.
 
     Raises:
-        KeymapError: it cannot be read, names no action of ours, or gives one key to two actions.
+        PreferenceError: it cannot be read, names no action of ours, or gives one key to two actions.
     """
     loaded = _read(path)
     if not isinstance(loaded, dict):
-        raise KeymapError(PreferenceProblem.NO_KEYMAP(path=path))
+        raise PreferenceError(PreferenceProblem.NO_KEYMAP(path=path))
     # YAML reads the key 5 as a number.
     keymap = {str(action): str(keys) for action, keys in loaded.items()}
     unknown = sorted(set(keymap) - set(BY_ID))
     if unknown:
-        raise KeymapError(PreferenceProblem.UNKNOWN_ACTIONS(path=path, actions=", ".join(unknown)))
+        raise PreferenceError(PreferenceProblem.UNKNOWN_ACTIONS(path=path, actions=", ".join(unknown)))
     _refuse_shared_keys(path, keymap)
     return keymap
 
@@ -67,7 +178,7 @@ def _read(path: Path) -> object:
     except FileNotFoundError:
         return {}
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise KeymapError(f"{path}: {error}") from None
+        raise PreferenceError(f"{path}: {error}") from None
     return {} if loaded is None else loaded
 
 
@@ -79,7 +190,7 @@ def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
             for key in split_keys(keymap.get(action.id, action.keys)):
                 if key in owner:
                     shared = PreferenceProblem.SHARED_KEY(path=path, key=key, one=owner[key], other=action.id)
-                    raise KeymapError(shared)
+                    raise PreferenceError(shared)
                 owner[key] = action.id
 
 
@@ -111,7 +222,7 @@ class Preferences:
         self._load_settings(config / "console.yaml")
 
     def _load_themes(self, config: Path, wanted: str | None) -> str:
-        self.themes, problems = load_themes(shipped_path(), config / "themes")
+        self.themes, problems = load_themes(shipped_themes(), config / "themes")
         if wanted is not None and wanted not in self.themes:
             problems.append(PreferenceProblem.UNKNOWN_THEME(theme=wanted, themes=", ".join(self.themes)))
             wanted = None
@@ -122,13 +233,13 @@ class Preferences:
     def _load_keys(self, config: Path) -> None:
         try:
             self.keymap = load_keymap(config / "keys.yaml")
-        except KeymapError as error:
+        except PreferenceError as error:
             self.problems.append(("The default keys are used", str(error)))
 
     def _load_settings(self, path: Path) -> None:
         try:
             settings = _read(path)
-        except KeymapError as error:
+        except PreferenceError as error:
             self.problems.append(("The default settings are used", str(error)))
             return
         if (

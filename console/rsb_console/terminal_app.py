@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
+import threading
+import traceback
+from enum import Enum
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
+from platformdirs import user_log_path
 from textual.app import App, ReturnType
 from textual.screen import SystemModalScreen
 
+from rsb_bridge.config.files import owner_only
+from rsb_bridge.model.text import several_lines
 from rsb_console.actions import ACTIONS, BY_ID, Action, Group, bindings
-from rsb_console.look import themes
 from rsb_console.look.glyphs import AsciiFilter, ControlFilter
-from rsb_console.preferences import Preferences
+from rsb_console.preferences import THEME_VARIABLES, Preferences, config_path
 from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
-from rsb_console.terminal.input_gate import InputGate, is_guarded
-from rsb_console.terminal.input_queue import InputQueue
+from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
 from rsb_console.terminal.pulse import ASKED_EVERY
-from rsb_console.terminal.shutdown import ForcedEnd, ShutdownReason, record_crash
 from rsb_console.widgets.lines import LOOK_CLASSES
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
+    from types import FrameType
 
     from textual import events
     from textual.filter import LineFilter
@@ -29,6 +36,23 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
+_ENDS_WITHIN = 10.0
+"""s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
+_FAILURE = 1  # exit status
+
+
+class ShutdownReason(Enum):
+    QUIT = "quit"
+    TERMINATED = "terminated"
+    HANGUP = "hangup"
+    CRASH = "crash"
+
+
+_SIGNALS = {
+    signal.SIGTERM: ShutdownReason.TERMINATED,
+    signal.SIGINT: ShutdownReason.TERMINATED,
+    signal.SIGHUP: ShutdownReason.HANGUP,
+}
 
 
 class TerminalApp(App[ReturnType]):
@@ -60,7 +84,7 @@ class TerminalApp(App[ReturnType]):
         super().__init__(driver_class=ConsoleDriver)
         self._readonly = readonly
         self.ascii_only = ascii_only
-        self.config = themes.config_path() if config is None else config
+        self.config = config_path() if config is None else config
         self.preferences = Preferences(self.config, theme)
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, dialogs)
@@ -70,7 +94,7 @@ class TerminalApp(App[ReturnType]):
         its keys are."""
         self.terminal = 1
         """File descriptor of the terminal."""
-        self._forced_end = ForcedEnd(self.stop)
+        self._forced_end = _ForcedEnd(self.stop)
         self._filters_ascii = AsciiFilter()
         self._filters_control = ControlFilter()
 
@@ -86,7 +110,7 @@ class TerminalApp(App[ReturnType]):
 
     def get_theme_variable_defaults(self) -> dict[str, str]:
         """Return the style sheet's variables that a theme may leave out (for Textual)."""
-        return themes.VARIABLES
+        return THEME_VARIABLES
 
     def get_line_filters(self) -> Sequence[LineFilter]:
         filters = [*super().get_line_filters(), self._filters_control]
@@ -198,6 +222,19 @@ class TerminalApp(App[ReturnType]):
         self.shutdown_reason = reason
         self.exit()
 
+    def shut_down_on_signals(self) -> None:
+        """Have SIGTERM, SIGINT and SIGHUP call `shut_down_soon`.
+
+        These handlers outlive the app's event loop, unlike asyncio's: a second SIGHUP is usual, and must not kill a
+        bridge that goes on without the console.
+        """
+
+        def handle(number: int, _frame: FrameType | None) -> None:
+            self.shut_down_soon(_SIGNALS[signal.Signals(number)])
+
+        for number in _SIGNALS:
+            signal.signal(number, handle)
+
     def shut_down_soon(self, reason: ShutdownReason) -> None:
         """Call `shut_down` from a signal handler or another thread; end the process if the app hangs."""
         # In tests the process is theirs, and must not be killed.
@@ -220,6 +257,48 @@ class TerminalApp(App[ReturnType]):
         self._close_messages_no_wait()
 
     def crashed(self) -> None:
-        """Keep the exception that is being handled, for a report."""
+        """Write the exception that is being handled to `crash_path`, if that is possible, for a report."""
         self.shutdown_reason = ShutdownReason.CRASH
-        record_crash()
+        path = crash_path()
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)  # one of before may be open to others
+            with open(path, "w", encoding="utf-8", opener=owner_only) as file:
+                file.write(several_lines(traceback.format_exc()))
+
+
+class _ForcedEnd:
+    """Ends the process if the app hangs while it shuts down.
+
+    Args:
+        stop: called first; closes what must not stay open.
+    """
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self._stop = stop
+        self._timer: threading.Timer | None = None
+
+    def begin(self) -> None:
+        """Give the app `_ENDS_WITHIN` to shut down, counted from the first call."""
+        if self._timer is None:
+            self._timer = threading.Timer(_ENDS_WITHIN, self._end)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def cancel(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _end(self) -> None:
+        self._stop()
+        os._exit(_FAILURE)  # sys.exit would end this thread only
+
+
+def crash_path() -> Path:
+    """Return the file that describes the last crash."""
+    return user_log_path("rsb-console") / "crash.txt"
+
+
+def output_path() -> Path:
+    """Return the file that libraries' own output goes to while the app has the terminal."""
+    return user_log_path("rsb-console") / "output.txt"

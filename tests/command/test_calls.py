@@ -23,7 +23,7 @@ from rsb_bridge.model.topic_keys import ForeignKey
 from rsb_console.command.call_command import CallProblem
 from rsb_console.command.remote import RemoteProblem
 from rsb_console.command.target import RouteChoice
-from rsb_console.session.landing import LandingText
+from rsb_console.session.manual_messages import LandingText
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

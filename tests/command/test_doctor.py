@@ -13,8 +13,7 @@ from tests.support import surroundings
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.doctor.finding import Finding, Grade
-from rsb_console.command.doctor import lines
-from rsb_console.terminal.terminal_check import terminal_check
+from rsb_console.command.doctor import lines, terminal_check
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,8 +15,7 @@ from PIL import Image
 from tests.support import constants, replaced, surroundings
 
 from rsb_bridge.model.pictures import Pixels
-from rsb_console.command import graphics
-from rsb_console.command.graphics import ImagePrinter, protocol_of_terminal, why_not
+from rsb_console.command.look_command import ImagePrinter, graphics_of_terminal, terminal_answer, why_no_graphics
 
 RED = Pixels(4, 2, b"\xff\0\0" * 8)
 _CELL = (10.0, 20.0)
@@ -62,7 +61,7 @@ def protocol(answer: bytes, terminals: list[Terminal], monkeypatch: pytest.Monke
         monkeypatch.setattr("sys.stdout", stream)
         constants.TERMINAL_ANSWERS_WITHIN.set(monkeypatch, 60.0)  # the answer comes from a thread of this process
         try:
-            return protocol_of_terminal()
+            return graphics_of_terminal()
         finally:
             monkeypatch.undo()
 
@@ -87,17 +86,17 @@ def test_a_terminal_that_does_not_answer(answering: list[Terminal], monkeypatch:
     constants.TERMINAL_ANSWERS_WITHIN.set(monkeypatch, 0.2)
     terminal = Terminal(b"")
     answering.append(terminal)
-    assert graphics.asked(terminal.slave, terminal.slave) == b""
+    assert terminal_answer(terminal.slave, terminal.slave) == b""
 
 
 def test_without_a_terminal_nothing_is_asked() -> None:
-    assert protocol_of_terminal() == "blocks"
+    assert graphics_of_terminal() == "blocks"
 
 
 def test_sixel_without_its_library(monkeypatch: pytest.MonkeyPatch) -> None:
     surroundings.hide_modules(monkeypatch, "textual_image", "PIL")
-    assert why_not("sixel")
-    assert why_not("kitty") == why_not("blocks") == ""
+    assert why_no_graphics("sixel")
+    assert why_no_graphics("kitty") == why_no_graphics("blocks") == ""
 
 
 def test_kitty_gets_a_png_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,8 +18,7 @@ from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.command import pub_command
 from rsb_console.command.pub_command import _LOOK_EVERY, PubText
-from rsb_console.session.landing import REPORTED_WITHIN, LandingText
-from rsb_console.session.manual_messages import ByHandText
+from rsb_console.session.manual_messages import REPORTED_WITHIN, ByHandText, LandingText
 
 if TYPE_CHECKING:
     from tests.support.control import Machine

@@ -31,10 +31,9 @@ WRITES_OTHERWISE = {
     "session/demo_session.py": "logs in a temporary folder, mode 0700",
     "bench/loopback.py": "sessions in a temporary folder, mode 0700",
     "bench/simulated_fleet.py": "likewise",
-    "bench/processes.py": "likewise",
     "model/text.py": "standard output itself",
     "cli.py": "crash.log, with `owner_only`",
-    "terminal/shutdown.py": "crash.txt, with `owner_only`",
+    "terminal_app.py": "crash.txt, with `owner_only`",
     "command/shell.py": "the null device",
 }
 

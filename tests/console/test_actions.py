@@ -28,7 +28,7 @@ from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, KEYS_ON_SCREENS, Group
 from rsb_console.app import ConsoleApp
-from rsb_console.preferences import KeymapError, PreferenceProblem, load_keymap, split_keys
+from rsb_console.preferences import PreferenceError, PreferenceProblem, load_keymap, split_keys
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.drive_screen import _WAYS, DriveScreen
 from rsb_console.screens.help import HelpScreen
@@ -75,14 +75,14 @@ def test_a_mistake_in_the_users_keys_is_reported(
 ) -> None:
     path = tmp_path / "keys.yaml"
     path.write_text(content)
-    with pytest.raises(KeymapError, match=pattern(problem, path=path, **parameters)):
+    with pytest.raises(PreferenceError, match=pattern(problem, path=path, **parameters)):
         load_keymap(path)
 
 
 def test_keys_that_are_no_yaml_are_reported_with_the_line(tmp_path: Path) -> None:
     path = tmp_path / "keys.yaml"
     path.write_text("pause: [")
-    with pytest.raises(KeymapError, match=r"keys\.yaml(.|\n)*line 1"):
+    with pytest.raises(PreferenceError, match=r"keys\.yaml(.|\n)*line 1"):
         load_keymap(path)
 
 

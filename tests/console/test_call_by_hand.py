@@ -36,7 +36,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.screens.call_screen import CallText, answer_lines
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import MainText
-from rsb_console.session.landing import LandingText
+from rsb_console.session.manual_messages import LandingText
 from rsb_console.session.parameter_values import KIND_NAMES, ValueText, refusal, set_request
 from rsb_console.widgets.lines import ScrolledLines
 

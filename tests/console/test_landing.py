@@ -10,7 +10,7 @@ from tests.console.scripted import ScriptedEngine, call_route, route
 from tests.support.wording import says
 
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Snapshot
-from rsb_console.session.landing import Landing, LandingText
+from rsb_console.session.manual_messages import Landing, LandingText
 
 ROUTE = route("/cmd", outgoing=True, ledger=Ledger(offered=7, delivered=5, dropped={"disarmed": 2}), latency_p50=0.012)
 LINKS = ("robot1",)

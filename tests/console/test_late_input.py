@@ -22,7 +22,7 @@ from rsb_console.screens.drive_screen import Steering
 from rsb_console.screens.links_screen import LinkText
 from rsb_console.screens.take_over import HandOverScreen
 from rsb_console.terminal.driver import KeyParser
-from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate, LateInput, is_guarded
+from rsb_console.terminal.input_queue import SEEN_AFTER, GuardedScreen, InputGate, LateInput, is_guarded
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, WHO_ARE_YOU, Pulse, heard_before
 
 if TYPE_CHECKING:

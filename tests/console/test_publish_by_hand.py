@@ -34,7 +34,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.publish_screen import PublishScreen, PublishText
-from rsb_console.session.landing import LandingText
+from rsb_console.session.manual_messages import LandingText
 
 STRING = "std_msgs/msg/String"
 WORDS = route("/words", outgoing=True, spec=Topic("/words", "transmit"), type_name=STRING)

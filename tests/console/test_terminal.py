@@ -24,7 +24,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.history.state_folder import EVENTS
 from rsb_bridge.model.session import Topic
-from rsb_console.terminal.driver import prefers_ascii
+from rsb_console.command.shell import prefers_ascii
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/console_{os.getpid()}/terminal"

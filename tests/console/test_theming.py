@@ -9,12 +9,11 @@ from tests.support.wording import says
 from textual.color import Color
 from textual.pilot import Pilot
 
+from rsb_console import preferences
 from rsb_console.app import ConsoleApp
-from rsb_console.look import themes
-from rsb_console.look.themes import ThemeProblem
-from rsb_console.preferences import PreferenceProblem
+from rsb_console.preferences import PreferenceProblem, ThemeProblem
 
-SHIPPED, PROBLEMS = themes.load_themes(themes.shipped_path())
+SHIPPED, PROBLEMS = preferences.load_themes(preferences.shipped_themes())
 
 
 def luminance(color: str) -> float:
@@ -52,7 +51,7 @@ def test_colours_are_of_the_256(name: str) -> None:
     """A terminal without COLORTERM shows the intended colours."""
     levels = {0, 95, 135, 175, 215, 255}
     theme = SHIPPED[name]
-    for key in ("primary", *themes.COLORS):
+    for key in preferences.THEME_COLORS:
         color = getattr(theme, key)
         if color is not None:
             rgb = Color.parse(color).rgb
@@ -63,7 +62,7 @@ def test_colours_are_of_the_256(name: str) -> None:
 def test_the_terminal_theme_names_the_terminals_own_colours() -> None:
     theme = SHIPPED["terminal"]
     assert theme.ansi
-    used = [getattr(theme, key) for key in ("primary", *themes.COLORS)] + list(theme.variables.values())
+    used = [getattr(theme, key) for key in preferences.THEME_COLORS] + list(theme.variables.values())
     assert all(color is None or color.startswith("ansi_") for color in used)
 
 
@@ -90,7 +89,7 @@ def test_a_mistake_is_reported(
 ) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(content)
-    found, (reported,) = themes.load_themes(tmp_path)
+    found, (reported,) = preferences.load_themes(tmp_path)
     assert found == {}
     assert reported.startswith(str(path))
     assert says(reported, problem, **parameters)
@@ -99,14 +98,14 @@ def test_a_mistake_is_reported(
 def test_a_file_that_is_no_yaml_is_reported_with_the_line(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("primary: [")
-    _, (reported,) = themes.load_themes(tmp_path)
+    _, (reported,) = preferences.load_themes(tmp_path)
     assert reported.startswith(str(path))
     assert "line 1" in reported
 
 
 def test_a_users_theme_stands_beside_the_shipped_ones_and_may_replace_one(tmp_path: Path) -> None:
     (tmp_path / "dark.yaml").write_text('primary: "#ffffff"')
-    found, _ = themes.load_themes(themes.shipped_path(), tmp_path)
+    found, _ = preferences.load_themes(preferences.shipped_themes(), tmp_path)
     assert found["dark"].primary == "#ffffff"
     assert "light" in found
 
@@ -145,7 +144,7 @@ async def test_an_unknown_theme_falls_back_and_is_named(app: ConsoleApp, pilot: 
     ],
 )
 def test_the_default_suits_the_terminal(environ: dict[str, str], expected: str) -> None:
-    assert themes.default_theme(environ) == expected
+    assert preferences.default_theme(environ) == expected
 
 
 @on_main()

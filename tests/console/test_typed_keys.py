@@ -15,8 +15,7 @@ import pytest
 from tests.console.test_late_input import Time
 from tests.support import surroundings
 
-from rsb_console.terminal.pulse import ANSWERS_WITHIN, FRESH_FOR
-from rsb_console.terminal.typed_keys import TypedKeys
+from rsb_console.terminal.pulse import ANSWERS_WITHIN, FRESH_FOR, TypedKeys
 
 _LOCAL_MODES = 3
 

@@ -45,7 +45,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
-from rsb_console.look.plot_lines import AXIS
+from rsb_console.look.picture_rows import AXIS
 from rsb_console.screens.drive_screen import DriveScreen
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.screens.publish_screen import PublishScreen

@@ -34,7 +34,7 @@ from rsb_bridge.model.command_origin import acting, on_console
 from rsb_bridge.model.commands import PauseTopics, Publish, ReleaseArmed, RemoveTopic, Restart, ShutDownLinks
 from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import ArmedName, Client, Topic
-from rsb_console.session.landing import Landing, LandingText
+from rsb_console.session.manual_messages import Landing, LandingText
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

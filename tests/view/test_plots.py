@@ -15,7 +15,7 @@ from tests.view.samples import drawn, task
 from rsb_bridge.model.pictures import Curve, Picture, Series, Wish, decode_picture, encode_picture
 from rsb_bridge.view.plots import VALUES, PlotProblem, PlotView
 from rsb_bridge.view.worker import Artist
-from rsb_console.look.plot_lines import AXIS, plot_rows
+from rsb_console.look.picture_rows import AXIS, picture_rows
 
 WISH = Wish(width=20, height=10, how="plot", seconds=10.0)
 
@@ -89,21 +89,21 @@ CURVES = (
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (20, 6), (1, 1), (300, 100)])
 def test_rows_fit_the_window(width: int, height: int) -> None:
-    rows = plot_rows(Series(0.0, 0.25, CURVES), width, height)
+    rows = picture_rows(Series(0.0, 0.25, CURVES), width, height)
     assert len(rows) <= height
     if width >= 20:
-        assert all(sum(len(text) for text, _ in row) <= width for row in rows)
+        assert all(sum(len(part.text) for part in row) <= width for row in rows)
 
 
 def test_labels_of_large_values_leave_the_axis_straight() -> None:
-    *rows, _axis, _times, _legend = plot_rows(Series(0.0, 1.0, (Curve("a", (-3e200,), (3e200,)),)), 40, 24)
-    assert {len(row[0][0]) for row in rows} == {AXIS - 1}
+    *rows, _axis, _times, _legend = picture_rows(Series(0.0, 1.0, (Curve("a", (-3e200,), (3e200,)),)), 40, 24)
+    assert {len(row[0].text) for row in rows} == {AXIS - 1}
 
 
 @pytest.mark.parametrize("value", [1.7e308, -1.7e308, math.inf, math.nan, 5e-324])
 def test_extreme_values_are_drawn_or_left_out(value: float) -> None:
     content = series(decode_picture(encode_picture(drawn(WISH, Float64(data=value), Float64(data=1.0)))))
-    assert len(plot_rows(content, 40, 10)) == 10
+    assert len(picture_rows(content, 40, 10)) == 10
 
 
 def test_names_of_joints_are_fit_for_terminals() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
 import sys
 from typing import TYPE_CHECKING
 
@@ -65,6 +66,12 @@ def test_a_view_of_another_package_draws_its_type_in_the_confined_process(render
 def test_this_programs_views_stay(renderer: Renderer) -> None:
     picture = drawn(renderer, task(Wish(), LaserScan(range_max=1.0)))
     assert not any("keys" in each for each in picture.notes)
+
+
+def test_the_console_opens_them_as_pictures() -> None:
+    has = ", ".join(f"has_picture('{each}')" for each in ("diagnostic_msgs/msg/KeyValue", "my_msgs/msg/Other"))
+    command = [sys.executable, "-c", f"from rsb_console.screens.look_screen import has_picture; print({has})"]
+    assert subprocess.run(command, capture_output=True, check=True).stdout == b"True False\n"
 
 
 @pytest.mark.parametrize(

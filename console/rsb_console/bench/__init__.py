@@ -1,1 +1,1 @@
-"""Benchmarks of links: the measurements, their results and the presentation."""
+"""Benchmarks and simulated fleets: what ``rsb-console bench`` and ``demo --fleet`` run, and bench/ builds on."""

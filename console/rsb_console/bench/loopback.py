@@ -1,9 +1,10 @@
-"""Two bridges between two ROS domains of this machine, with a talker and a listener."""
+"""Processes of benchmarks on this machine: two bridges between two ROS domains, with a talker and a listener."""
 
 from __future__ import annotations
 
 import base64
 import contextlib
+import json
 import os
 import subprocess
 import sys
@@ -11,18 +12,18 @@ import tempfile
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.snapshot import State
-from rsb_console.bench.processes import Process
 from rsb_console.bench.results import BenchError, Many, Run, Side, Way
+from rsb_console.child import ChildProcess
 from rsb_console.session.attaching import attach
 from rsb_console.session.demo_session import free_port
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from rsb_bridge.control.remote_engine import RemoteEngine
@@ -46,6 +47,113 @@ _ANSWERS_WITHIN = 5.0
 _OPENED_WITHIN = 60.0  # s; 500 topics take 0.6 to 1.2 s on a quiet machine (bench/README.md, Opening 500 topics)
 _WATCHED_FOR = 3.0  # s, for three messages of each topic
 _STATE_EVERY = 0.1
+_CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
+_STOPS_WITHIN = 6.0  # s; a bridge ends within 5 s (docs/headless.md)
+
+
+class Process:
+    """A Python process that is measured, or that answers lines of commands with lines of JSON.
+
+    It has a process group of its own: a Ctrl-C reaches only this process, which then ends the other one. It also ends
+    if this process is killed.
+    """
+
+    def __init__(
+        self,
+        *command: str,
+        log: Path | None = None,
+        environ: Mapping[str, str] | None = None,
+    ) -> None:
+        """Start the process.
+
+        Args:
+            command: arguments of Python: ``-m``, a module and its arguments.
+            log: file for all its output, or None to read its answers.
+            environ: changes to this process's environment.
+        """
+        environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | dict(environ or {})
+        self._name = " ".join(command[:3])
+        with contextlib.ExitStack() as files:
+            output = files.enter_context(log.open("wb")) if log else None
+            self._child = ChildProcess(
+                *command[1:],
+                stdin=subprocess.PIPE,
+                stdout=output or subprocess.PIPE,
+                stderr=output or subprocess.DEVNULL,
+                env=environment,
+                start_new_session=True,
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def ask(self, line: str) -> dict[str, float]:
+        """Send a command and return the answer.
+
+        Raises:
+            BenchError: it has ended.
+        """
+        self.tell(line)
+        answered = self.line()
+        if not answered:
+            raise BenchError(f"{self._name} has ended by itself")
+        answer: dict[str, float] = json.loads(answered)
+        return answer
+
+    def tell(self, line: str) -> None:
+        """Send a command without waiting for an answer.
+
+        Raises:
+            BenchError: it has ended.
+        """
+        assert self._child.stdin is not None
+        try:
+            self._child.stdin.write(line + "\n")
+            self._child.stdin.flush()
+        except BrokenPipeError:
+            raise BenchError(f"{self._name} has ended by itself") from None
+
+    def signal(self, number: int) -> None:
+        self._child.send_signal(number)
+
+    def line(self) -> str:
+        assert self._child.stdout is not None
+        return self._child.stdout.readline()
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def cpu(self) -> float:
+        """Processor time so far, s, all threads."""
+        # This clock counts ns, /proc/PID/stat only ticks of 10 ms, which is much of a short run.
+        return time.clock_gettime((~self.pid << 3) | _CPUCLOCK_SCHED)
+
+    def memory(self) -> float:
+        """Resident memory, MB."""
+        status = Path(f"/proc/{self.pid}/status").read_text()
+        return int(status.split("VmRSS:")[1].split()[0]) / 1000
+
+    @property
+    def running(self) -> bool:
+        return self._child.poll() is None
+
+    def stop(self) -> None:
+        """End the process, by force if it takes long."""
+        self._child.terminate()
+        try:
+            self._child.wait(_STOPS_WITHIN)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        finally:
+            for pipe in (self._child.stdin, self._child.stdout):
+                with contextlib.suppress(BrokenPipeError):
+                    if pipe is not None:
+                        pipe.close()
 
 
 def depth_of(size: int) -> int:

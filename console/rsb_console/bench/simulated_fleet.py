@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import random
 import signal
-import socket
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -20,9 +18,10 @@ from rsb_bridge.model.transports import ZENOH_HOST
 from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
-from rsb_console.bench.processes import Process
+from rsb_console.bench.loopback import Process
 from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import RobotRecord, RobotRecords, RobotTraffic
+from rsb_console.session.demo_session import free_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -36,8 +35,6 @@ MOST_IN_ONE = 50
 """Most robots in one process, whose threads share an interpreter. A round figure."""
 _OPERATOR, _OPERATOR_KEY = "operator", "operator.key"
 _HOST = "127.0.0.1"
-_PORTS = range(20_000, 32_000)
-"""Ports outside the kernel's range for clients, as a client could otherwise take the server's port."""
 _LOOK_EVERY = 0.25
 _READY_WITHIN = 60.0
 
@@ -45,13 +42,13 @@ _READY_WITHIN = 60.0
 @contextlib.contextmanager
 def tcp() -> Iterator[tuple[dict[str, Any], None]]:
     """Robots connect to the control side."""
-    yield {"server_ip": _HOST, "server_port": _free_port()}, None
+    yield {"server_ip": _HOST, "server_port": free_port()}, None
 
 
 @contextlib.contextmanager
 def zenoh() -> Iterator[tuple[dict[str, Any], Process]]:
     """Robots and the control side connect to a router."""
-    endpoint = f"tcp/{_HOST}:{_free_port()}"
+    endpoint = f"tcp/{_HOST}:{free_port()}"
     with loopback.router(endpoint) as router:
         yield {"server_ip": ZENOH_HOST, "zenoh": ZenohSettings((endpoint,), fleet="simulated")}, router
 
@@ -224,17 +221,3 @@ def listening(process: Process, session: Path) -> float:
         time.sleep(0.01)
         before = time.time()
     return before
-
-
-def _free_port() -> int:
-    """Return a port that neither TCP nor UDP uses."""
-    for port in random.sample(_PORTS, len(_PORTS)):
-        with (
-            socket.socket() as stream,
-            socket.socket(type=socket.SOCK_DGRAM) as datagrams,
-            contextlib.suppress(OSError),
-        ):
-            stream.bind((_HOST, port))
-            datagrams.bind((_HOST, port))
-            return port
-    raise BenchError("no port is free")

@@ -17,7 +17,7 @@ from rsb_console.command.formatting import json_line, json_value
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, done, failed, fields_from
 from rsb_console.session.draft import suggestion
-from rsb_console.session.landing import answered
+from rsb_console.session.manual_messages import answer_report
 from rsb_console.session.parameter_values import KIND_NAMES, KINDS, refusal, set_request, value_of
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def _call(arguments: Namespace) -> int:
         route = chosen_route(engine, arguments)
         lane, began = _lane(route, arguments.lane), Clock.steady()
         text = response(engine, route, request, lane, arguments.timeout)
-        report = answered(route, Clock.steady() - began)
+        report = answer_report(route, Clock.steady() - began)
     if arguments.json:
         goal = {"goal_id": text.splitlines()[0].removeprefix(_NEW_GOAL)} if text.startswith(_NEW_GOAL) else {}
         landed = [{"ok": True, "report": report}]

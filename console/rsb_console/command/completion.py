@@ -90,9 +90,9 @@ def yaml_files(prefix: str, **_: object) -> list[str]:
 
 def theme_names(**_: object) -> list[str]:
     """Return the shipped themes, and the user's own."""
-    from rsb_console.look.themes import config_path, shipped_path  # noqa: PLC0415 (needs Textual)
+    from rsb_console.preferences import config_path, shipped_themes  # noqa: PLC0415 (needs Textual)
 
-    folders = (shipped_path(), config_path() / "themes")
+    folders = (shipped_themes(), config_path() / "themes")
     return sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
 
 

@@ -11,9 +11,9 @@ from rsb_bridge.control.control_sockets import identify
 from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.commands import ReleaseArmed
 from rsb_console.app import ConsoleApp
-from rsb_console.command.shell import FAILURE, HUNG_UP, OK, print_error
-from rsb_console.terminal.driver import prefers_ascii, terminal_to_itself
-from rsb_console.terminal.shutdown import ShutdownReason, crash_path, output_path, shut_down_on_signals
+from rsb_console.command.shell import FAILURE, HUNG_UP, OK, prefers_ascii, print_error
+from rsb_console.terminal.driver import terminal_to_itself
+from rsb_console.terminal_app import ShutdownReason, TerminalApp, crash_path, output_path
 
 if TYPE_CHECKING:
     from contextlib import ExitStack
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_console.command.target import Attach
     from rsb_console.fleet.fleet import RobotFleet
-    from rsb_console.terminal_app import TerminalApp
 
 T = TypeVar("T")
 
@@ -80,7 +79,7 @@ def run_console(
 def run_app(app: TerminalApp[T], *, mouse: bool) -> T | None:
     """Run an app in the terminal and return its result. `TerminalApp.shutdown_reason` has the reason for its end."""
     # The handlers come before the terminal is prepared: a SIGTERM meanwhile has to leave it as it was, too.
-    shut_down_on_signals(app.shut_down_soon)
+    app.shut_down_on_signals()
     returned = None
     try:
         with terminal_to_itself(output_path()) as app.terminal, acting(identify(os.getpid(), os.geteuid())):

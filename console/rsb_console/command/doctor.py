@@ -1,41 +1,43 @@
-"""The command ``doctor``: examines this machine, and names a remedy for what is wrong."""
+"""The command ``doctor``: examines this machine and its terminal, and names a remedy for what is wrong."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import sys
 import textwrap
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.doctor import machine, ros_setup, session_needs
-from rsb_bridge.doctor.finding import Finding, Grade, examine, worst
+from rsb_bridge.doctor.finding import Check, Finding, Grade, examine, worst
 from rsb_bridge.model.text import plural
 from rsb_console.command.check import print_mistakes
 from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, OK, print_line
+from rsb_console.command.shell import FAILURE, OK, prefers_ascii, print_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
-
-    from rsb_bridge.doctor.finding import Check
 
 _WORDS = {Grade.WARNING: "WARNING", Grade.ERROR: "ERROR"}
 _NOUNS = {Grade.ERROR: "error", Grade.WARNING: "warning"}
 _INDENT = 25
 _REMEDY = " " * 9 + "> "
 _NARROW, _WIDE = 60, 120  # columns between which the lines follow the terminal: round figures
+_SMALLEST_TERMINAL = (80, 24)
 
 
-def run_doctor(path: Path | None, more: Iterable[Check], *, as_json: bool) -> int:
+def run_doctor(path: Path | None, *, as_json: bool) -> int:
     """Examine this machine, and what a session needs of it."""
     try:
         session = None if path is None else load(path)
     except SessionError as error:
         return print_mistakes(error)
     own_domain = None if session is None else session.domain_id
-    checks = [*ros_setup.checks(os.environ, own_domain=own_domain), *machine.checks(os.environ), *more]
+    checks = [*ros_setup.checks(os.environ, own_domain=own_domain), *machine.checks(os.environ)]
+    checks.append(terminal_check(os.environ))
     if session is not None and path is not None:
         checks += session_needs.checks(session, path, os.environ)
     found = list(examine(checks))
@@ -45,6 +47,33 @@ def run_doctor(path: Path | None, more: Iterable[Check], *, as_json: bool) -> in
         for line in lines(found, shutil.get_terminal_size().columns):
             print_line(line)
     return FAILURE if worst(found) == Grade.ERROR else OK
+
+
+def terminal_check(environ: Mapping[str, str]) -> Check:
+    """Return the check of the terminal of standard output."""
+    return Check("terminal", "terminal", partial(_terminal, environ))
+
+
+def _terminal(environ: Mapping[str, str]) -> Iterator[Finding]:
+    if not sys.stdout.isatty():
+        yield Finding("terminal", Grade.OK, "terminal", "standard output is not a terminal")
+        return
+    term, size, plain = environ.get("TERM", ""), shutil.get_terminal_size(), prefers_ascii(environ)
+    true_colour = environ.get("COLORTERM", "") in {"truecolor", "24bit"}
+    colours = "24-bit colours" if true_colour else "256 colours" if "256" in term else "16 colours"
+    program = "tmux" if environ.get("TMUX") else "screen" if environ.get("STY") else ""
+    facts = {"term": term, "columns": size.columns, "lines": size.lines, "colours": colours, "ascii": plain}
+    if term in {"", "dumb"}:
+        text, remedy = f"TERM is {term!r}: the console cannot draw there", "export TERM=xterm-256color"
+        yield Finding("terminal", Grade.WARNING, "terminal", text, remedy, facts)
+        return
+    signs = f"{'ASCII' if plain else 'Unicode'} signs{program and f', inside {program}'}"
+    text, grade = f"{term}, {size.columns} × {size.lines}, {colours}, {signs}", Grade.NOTE if plain else Grade.OK
+    remedy = "export LANG=C.UTF-8, if the terminal shows Unicode" if plain else ""
+    yield Finding("terminal", grade, "terminal", text, remedy, facts)
+    if size.columns < _SMALLEST_TERMINAL[0] or size.lines < _SMALLEST_TERMINAL[1]:
+        text = f"the console needs {_SMALLEST_TERMINAL[0]} × {_SMALLEST_TERMINAL[1]} at least"
+        yield Finding("terminal_size", Grade.WARNING, "terminal", text, facts=facts)
 
 
 def this_machine() -> list[Finding]:

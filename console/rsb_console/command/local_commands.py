@@ -125,9 +125,8 @@ def keygen(arguments: Namespace) -> int:
 def doctor(arguments: Namespace) -> int:
     """Examine this machine, and what a session needs of it."""
     from rsb_console.command.doctor import run_doctor  # noqa: PLC0415 (not needed elsewhere)
-    from rsb_console.terminal.terminal_check import terminal_check  # noqa: PLC0415 (needs Textual)
 
-    return run_doctor(arguments.session, [terminal_check(os.environ)], as_json=arguments.json)
+    return run_doctor(arguments.session, as_json=arguments.json)
 
 
 def completion(arguments: Namespace) -> int:

@@ -14,8 +14,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, done, fields_from, given_at, result
-from rsb_console.session.landing import REPORTED_WITHIN, Landing
-from rsb_console.session.manual_messages import TRIES, ByHandText
+from rsb_console.session.manual_messages import REPORTED_WITHIN, TRIES, ByHandText, Landing
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -55,8 +55,7 @@ from rsb_console.command.target import (
     result,
 )
 from rsb_console.session.draft import TypedError, suggestion, typed_topic, values_of
-from rsb_console.terminal.pulse import ASKED_EVERY
-from rsb_console.terminal.typed_keys import TypedKeys
+from rsb_console.terminal.pulse import ASKED_EVERY, TypedKeys
 
 if TYPE_CHECKING:
     from argparse import Namespace

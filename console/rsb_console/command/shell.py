@@ -11,7 +11,7 @@ from rsb_bridge.model.wording import Wording
 
 TYPE_CHECKING = False  # without typing, which takes a while
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
     from typing import Any, TextIO
 
 OK, FAILURE, USAGE, NOT_RUNNING, ALREADY_RUNNING, HUNG_UP, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 129, 130, 143
@@ -62,6 +62,16 @@ def _print(text: str) -> None:
 def encoded(text: str) -> bytes:
     """Encode text for standard output; escape characters that its encoding lacks, as a name may be in any script."""
     return text.encode(sys.stdout.encoding, "backslashreplace")
+
+
+def prefers_ascii(environ: Mapping[str, str]) -> bool:
+    """Whether to draw in ASCII: the locale is not UTF-8, or the terminal is the Linux console.
+
+    Args:
+        environ: the environment. If it sets no locale, Python uses C.UTF-8 (PEP 538).
+    """
+    locale = environ.get("LC_ALL") or environ.get("LC_CTYPE") or environ.get("LANG") or "C.UTF-8"
+    return "utf" not in locale.lower() or environ.get("TERM") == "linux"
 
 
 def allow_many_descriptors() -> None:

@@ -1,15 +1,15 @@
-"""Pictures of messages as rows of a terminal: half blocks, styled characters, or ASCII."""
+"""Pictures of messages as rows of a terminal: half blocks, styled characters, ASCII, or plots in braille."""
 
 from __future__ import annotations
 
 import io
+import math
 import warnings
 from importlib.util import find_spec
-from itertools import groupby
+from itertools import cycle, groupby
 from typing import NamedTuple
 
-from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Cells, Pixels, Series
-from rsb_console.look.plot_lines import plot_rows
+from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Cells, Curve, Pixels, Series
 
 RAMP = " .:-=+*#%@"
 """Characters for an image on a terminal without colours, from dark to light."""
@@ -23,6 +23,15 @@ _BAYER = ((0, 8, 2, 10), (12, 4, 14, 6), (3, 11, 1, 9), (15, 7, 13, 5))
 """Thresholds of ordered dithering, in sixteenths of a step: unlike diffused errors they do not flicker from picture to
 picture."""
 _SIDE = len(_BAYER)
+_CURVE_STYLES = ("scan", "path", "goal", "ok", "warning", "error", "robot", "strong")
+_DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+_BRAILLE = 0x2800
+_DOTS_ACROSS, _DOTS_DOWN = 2, 4
+AXIS = 10
+"""Cells of a plot's labels of values, with the axis: a label such as -1.23e-05 has nine."""
+_TICK_ROWS, _TICK_COLUMNS = 4, 16
+"""Least rows and columns from one label to the next. A label of time takes up to eleven columns."""
+_TICK_STEPS = (1, 2, 5)
 
 
 def _shades(threshold: int) -> bytes:
@@ -60,7 +69,7 @@ def picture_rows(
         width: cells that a plot fills.
         height: cells that a plot fills.
         colours: the terminal's. With few, images are dithered in greys; without, they are drawn in ASCII by brightness.
-        cursor: column of a plot whose values are shown, or None.
+        cursor: column of a plot, from the left edge of its curves, whose values the legend shows, or None.
 
     Raises:
         UnreadableError: the other side's image is damaged.
@@ -73,7 +82,7 @@ def picture_rows(
             return _half_blocks(content)
         return _dithered(content) if colours else _brightness(content)
     if isinstance(content, Series):
-        return [tuple(Part(*part) for part in row) for row in plot_rows(content, width, height, cursor=cursor)]
+        return _plot(content, width, height, cursor)
     return _cells(content)
 
 
@@ -194,3 +203,119 @@ def _cells(cells: Cells) -> list[Row]:
             begin += count
         rows.append(tuple(parts))
     return rows
+
+
+def _plot(series: Series, width: int, height: int, cursor: int | None) -> list[Row]:
+    """Draw curves, axes, and a legend with the newest, lowest, mean and highest values; two columns fill one cell."""
+    styles_of = cycle(_CURVE_STYLES)
+    legend = [_legend(curve, next(styles_of), width, cursor) for curve in series.curves]
+    # A pane may be smaller than its legend and axes.
+    rows = max(1, height - len(legend) - 2)
+    across = max(1, width - AXIS)
+    low, high = _value_range(series)
+    dots, styles = _dots(series, across, rows, low, high)
+    ticks = _ticks(low, high, max(2, rows // _TICK_ROWS))
+    labels = {_row_of_value(tick, low, high, rows): _number(tick) for tick in ticks}
+    lines: list[Row] = []
+    for row in range(rows):
+        label = labels.get(row, "")
+        parts = [Part(f"{label:>{AXIS - 1}}", "axis"), Part("┤" if label else "│", "axis")]
+        for column in range(across):
+            style = styles[row][column]
+            character = chr(_BRAILLE + dots[row][column]) if dots[row][column] else " "
+            if column == cursor and not dots[row][column]:
+                character, style = "│", "dim"
+            # The first two parts are the label and the axis, which stay apart.
+            if parts[-1].style == style and len(parts) > 2:
+                parts[-1] = Part(parts[-1].text + character, style)
+            else:
+                parts.append(Part(character, style))
+        lines.append(tuple(parts))
+    return [*lines, *_time_axis(series, across), *legend][:height]
+
+
+def _value_range(series: Series) -> tuple[float, float]:
+    """Return the lowest and the highest value, some way apart."""
+    values = [value for curve in series.curves for value in (*curve.lows, *curve.highs) if value is not None]
+    low, high = min(values, default=0.0), max(values, default=1.0)
+    # A constant curve: all further figures divide by the range.
+    if high - low < 1e-9 * max(1.0, abs(high)):
+        margin = max(abs(high) * 0.1, 1e-3)
+        return low - margin, high + margin
+    return low, high
+
+
+def _row_of_value(value: float, low: float, high: float, rows: int) -> int:
+    return min(rows - 1, max(0, round((high - value) / (high - low) * (rows * _DOTS_DOWN - 1)) // _DOTS_DOWN))
+
+
+def _dots(series: Series, across: int, rows: int, low: float, high: float) -> tuple[list[list[int]], list[list[str]]]:
+    dots = [[0] * across for _ in range(rows)]
+    styles = [[""] * across for _ in range(rows)]
+    last = rows * _DOTS_DOWN - 1
+    for at, curve in enumerate(series.curves):
+        style, before = _CURVE_STYLES[at % len(_CURVE_STYLES)], None
+        columns = list(zip(curve.lows, curve.highs, strict=False))
+        for x in range(across * _DOTS_ACROSS):
+            column = int(x * len(columns) / (across * _DOTS_ACROSS))
+            least, most = columns[column] if column < len(columns) else (None, None)
+            if least is None or most is None:
+                continue
+            top, bottom = (round((high - value) / (high - low) * last) for value in (most, least))
+            if before is not None:  # connect a curve's steps, which would be dots with gaps
+                top, bottom = min(top, before[1]), max(bottom, before[0])
+            before = tuple(round((high - value) / (high - low) * last) for value in (most, least))
+            for y in range(max(0, top), min(last, bottom) + 1):
+                dots[y // _DOTS_DOWN][x // _DOTS_ACROSS] |= _DOT_BITS[y % _DOTS_DOWN][x % _DOTS_ACROSS]
+                styles[y // _DOTS_DOWN][x // _DOTS_ACROSS] = style
+    return dots, styles
+
+
+def _ticks(low: float, high: float, most: int) -> list[float]:
+    """Return round values between two, at most so many."""
+    rough = (high - low) / most
+    power = 10 ** math.floor(math.log10(rough))
+    step = next((each * power for each in _TICK_STEPS if each * power >= rough), 10 * power)
+    first = math.ceil(low / step)
+    return [(first + at) * step for at in range(most + 1) if (first + at) * step <= high]
+
+
+def _time_axis(series: Series, across: int) -> list[Row]:
+    """Return the line of the time axis, and its labels in seconds before the newest message."""
+    columns = max((len(curve.lows) for curve in series.curves), default=0) or 1
+    seconds = series.step * columns
+    line, labels = ["─"] * across, [" "] * across
+    for tick in _ticks(-seconds, 0.0, max(1, across // _TICK_COLUMNS)):
+        at = min(across - 1, round((tick + seconds) / seconds * (across - 1)))
+        text = "now" if abs(tick) < 1e-9 else f"{_number(tick)} s"
+        line[at] = "┴"
+        begin = max(0, min(across - len(text), at - len(text) // 2))
+        labels[begin : begin + len(text)] = text
+    margin = " " * (AXIS - 1)
+    return [(Part(f"{margin}└{''.join(line)}", "axis"),), (Part(f"{margin} {''.join(labels[:across])}", "axis"),)]
+
+
+def _legend(curve: Curve, style: str, width: int, cursor: int | None) -> Row:
+    if cursor is not None and curve.lows:
+        column = min(len(curve.lows) - 1, cursor * len(curve.lows) // max(1, width - AXIS))
+        low, high = curve.lows[column], curve.highs[column]
+        if low is not None and high is not None:
+            shown = _number(low) if low == high else f"{_number(low)} to {_number(high)}"
+            return Part("▪ ", style), Part(f"{curve.name}  at the cursor {shown}"[: width - 2])
+    lows = [value for value in curve.lows if value is not None]
+    highs = [value for value in curve.highs if value is not None]
+    if curve.last is None or not lows:
+        return Part("▪ ", style), Part(f"{curve.name}  no value"[: width - 2], "dim")
+    mean = "" if curve.mean is None else f"  mean {_number(curve.mean)}"
+    text = f"{curve.name}  {_number(curve.last)}  min {_number(min(lows))}{mean}  max {_number(max(highs))}"
+    return Part("▪ ", style), Part(text[: width - 2])
+
+
+def _number(value: float) -> str:
+    """Format a value in few characters."""
+    if value == 0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        return f"{value:.4g}"
+    # Without the plus, the largest numbers have no more characters than a small negative one.
+    return f"{value:.2e}".replace("e+", "e")

@@ -24,7 +24,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
 from rsb_console.screens.dialog import ConfirmScreen, beginning
-from rsb_console.session.landing import answered
+from rsb_console.session.manual_messages import answer_report
 from rsb_console.session.parameter_values import refusal, set_request
 from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
@@ -242,7 +242,7 @@ class CallScreen(FormScreen[PlannedCall]):
         except EngineError as error:
             self._set_answer("", CallResult(f"{FAILED} {_clean(str(error))}", "down"))
         else:
-            report = answered(self._route, time.monotonic() - began)
+            report = answer_report(self._route, time.monotonic() - began)
             refused = refusal(answer) if request.sets else None
             if refused is not None:
                 # The call itself has succeeded: a node refuses a parameter in its answer.

@@ -17,7 +17,7 @@ from rsb_bridge.model.effect import Effect
 from rsb_console.actions import BY_ID
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED
-from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate
+from rsb_console.terminal.input_queue import SEEN_AFTER, GuardedScreen, InputGate
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:

@@ -29,10 +29,8 @@ from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ArmScreen, ConfirmScreen
 from rsb_console.screens.take_over import AskHolderScreen
-from rsb_console.session.landing import Landing
-from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, velocity
-from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate
-from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, Landing, velocity
+from rsb_console.terminal.input_queue import DIALOG, SEEN_AFTER, GuardedScreen, InputGate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from textual import on, work
@@ -15,7 +16,7 @@ from rsb_bridge.model.names import other_side
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.view.drawing import VIEWS
+from rsb_bridge.view.drawing import VIEWS, package_of_view
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.picker import Suggestion, SuggestionList
@@ -58,6 +59,15 @@ class Subject(NamedTuple):
     link: str = ""
     type_name: str = ""
     layers: tuple[str, ...] = ()
+
+
+def has_picture(type_name: str) -> bool:
+    """Whether messages of a type have a picture other than their fields, of this program or of another package."""
+    if type_name in VIEWS:
+        return True
+    with contextlib.suppress(Exception):  # the metadata of any installed package may be broken
+        return package_of_view(type_name) != ""
+    return False
 
 
 def is_map(type_name: str) -> bool:
@@ -133,7 +143,7 @@ class LookScreen(ModalScreen[Subject]):
             if info.kind == "topic" and info.publishers
         ]
         role = self.console.snapshot().role
-        for side, info in sorted(found, key=lambda each: (each[1].type_name not in VIEWS, each[1].topic, each[0])):
+        for side, info in sorted(found, key=lambda each: (not has_picture(each[1].type_name), each[1].topic, each[0])):
             key = f"{side}\n{info.topic}"
             layers = (each.topic for each in self._found[side] if is_layer(each.type_name) and each.publishers)
             others = tuple(topic for topic in layers if topic != info.topic)
@@ -142,7 +152,7 @@ class LookScreen(ModalScreen[Subject]):
             line: Line = (
                 (f"{escape_text(info.topic):<{_TOPIC}} ", ""),
                 (f"{shown:<{_SIDE}}", "dim"),
-                (escape_text(info.type_name), "strong" if info.type_name in VIEWS else "dim"),
+                (escape_text(info.type_name), "strong" if has_picture(info.type_name) else "dim"),
             )
             yield Suggestion(key, info.topic, lambda _width, line=line: line)  # type: ignore[misc]
 

@@ -365,7 +365,7 @@ class MainScreen(Screen[None]):
             self._mode("-detail")
 
     def action_message(self) -> None:
-        from rsb_console.screens.view_screen import has_picture  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.look_screen import has_picture  # noqa: PLC0415 -- keeps the start short
 
         route = self.topics.selected
         if route is None or self.console.engine is None:

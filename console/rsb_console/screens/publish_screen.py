@@ -18,8 +18,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.glyphs import DONE, FAILED
 from rsb_console.screens.dialog import ConfirmScreen, beginning
-from rsb_console.session.landing import REPORTED_WITHIN, Landing
-from rsb_console.session.manual_messages import publish
+from rsb_console.session.manual_messages import REPORTED_WITHIN, Landing, publish
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, FormScreen, Notice, Spec, TextField
 

@@ -26,7 +26,7 @@ from rsb_console.look.glyphs import DONE, FAILED, UNDER_WAY
 from rsb_console.screens.dialog import ConfirmScreen, Dialog
 from rsb_console.screens.topic_form import fields_by_kind, padded
 from rsb_console.session.draft import SWITCHES, Ends, TypedError, typed_topic, values_of
-from rsb_console.terminal.input_gate import InputGate
+from rsb_console.terminal.input_queue import InputGate
 from rsb_console.widgets.form import Field, FieldInput, Spec
 from rsb_console.widgets.lines import Line, ScrolledLines, clip
 from rsb_console.widgets.picker import PickField, Suggestion

@@ -29,8 +29,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.drawing import VIEWS
 from rsb_console.look import formats
-from rsb_console.look.picture_rows import COLOURS, Part, UnreadableError, picture_rows, reads_webp, with_mark
-from rsb_console.look.plot_lines import AXIS
+from rsb_console.look.picture_rows import AXIS, COLOURS, Part, UnreadableError, picture_rows, reads_webp, with_mark
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.drive_screen import drive, full_type, why_not_driven
 from rsb_console.screens.look_screen import is_map
@@ -86,11 +85,6 @@ class ViewText(Wording):
     GOAL_HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: ←→ turn it, ⏎ publishes, esc leaves"
     NOT_DRIVEN = "no topic can be driven: that needs a Twist that goes to the robot of the picture, with arm: true"
     SEVERAL_DRIVEN = "several topics can be driven: choose one in the list of topics, and press its key there"
-
-
-def has_picture(type_name: str) -> bool:
-    """Whether messages of a type have a picture other than their fields."""
-    return type_name in VIEWS
 
 
 def _is_points(type_name: str) -> bool:

@@ -7,6 +7,7 @@ import importlib.util
 import itertools
 import json
 import os
+import random
 import socket
 import subprocess
 import tempfile
@@ -20,6 +21,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import discovery_domain
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.distribution import check_middleware
 from rsb_bridge.ros.ros_interface import RosError
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
 _HOST = "127.0.0.1"
 _FIRST_DOMAIN, _DOMAIN_PAIRS = 82, 10
 """Up to 101, the last one whose ports Linux gives to no other program; the project's tests have those below."""
+_PORTS = range(20_000, 27_900)
+"""Ports below those of the demo's domains, and outside the kernel's range for clients, as a client could otherwise take
+the server's port."""
 _started = itertools.count()
 _READY_WITHIN = 15.0  # s; after that the console shows that the bridge waits for the robot
 # The robot also has /battery_state, for the operator to add.
@@ -204,11 +209,16 @@ def need_ros() -> None:
 
 
 def free_port() -> int:
-    """Return a port that neither TCP nor UDP uses."""
-    while True:
-        with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
-            tcp.bind((_HOST, 0))
-            port = int(tcp.getsockname()[1])
-            with contextlib.suppress(OSError):
-                udp.bind((_HOST, port))
-                return port
+    """Return a port that neither TCP nor UDP uses, and that no ROS domain needs for discovery.
+
+    Raises:
+        EngineError: there is none.
+    """
+    for port in random.sample(_PORTS, len(_PORTS)):
+        if discovery_domain(port) is not None:
+            continue
+        with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp, contextlib.suppress(OSError):
+            tcp.bind((_HOST, port))
+            udp.bind((_HOST, port))
+            return port
+    raise EngineError("no port is free")

@@ -25,7 +25,7 @@ from textual.screen import Screen
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
     from queue import Queue
 
@@ -296,16 +296,6 @@ class ConsoleDriver(LinuxDriver):
         except Full:
             return  # a daemon thread: it ends with the process
         thread.join(CLOSE_TIMEOUT)
-
-
-def prefers_ascii(environ: Mapping[str, str]) -> bool:
-    """Whether to draw in ASCII: the locale is not UTF-8, or the terminal is the Linux console.
-
-    Args:
-        environ: the environment. If it sets no locale, Python uses C.UTF-8 (PEP 538).
-    """
-    locale = environ.get("LC_ALL") or environ.get("LC_CTYPE") or environ.get("LANG") or "C.UTF-8"
-    return "utf" not in locale.lower() or environ.get("TERM") == "linux"
 
 
 _SHOWN = 200  # characters of the copied text: a toast of a few lines
