@@ -28,6 +28,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.ros_interface import TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -231,7 +232,7 @@ def _publish(domain: int, names: Sequence[str]) -> None:
     node = RosNode(domain, "bench_publishers")
     node.start()
     for name in names:
-        node.advertise(name, "std_msgs/msg/String", "", Qos(), "bench")
+        node.advertise(TopicSpec(name, "std_msgs/msg/String", "", Qos()), "bench")
     print("published", flush=True)
     sys.stdin.readline()
 
@@ -243,10 +244,10 @@ def _floor(names: Sequence[str]) -> None:
     _discover(near, names)
     began = time.monotonic()
     for name in names:
-        near.subscribe(name, "std_msgs/msg/String", "", Qos(), lambda _: None, "bench")
+        near.subscribe(TopicSpec(name, "std_msgs/msg/String", "", Qos()), lambda _: None, "bench")
     between = time.monotonic()
     for name in names:
-        far.advertise(name, "std_msgs/msg/String", "", Qos(), "bench")
+        far.advertise(TopicSpec(name, "std_msgs/msg/String", "", Qos()), "bench")
     print(json.dumps({"subscriptions": between - began, "publishers": time.monotonic() - between}), flush=True)
     sys.stdin.readline()
 

@@ -25,6 +25,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.known_messages import STRING, STRING_HASH, stamped_string
 from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.ros.stand_in import StandIn, Talk
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ def _wait_until_open(engine: Engine, count: int) -> None:
 def _publish(domain: int, names: Sequence[str]) -> None:
     node = RosNode(domain, "bench_publishers")
     node.start()
-    publishers = [node.advertise(name, STRING, STRING_HASH, Qos(), "bench") for name in names]
+    publishers = [node.advertise(TopicSpec(name, STRING, STRING_HASH, Qos()), "bench") for name in names]
     print("there", flush=True)
     sys.stdin.readline()
     for publisher in publishers:

@@ -18,13 +18,12 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import read_description
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING, STRING_HASH
+from rsb_bridge.ros.ros_interface import RawMessage, TopicSpec
 from rsb_bridge.ros.stand_in import StandIn, Talk
 from rsb_console.bench.simulated_fleet import USUAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from rsb_bridge.ros.ros_interface import RawMessage
 
 ROOT = Path(__file__).parents[2]
 WITHIN = 90.0
@@ -86,7 +85,7 @@ def test_a_battery_of_the_stand_in_is_a_message_whose_charge_falls() -> None:
     assert description is not None
     taken: list[RawMessage] = []
     for each in (ros, other):
-        each.subscribe(talk.topic, BATTERY_STATE, hash_of(BatteryState), Qos(), taken.extend, "")
+        each.subscribe(TopicSpec(talk.topic, BATTERY_STATE, hash_of(BatteryState), Qos()), taken.extend, "")
     ros.publish(talk.topic, 0, 2)
     other.publish(talk.topic, 0)
     first, second, others = (deserialize_message(each.payload, BatteryState).percentage for each in taken)
@@ -102,7 +101,7 @@ def test_what_a_node_publishes_reaches_subscriptions_and_what_it_hears_is_counte
     assert (len(ros.subscriptions("/scan")), len(ros.subscriptions("/goal"))) == (0, 1)
     taken: list[Sequence[RawMessage]] = []
     ros.publish("/scan", 100)
-    subscription = ros.subscribe("/scan", STRING, STRING_HASH, Qos(), taken.append, "")
+    subscription = ros.subscribe(TopicSpec("/scan", STRING, STRING_HASH, Qos()), taken.append, "")
     ros.publish("/scan", 100, 2)
     subscription.close()
     subscription.close()
@@ -112,7 +111,7 @@ def test_what_a_node_publishes_reaches_subscriptions_and_what_it_hears_is_counte
     ros.muted.add("/scan")
     ros.publish("/scan", 100)
     assert ros.published == {"/scan": 4}
-    goal, other = (ros.advertise(topic, STRING, STRING_HASH, Qos(), "") for topic in ("/goal", "/map"))
+    goal, other = (ros.advertise(TopicSpec(topic, STRING, STRING_HASH, Qos()), "") for topic in ("/goal", "/map"))
     assert (goal.subscriber_count, other.subscriber_count) == (1, 0)
     goal.publish(b"")
     other.publish(b"")

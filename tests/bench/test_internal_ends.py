@@ -10,9 +10,10 @@ import pytest
 from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.internal_ends import BenchDrain, BenchSource, InternalEnds, Time, percentiles
-from rsb_bridge.ros.ros_interface import RawMessage, RosError
+from rsb_bridge.ros.ros_interface import RawMessage, RosError, TopicSpec
 
 NAME = BENCH.route_name("tcp", "transmit")
+SPEC = TopicSpec(NAME, "", "", Qos())
 
 
 class Clocks(Time):
@@ -82,16 +83,16 @@ def test_an_internal_route_has_ends_only_as_long_as_it_is_open_and_only_on_a_lin
     for stranger in ("/scan", "/bench/tcp/transmit", "view/1", "bench", "bench/../scan"):
         assert ends.publishers(stranger) == ends.subscriptions(stranger) == []
     with pytest.raises(RosError):
-        ends.advertise(NAME, "", "", Qos(), "robot1")
+        ends.advertise(SPEC, "robot1")
     with pytest.raises(RosError):
-        ends.subscribe(NAME, "", "", Qos(), lambda _: None, "robot1")
+        ends.subscribe(SPEC, lambda _: None, "robot1")
     ends.serve(
         "robot1", lambda sink, closed: BenchSource(sink, clocks, closed), lambda closed: BenchDrain(clocks, closed)
     )
-    publisher = ends.advertise(NAME, "", "", Qos(), "robot1")
-    subscription = ends.subscribe(NAME, "", "", Qos(), lambda _: None, "robot1")
+    publisher = ends.advertise(SPEC, "robot1")
+    subscription = ends.subscribe(SPEC, lambda _: None, "robot1")
     assert [*ends.drains, *ends.sources] == [(NAME, "robot1")] * 2
-    newer = ends.advertise(NAME, "", "", Qos(), "robot1")
+    newer = ends.advertise(SPEC, "robot1")
     publisher.close()
     assert ends.drains == {(NAME, "robot1"): newer}
     newer.close()

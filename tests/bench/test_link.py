@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine.bridge import Bridge
     from rsb_bridge.model.benchmark import Outcome
+    from rsb_bridge.ros.ros_interface import TopicSpec
     from rsb_bridge.wire.messages import BenchAnswer
 
 LEAVE = BenchmarkLimits(seconds=60.0, max_rate=5_000.0, megabytes=50.0)
@@ -59,8 +60,8 @@ class QuietRos(NoRos):
         self.instance_id = instance_id
         self.node_name = f"rsb_quiet_{instance_id}"
 
-    def subscribe(self, topic: str, *_: object, **__: object) -> Any:
-        assert "bench" not in topic, "DDS hears of it"
+    def subscribe(self, spec: TopicSpec, *_: object) -> Any:
+        assert "bench" not in spec.topic, "DDS hears of it"
         return Endpoint()
 
     advertise = subscribe

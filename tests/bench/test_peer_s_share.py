@@ -12,6 +12,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.internal_ends import InternalEnds
+from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class Here:
         """The peer opens a route, which takes the place of another of its name."""
         route = SimpleNamespace(key=topic, local_topic=topic, purpose=BENCH, proposed_here=False, id=1, refusal="")
         self.routes[topic] = route
-        return self.ends.advertise(topic, "", "", Qos(), PEER)
+        return self.ends.advertise(TopicSpec(topic, "", "", Qos()), PEER)
 
     @property
     def own(self) -> set[Any]:
@@ -122,7 +123,7 @@ def test_one_run_at_a_time_whatever_the_topics() -> None:
     sources = []
     for topic in (DOWN, BENCH.route_name("udp", "receive")):
         here.routes[topic] = SimpleNamespace(local_topic=topic, purpose=BENCH, proposed_here=False)
-        sources.append(here.ends.subscribe(topic, "", "", Qos(), lambda _: None, PEER))
+        sources.append(here.ends.subscribe(TopicSpec(topic, "", "", Qos()), lambda _: None, PEER))
     try:
         cast("Any", sources[1]).start(100, 10.0, 50)
         assert "still being sent" in here.ask(size=100, rate=10.0, count=5).problem

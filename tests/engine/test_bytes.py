@@ -22,6 +22,7 @@ from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.native.typesupport import installed_class
+from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.wire.sealing import CipherSuite
 
 INSTALLED: dict[str, Any] = {name: found for name in SHORT_NAMES.values() if (found := installed_class(name))}
@@ -77,10 +78,9 @@ def test_a_type_that_neither_side_has_in_every_size(
 ) -> None:
     robot, pc = unknown
     received: list[bytes] = []
-    publisher = robot.advertise("/blob", type_name, MADE_UP_HASH, Qos(depth=20), "robot")
-    pc.subscribe(
-        "/blob", type_name, MADE_UP_HASH, Qos(depth=20), lambda batch: received.extend(t.payload for t in batch), "pc"
-    )
+    spec = TopicSpec("/blob", type_name, MADE_UP_HASH, Qos(depth=20))
+    publisher = robot.advertise(spec, "robot")
+    pc.subscribe(spec, lambda batch: received.extend(t.payload for t in batch), "pc")
     server, client = bridge.both(Topic("/blob", "transmit", protocol=protocol))
     eventually(lambda: publisher.subscriber_count)
     eventually(lambda: [s for s in route(server, "/blob").stages if s.name == "subscriber seen" and s.done])

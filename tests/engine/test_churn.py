@@ -16,7 +16,7 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
-from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
 
 _TYPE, _HASH, _GID = "std_msgs/msg/String", "RIHS01_" + "1" * 64, b"talker".ljust(16, b"\0")
@@ -61,15 +61,15 @@ class Ros(NoRos):
     def publishers(self, topic: str) -> list[Endpoint]:
         return [Endpoint("/talker", _TYPE, _HASH, Qos(), _GID)] if self._talks and topic in _TOPICS else []
 
-    def subscribe(self, topic: str, *arguments: Any, **_: Any) -> Any:
-        made = Subscription(arguments[3])
-        if topic in _TOPICS:
-            self.subscriptions_now[topic] = made
+    def subscribe(self, spec: TopicSpec, sink: Any, *_: Any) -> Any:
+        made = Subscription(sink)
+        if spec.topic in _TOPICS:
+            self.subscriptions_now[spec.topic] = made
         return made
 
-    def advertise(self, topic: str, *_: Any, **__: Any) -> Any:
+    def advertise(self, spec: TopicSpec, *_: Any) -> Any:
         self._made += 1
-        return Publisher(b"%016d" % self._made, self.taken[topic])
+        return Publisher(b"%016d" % self._made, self.taken[spec.topic])
 
 
 def talk(ros: Ros, topic: str, ends: threading.Event) -> None:

@@ -17,7 +17,7 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
-from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
@@ -54,13 +54,13 @@ class Ros(NoRos):
         gid = self.present.get(topic)
         return [Endpoint("/talker", TYPE, HASH, Qos(), gid)] if gid else []
 
-    def subscribe(self, topic: str, *arguments: Any, **_: Any) -> Any:
-        made = self.subscribed[topic] = Subscription(arguments[3])
+    def subscribe(self, spec: TopicSpec, sink: Any, *_: Any) -> Any:
+        made = self.subscribed[spec.topic] = Subscription(sink)
         return made
 
-    def advertise(self, topic: str, *_: Any, **__: Any) -> Any:
+    def advertise(self, spec: TopicSpec, *_: Any) -> Any:
         self._made += 1
-        taken = [] if topic.startswith("/_") else self.published
+        taken = [] if spec.topic.startswith("/_") else self.published
         return Publisher(b"%016d" % self._made, taken)
 
 

@@ -40,6 +40,7 @@ from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.transport.listening import ListenProblem
 from rsb_bridge.transport.streams import StreamProblem
 
@@ -361,7 +362,7 @@ def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(
     strings, old = pc.listener("/state"), robot.publisher("/state")
     server, client = bridge.both(Topic("/state", "transmit"))
     carries([old], server, ["/state"])
-    new = other.advertise("/state", INT32, "", Qos(), "other")
+    new = other.advertise(TopicSpec("/state", INT32, "", Qos()), "other")
     for engine in (server, client):
         eventually(lambda engine=engine: happened(engine, EventCode.ROUTE_TYPE_CHANGED, INT32))
     old.publish(text("still"))
@@ -394,7 +395,7 @@ def test_a_type_that_the_session_does_not_name(other: KnownNode, bridge: Bridge,
     out.publish(text("on"))
     heard(strings, 1)
     robot.node.destroy_publisher(out)
-    wrong = other.advertise("/state", INT32, "", Qos(), "other")
+    wrong = other.advertise(TopicSpec("/state", INT32, "", Qos()), "other")
     assert eventually(lambda: happened(client, EventCode.ROUTE_TYPE_CHANGED, INT32))
     assert eventually(lambda: happened(server, EventCode.ROUTE_CLOSED, INT32))
     for engine in (server, client):

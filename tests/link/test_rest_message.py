@@ -16,14 +16,13 @@ from rsb_bridge.cdr.velocity import velocity_of
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import ArmedName, Topic
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.rest_message import EVERY, HOLDS, TIMES
-from rsb_bridge.route.source_publishers import PublicationSpec
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import with_number
 from rsb_bridge.wire.messages import Describe
@@ -76,7 +75,7 @@ class Robot(NoRos):
         self.open_at_rest = False
         self._loop = loop
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Voice:
+    def advertise(self, spec: TopicSpec, origin: Hashable) -> Voice:
         self.voices.append(Voice(self, self._loop, len(self.voices) + 1))
         return self.voices[-1]
 
@@ -324,7 +323,7 @@ def test_a_robot_rests_though_the_other_side_s_publishers_have_changed_since_it_
 
 
 def move_by_hand(driven: Driven, qos: Qos) -> None:
-    driven.half.rest.prepare(PublicationSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, qos))
+    driven.half.rest.prepare(TopicSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, qos))
     driven.half.rest.moved_by_hand(MOVES)
 
 

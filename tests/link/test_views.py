@@ -15,6 +15,7 @@ from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.ros_interface import TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +32,7 @@ async def test_a_look_without_an_answer_is_asked_again(
     context = make_context()
     (link,) = ClientRole(context, {"robot1": ()}).links()
     route: Any = SimpleNamespace(id=2, local_topic=VIEW.route_name("1"), outgoing=False, flowing=True)
-    context.internal[VIEW.name].advertise(route.local_topic, "", "", Qos(), link.name)
+    context.internal[VIEW.name].advertise(TopicSpec(route.local_topic, "", "", Qos()), link.name)
     view = PeerView(route)
     for _ in range(2):
         with pytest.raises(LinkError, match=pattern(Denied.NO_ANSWER)):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from tests.support.virtual_time import VirtualLoop
 
-    from rsb_bridge.ros.ros_interface import OnFailure, Sink
+    from rsb_bridge.ros.ros_interface import OnFailure, Sink, TopicSpec
 
 __all__ = ["loop"]
 
@@ -75,21 +75,12 @@ class FakeRos(NoRos):
         self.asked += topic == ANNOUNCEMENT_TOPIC
         return self.announcers if topic == ANNOUNCEMENT_TOPIC else []
 
-    def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
-    ) -> Any:
+    def subscribe(self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None) -> Any:
         self.sink, self.fail = sink, on_failure
         self.subscribed += 1
         return SimpleNamespace(lost=0, close=lambda: None)
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+    def advertise(self, spec: TopicSpec, origin: Hashable) -> Publisher:
         return self.publisher
 
     def announce(self, announcer: Endpoint, content: bytes) -> None:

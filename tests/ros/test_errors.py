@@ -19,7 +19,7 @@ from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.participant import Participant
-from rsb_bridge.ros.ros_interface import RosError, RosProblem
+from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 
 STRING, SET = "std_msgs/msg/String", "std_srvs/srv/SetBool"
 
@@ -27,8 +27,8 @@ STRING, SET = "std_msgs/msg/String", "std_srvs/srv/SetBool"
 def test_errors_say_what_and_what_to_do(open_node: Callable[..., RosNode], printed: Callable[[], str]) -> None:
     """And rcl itself says nothing: there may be a terminal user interface where it would."""
     node = open_node()
-    node.advertise("/taken", STRING, "", Qos(), "link")
-    publisher = node.advertise("/chat", STRING, "", Qos(), "link")
+    node.advertise(TopicSpec("/taken", STRING, "", Qos()), "link")
+    publisher = node.advertise(TopicSpec("/chat", STRING, "", Qos()), "link")
     with pytest.raises(RosError, match=f"/chat: {pattern(RosProblem.MESSAGE_TOO_SHORT, length=2)}"):
         publisher.publish(b"hi")
     publisher.close()
@@ -37,14 +37,14 @@ def test_errors_say_what_and_what_to_do(open_node: Callable[..., RosNode], print
     with pytest.raises(RosError, match=f"^/chat: {pattern(RosProblem.CLOSED)}$"):
         publisher.publish(bytes(8))
     with pytest.raises(RosError, match=pattern(RosProblem.INVALID_NAME, name="/no spaces", kind="topic")):
-        node.advertise("/no spaces", STRING, "", Qos(), "link")
+        node.advertise(TopicSpec("/no spaces", STRING, "", Qos()), "link")
     with pytest.raises(RosError, match=pattern(RosProblem.INVALID_NAME, name="/7", kind="topic")):
-        node.subscribe("/7", STRING, "", Qos(), print, "link")
+        node.subscribe(TopicSpec("/7", STRING, "", Qos()), print, "link")
     with pytest.raises(RosError, match=r"^/taken: .*incompatible type std_msgs::msg::dds_::Int8_$"):
-        node.advertise("/taken", "std_msgs/msg/Int8", "", Qos(), "link")
+        node.advertise(TopicSpec("/taken", "std_msgs/msg/Int8", "", Qos()), "link")
     assert not printed()
     with pytest.raises(RosError, match=pattern(TypeNameProblem.INVALID, name="String")):
-        node.subscribe("/chat", "String", "", Qos(), print, "link")
+        node.subscribe(TopicSpec("/chat", "String", "", Qos()), print, "link")
     assert node.installed_hash("String") is None
     assert node.installed_hash("no_such_msgs/msg/Name") is None
     with pytest.raises(RosError, match=pattern(RosProblem.STARTED_TWICE)):
@@ -63,7 +63,7 @@ def test_a_domain_that_cannot_be_joined(domain_id: int) -> None:
 def test_what_rcl_refuses_is_said() -> None:
     """A null address makes a subscription that rcl finds broken."""
     participant = Participant(ANOTHER, "reader")
-    reader = participant.create_reader("/chat", STRING, "", Qos())
+    reader = participant.create_reader(TopicSpec("/chat", STRING, "", Qos()))
     reader.handle.address = 0
     with pytest.raises(RosError, match=pattern(RosProblem.NOT_TAKEN, topic="/chat")):
         reader.take(1, ())
@@ -82,8 +82,8 @@ def test_what_was_taken_before_an_error_is_not_lost(monkeypatch: pytest.MonkeyPa
 
         place.set(monkeypatch, fails_each_second_time)
     participant = Participant(ANOTHER, "reader")
-    reader = participant.create_reader("/chat", STRING, "", Qos())
-    writer = participant.create_writer("/chat", STRING, "", Qos())
+    reader = participant.create_reader(TopicSpec("/chat", STRING, "", Qos()))
+    writer = participant.create_writer(TopicSpec("/chat", STRING, "", Qos()))
     server = participant.create_server("/set", SET, "")
     client = participant.create_client("/set", SET, "")
     eventually(lambda: writer.matched and client.ready)

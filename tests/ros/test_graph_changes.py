@@ -11,7 +11,7 @@ from tests.support.inside import break_waiting
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_interface import RosProblem
+from rsb_bridge.ros.ros_interface import RosProblem, TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -72,7 +72,7 @@ def test_the_last_change_comes_after_what_it_is_about(open_node: Callable[..., R
     """A poll a second after the last change shows all of it, and the matched endpoints."""
     node = open_node()
     watcher = Watcher(node)
-    publisher = node.advertise("/news", "std_msgs/msg/String", "", Qos(), "link")
+    publisher = node.advertise(TopicSpec("/news", "std_msgs/msg/String", "", Qos()), "link")
     looked = watcher.settle()
     rclpy_node.create_subscription(String, "/news", lambda _: None, 1)
 
@@ -90,7 +90,7 @@ def test_messages_are_no_changes(open_node: Callable[..., RosNode], rclpy_node: 
     node = open_node()
     watcher = Watcher(node)
     received: list[object] = []
-    node.subscribe("/news", "std_msgs/msg/String", "", Qos(depth=100), received.extend, "link")
+    node.subscribe(TopicSpec("/news", "std_msgs/msg/String", "", Qos(depth=100)), received.extend, "link")
     out = rclpy_node.create_publisher(String, "/news", 100)
     eventually(lambda: out.get_subscription_count() == 1)
     eventually(lambda: [each.node for each in node.publishers("/news")] == ["/stock"])

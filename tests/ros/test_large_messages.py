@@ -11,7 +11,7 @@ import pytest
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,9 +30,9 @@ def _payload(size: int) -> bytes:
 def test_messages_of_all_sizes_are_exact(open_node: Callable[..., RosNode]) -> None:
     sender, receiver = open_node(name="sender"), open_node(name="receiver")
     taken: list[bytes] = []
-    arguments = ("/large", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
-    receiver.subscribe(*arguments, lambda batch: taken.extend(each.payload for each in batch), "link")
-    publisher = sender.advertise(*arguments, "link")
+    spec = TopicSpec("/large", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
+    receiver.subscribe(spec, lambda batch: taken.extend(each.payload for each in batch), "link")
+    publisher = sender.advertise(spec, "link")
     eventually(lambda: publisher.subscriber_count)
     for size in _SIZES:
         publisher.publish(_payload(size))
@@ -52,9 +52,9 @@ def test_the_first_ones_do_not_wait_until_many_are_taken(open_node: Callable[...
         batches.append([len(each.payload) for each in batch])
         goes_on.wait(60.0)
 
-    arguments = ("/many", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
-    receiver.subscribe(*arguments, take, "link")
-    publisher = sender.advertise(*arguments, "link")
+    spec = TopicSpec("/many", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
+    receiver.subscribe(spec, take, "link")
+    publisher = sender.advertise(spec, "link")
     eventually(lambda: publisher.subscriber_count)
     for _ in range(60):
         publisher.publish(_payload(200_000))
@@ -68,9 +68,9 @@ def test_our_own_large_messages_are_left_out(open_node: Callable[..., RosNode]) 
     """The messages after them are whole."""
     ours, other = open_node(), open_node(name="other")
     taken: list[bytes] = []
-    arguments = ("/own", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
-    mine, theirs = ours.advertise(*arguments, "link"), other.advertise(*arguments, "link")
-    ours.subscribe(*arguments, lambda batch: taken.extend(each.payload for each in batch), "link")
+    spec = TopicSpec("/own", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
+    mine, theirs = ours.advertise(spec, "link"), other.advertise(spec, "link")
+    ours.subscribe(spec, lambda batch: taken.extend(each.payload for each in batch), "link")
     eventually(lambda: theirs.subscriber_count)
     for size in (300_000, 50, 40_000):
         mine.publish(_payload(size))
@@ -81,7 +81,7 @@ def test_our_own_large_messages_are_left_out(open_node: Callable[..., RosNode]) 
 
 @pytest.mark.parametrize("size", [100, 20_000, 300_000])
 def test_a_closed_publisher_says_so(open_node: Callable[..., RosNode], size: int) -> None:
-    publisher = open_node().advertise("/closed", "made_up_msgs/msg/Blob", _HASH, Qos(), "link")
+    publisher = open_node().advertise(TopicSpec("/closed", "made_up_msgs/msg/Blob", _HASH, Qos()), "link")
     publisher.close()
     with pytest.raises(RosError, match="closed"):
         publisher.publish(_payload(size))
@@ -91,7 +91,7 @@ def test_a_publisher_is_not_freed_while_it_publishes(open_node: Callable[..., Ro
     """A large message is published without the GIL: another thread may close the publisher meanwhile."""
     node, payload = open_node(), _payload(1 << 20)
     for _ in range(20):
-        publisher = node.advertise("/closing", "made_up_msgs/msg/Blob", _HASH, Qos(), "link")
+        publisher = node.advertise(TopicSpec("/closing", "made_up_msgs/msg/Blob", _HASH, Qos()), "link")
         begun = threading.Event()
 
         def publish(publisher: Any = publisher, begun: threading.Event = begun) -> None:

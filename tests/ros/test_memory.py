@@ -25,6 +25,7 @@ from tests.support.resources import resources
 from tests.support.waiting import eventually
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import memory
+from rsb_bridge.ros.ros_interface import TopicSpec
 
 memory._HEAP_TRIMMED_EVERY = 0.05
 participants._announced_often = contextlib.nullcontext  # its profile would stand in place of the bridge's
@@ -32,9 +33,9 @@ sender, receiver = (participants.KnownNode(int(sys.argv[1]), name) for name in (
 sender.start()
 receiver.start()
 taken = []
-arguments = ("/large", "made_up_msgs/msg/Blob", "RIHS01_" + "5b" * 32, Qos(depth=200))
-receiver.subscribe(*arguments, lambda batch: taken.append(len(batch)), "link")
-publisher = sender.advertise(*arguments, "link")
+spec = TopicSpec("/large", "made_up_msgs/msg/Blob", "RIHS01_" + "5b" * 32, Qos(depth=200))
+receiver.subscribe(spec, lambda batch: taken.append(len(batch)), "link")
+publisher = sender.advertise(spec, "link")
 eventually(lambda: publisher.subscriber_count)
 before = resources().resident
 for _ in range(100):

@@ -17,6 +17,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.ros_interface import TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 
 STRING = "std_msgs/msg/String"
 DEEP = Qos(depth=5000)
+
+
+def strings(topic: str, qos: Qos = DEEP) -> TopicSpec:
+    return TopicSpec(topic, STRING, "", qos)
 
 
 def payload(text: str) -> bytes:
@@ -66,12 +71,12 @@ def start_one() -> None:
 def test_graph_shows_others_and_not_ourselves(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     ours = open_node(name="robot-1 é")
     qos = Qos("best_effort", "transient_local", deadline=0.5, lifespan=2.0)
-    ours.subscribe("/ours_only", STRING, "", DEEP, Received(), "link")
-    ours.subscribe("/shared", STRING, "", PROFILES["sensor_data"], Received(), "link")
-    publisher = ours.advertise("/shared", STRING, "", qos, "link")
+    ours.subscribe(strings("/ours_only"), Received(), "link")
+    ours.subscribe(strings("/shared", PROFILES["sensor_data"]), Received(), "link")
+    publisher = ours.advertise(strings("/shared", qos), "link")
     rclpy_node.create_publisher(String, "/shared", 1)
     other = open_node(name="other")
-    advertised = other.advertise("/theirs", STRING, "", qos, "link")
+    advertised = other.advertise(strings("/theirs", qos), "link")
     [theirs] = eventually(lambda: ours.publishers("/theirs"))
     assert theirs.qos == Qos("best_effort", "transient_local", depth=0, deadline=0.5, lifespan=2.0)
     assert theirs.type_name == STRING
@@ -92,7 +97,7 @@ def test_graph_shows_others_and_not_ourselves(open_node: Callable[..., RosNode],
 
 def test_two_bridges_of_one_name_are_two_nodes(open_node: Callable[..., RosNode]) -> None:
     one, other = open_node(), open_node()
-    one.advertise("/chat", STRING, "", DEEP, "link")
+    one.advertise(strings("/chat"), "link")
     assert len(eventually(lambda: other.publishers("/chat"))) == 1
 
 
@@ -100,11 +105,11 @@ def test_nothing_of_the_same_origin_comes_back_under_two_way_traffic(open_node: 
     """A foreign publisher and one of another origin shout at once on the same topic: all of theirs, none of ours."""
     ours, foreign = open_node(), open_node(name="foreign")
     received = Received()
-    ours.subscribe("/chat", STRING, "", DEEP, received, ("link", 1))
+    ours.subscribe(strings("/chat"), received, ("link", 1))
     publishers = {
-        "ours": ours.advertise("/chat", STRING, "", DEEP, ("link", 1)),
-        "other link": ours.advertise("/chat", STRING, "", DEEP, ("link", 2)),
-        "foreign": foreign.advertise("/chat", STRING, "", DEEP, ("link", 1)),
+        "ours": ours.advertise(strings("/chat"), ("link", 1)),
+        "other link": ours.advertise(strings("/chat"), ("link", 2)),
+        "foreign": foreign.advertise(strings("/chat"), ("link", 1)),
     }
     eventually(lambda: ours.publishers("/chat"))
     eventually(lambda: publishers["foreign"].subscriber_count)
@@ -140,7 +145,7 @@ def test_a_latched_topic_tells_its_history_to_each_new_subscription(
         latched.publish(String(data=str(number)))
     for _ in range(2):
         received = Received()
-        subscription = node.subscribe("/map", STRING, "", Qos(durability="transient_local"), received, "link")
+        subscription = node.subscribe(strings("/map", Qos(durability="transient_local")), received, "link")
         eventually(lambda received=received: len(received.payloads) == 3)
         assert [each[8:9] for each in received.payloads] == [b"2", b"3", b"4"]
         assert subscription.lost == 0
@@ -149,14 +154,14 @@ def test_a_latched_topic_tells_its_history_to_each_new_subscription(
 
 def test_our_own_latched_message_does_not_come_back_to_a_later_subscription(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
-    node.advertise("/map", STRING, "", PROFILES["latched"], "link").publish(payload("ours"))
+    node.advertise(strings("/map", PROFILES["latched"]), "link").publish(payload("ours"))
     theirs = Received()
-    other.subscribe("/map", STRING, "", PROFILES["latched"], theirs, "link")
+    other.subscribe(strings("/map", PROFILES["latched"]), theirs, "link")
     eventually(lambda: theirs.payloads)
     assert theirs.gids == [each.gid for each in other.publishers("/map")]
     received = Received()
-    node.subscribe("/map", STRING, "", PROFILES["latched"], received, "link")
-    other.advertise("/map", STRING, "", PROFILES["latched"], "link").publish(payload("theirs"))
+    node.subscribe(strings("/map", PROFILES["latched"]), received, "link")
+    other.advertise(strings("/map", PROFILES["latched"]), "link").publish(payload("theirs"))
     eventually(lambda: received.payloads)
     assert received.payloads == [payload("theirs")]
 
@@ -164,8 +169,8 @@ def test_our_own_latched_message_does_not_come_back_to_a_later_subscription(open
 def test_what_dds_drops_before_us_is_counted_publisher_by_publisher(open_node: Callable[..., RosNode]) -> None:
     node, one, two = open_node(), open_node(name="one"), open_node(name="two")
     received = Received()
-    subscription = node.subscribe("/fast", STRING, "", Qos(depth=4), received, "link")
-    publishers = [each.advertise("/fast", STRING, "", DEEP, "link") for each in (one, two)]
+    subscription = node.subscribe(strings("/fast", Qos(depth=4)), received, "link")
+    publishers = [each.advertise(strings("/fast"), "link") for each in (one, two)]
     for publisher in publishers:  # a gap is one only after the first message
         eventually(lambda publisher=publisher: publisher.subscriber_count)
         publisher.publish(payload("first"))
@@ -187,10 +192,10 @@ def test_a_flood_on_one_topic_lets_another_have_its_turn(open_node: Callable[...
     order: list[str] = []
     gate = Received()
     gate.hold.clear()
-    node.subscribe("/gate", STRING, "", DEEP, gate, "link")
-    node.subscribe("/flood", STRING, "", DEEP, lambda batch: order.extend(["flood"] * len(batch)), "link")
-    node.subscribe("/calm", STRING, "", DEEP, lambda _: order.append("calm"), "link")
-    publishers = {name: other.advertise(name, STRING, "", DEEP, "link") for name in ("/gate", "/flood", "/calm")}
+    node.subscribe(strings("/gate"), gate, "link")
+    node.subscribe(strings("/flood"), lambda batch: order.extend(["flood"] * len(batch)), "link")
+    node.subscribe(strings("/calm"), lambda _: order.append("calm"), "link")
+    publishers = {name: other.advertise(strings(name), "link") for name in ("/gate", "/flood", "/calm")}
     for publisher in publishers.values():
         eventually(lambda publisher=publisher: publisher.subscriber_count)
     publishers["/gate"].publish(payload("stop here"))
@@ -207,8 +212,8 @@ def test_keep_all_keeps_all(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     received = Received()
     received.hold.clear()
-    subscription = node.subscribe("/all", STRING, "", Qos(history="keep_all"), received, "link")
-    publisher = other.advertise("/all", STRING, "", Qos(history="keep_all"), "link")
+    subscription = node.subscribe(strings("/all", Qos(history="keep_all")), received, "link")
+    publisher = other.advertise(strings("/all", Qos(history="keep_all")), "link")
     eventually(lambda: publisher.subscriber_count)
     for number in range(3000):
         publisher.publish(payload(str(number)))
@@ -224,8 +229,8 @@ def test_a_slow_reader_does_not_hold_up_who_publishes(open_node: Callable[..., R
     node, other = open_node(), open_node(name="other")
     received = Received()
     received.hold.clear()
-    node.subscribe("/slow", STRING, "", Qos(history="keep_all"), received, "link")
-    publisher = other.advertise("/slow", STRING, "", Qos(history="keep_all"), "link")
+    node.subscribe(strings("/slow", Qos(history="keep_all")), received, "link")
+    publisher = other.advertise(strings("/slow", Qos(history="keep_all")), "link")
     eventually(lambda: publisher.subscriber_count)
     publisher.publish(payload("block"))
     assert received.blocked.wait(60)
@@ -239,8 +244,8 @@ def test_a_slow_reader_does_not_hold_up_who_publishes(open_node: Callable[..., R
 def test_stamps_are_this_machines_clock(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     received = Received()
-    node.subscribe("/chat", STRING, "", DEEP, received, "link")
-    publisher = other.advertise("/chat", STRING, "", DEEP, "link")
+    node.subscribe(strings("/chat"), received, "link")
+    publisher = other.advertise(strings("/chat"), "link")
     eventually(lambda: publisher.subscriber_count)
     before = time.time_ns()
     publisher.publish(payload("now"))
@@ -253,8 +258,8 @@ def test_a_closed_subscription_is_silent(open_node: Callable[..., RosNode]) -> N
     node, other = open_node(), open_node(name="other")
     received = Received()
     received.hold.clear()
-    subscription = node.subscribe("/chat", STRING, "", DEEP, received, "link")
-    publisher = other.advertise("/chat", STRING, "", DEEP, "link")
+    subscription = node.subscribe(strings("/chat"), received, "link")
+    publisher = other.advertise(strings("/chat"), "link")
     eventually(lambda: publisher.subscriber_count)
     publisher.publish(payload("1"))
     assert received.blocked.wait(60)
@@ -282,8 +287,8 @@ def test_a_sink_may_close_its_subscription_and_stop_the_node(open_node: Callable
         subscription.close()
         node.stop()
 
-    subscription = node.subscribe("/chat", STRING, "", DEEP, sink, "link")
-    publisher = other.advertise("/chat", STRING, "", DEEP, "link")
+    subscription = node.subscribe(strings("/chat"), sink, "link")
+    publisher = other.advertise(strings("/chat"), "link")
     eventually(lambda: publisher.subscriber_count)
     publisher.publish(payload("1"))
     eventually(lambda: called and not thread.is_alive())
@@ -294,11 +299,11 @@ def test_a_sink_may_close_another_subscription_that_has_messages_waiting(open_no
     node, other = open_node(), open_node(name="other")
     gate, closed, later = Received(), Received(), Received()
     gate.hold.clear()
-    node.subscribe("/gate", STRING, "", DEEP, gate, "link")
-    node.subscribe("/first", STRING, "", DEEP, lambda _: second.close(), "link")
-    second = node.subscribe("/second", STRING, "", DEEP, closed, "link")
-    node.subscribe("/third", STRING, "", DEEP, later, "link")
-    publishers = [other.advertise(name, STRING, "", DEEP, "link") for name in ("/gate", "/first", "/second", "/third")]
+    node.subscribe(strings("/gate"), gate, "link")
+    node.subscribe(strings("/first"), lambda _: second.close(), "link")
+    second = node.subscribe(strings("/second"), closed, "link")
+    node.subscribe(strings("/third"), later, "link")
+    publishers = [other.advertise(strings(name), "link") for name in ("/gate", "/first", "/second", "/third")]
     for publisher in publishers:
         eventually(lambda publisher=publisher: publisher.subscriber_count)
         publisher.publish(payload("1"))
@@ -314,10 +319,10 @@ def test_fifty_nodes_and_endpoints_leave_nothing_behind() -> None:
     for _ in range(50):
         node = RosNode(ANOTHER, "robot1")
         node.start()
-        node.subscribe("/chat", STRING, "", DEEP, Received(), "link")
-        node.subscribe("/chat", STRING, "", DEEP, Received(), "link").close()
-        node.advertise("/chat", STRING, "", DEEP, "link")
-        node.advertise("/chat", STRING, "", DEEP, "link").close()
+        node.subscribe(strings("/chat"), Received(), "link")
+        node.subscribe(strings("/chat"), Received(), "link").close()
+        node.advertise(strings("/chat"), "link")
+        node.advertise(strings("/chat"), "link").close()
         node.stop()
         node.stop()
     # Fast DDS itself leaves a descriptor for each port in /dev/shm that a killed process has just left.
@@ -332,8 +337,8 @@ def test_stop_returns_within_a_second_though_a_sink_blocks() -> None:
     other.start()
     received = Received()
     received.hold.clear()
-    node.subscribe("/chat", STRING, "", DEEP, received, "link")
-    publisher = other.advertise("/chat", STRING, "", DEEP, "link")
+    node.subscribe(strings("/chat"), received, "link")
+    publisher = other.advertise(strings("/chat"), "link")
     eventually(lambda: publisher.subscriber_count)
     publisher.publish(payload("1"))
     assert received.blocked.wait(60)
@@ -351,17 +356,17 @@ def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
     """For an earlier publisher, nobody knows which messages the subscription should have had."""
     constants.DISCOVERED_WITHIN.set(monkeypatch, -1.0)
     node, other = open_node(), open_node(name="other")
-    before = other.advertise("/fast", STRING, "", DEEP, "link")
+    before = other.advertise(strings("/fast"), "link")
     for _ in range(50):
         before.publish(payload("too early"))
     eventually(lambda: node.publishers("/fast"))
     received = Received()
-    subscription = node.subscribe("/fast", STRING, "", Qos(depth=4), received, "link")
+    subscription = node.subscribe(strings("/fast", Qos(depth=4)), received, "link")
     eventually(lambda: before.subscriber_count)
     received.hold.clear()
     before.publish(payload("block"))
     assert received.blocked.wait(60)
-    newcomer = other.advertise("/fast", STRING, "", DEEP, "link")
+    newcomer = other.advertise(strings("/fast"), "link")
     eventually(lambda: newcomer.subscriber_count)
     for number in range(100):
         newcomer.publish(payload(str(number)))
@@ -378,8 +383,8 @@ def test_a_history_that_begins_late_is_no_loss(
     node, other = open_node(), open_node(name="other")
     received = Received()
     latched = Qos(durability="transient_local", history="keep_all")
-    subscription = node.subscribe("/map", STRING, "", latched, received, "link")
-    newcomer = other.advertise("/map", STRING, "", Qos(durability="transient_local", depth=2), "link")
+    subscription = node.subscribe(strings("/map", latched), received, "link")
+    newcomer = other.advertise(strings("/map", Qos(durability="transient_local", depth=2)), "link")
     for number in range(5):
         newcomer.publish(payload(str(number)))
     eventually(lambda: received.payloads[-1:] == [payload("4")])
@@ -394,16 +399,16 @@ def own(node: RosNode) -> dict[tuple[str, Hashable], set[bytes]]:
 def test_closed_publishers_are_forgotten_in_time(open_node: Callable[..., RosNode]) -> None:
     node = open_node()
     for number in range(1100):
-        node.advertise(f"/closed_{number % 7}", STRING, "", Qos(), "link").close()
+        node.advertise(strings(f"/closed_{number % 7}", Qos()), "link").close()
     assert sum(map(len, own(node).values())) == 1000
 
 
 def test_topics_that_are_not_subscribed_to_any_more_are_forgotten(open_node: Callable[..., RosNode]) -> None:
     node = open_node()
     for number in range(20):
-        node.subscribe(f"/gone{number}", STRING, "", Qos(), print, "link").close()
-    publisher = node.advertise("/stays", STRING, "", Qos(), "link")
-    subscriptions = [node.subscribe("/stays", STRING, "", Qos(), print, "link") for _ in range(2)]
+        node.subscribe(strings(f"/gone{number}", Qos()), print, "link").close()
+    publisher = node.advertise(strings("/stays", Qos()), "link")
+    subscriptions = [node.subscribe(strings("/stays", Qos()), print, "link") for _ in range(2)]
     for each in subscriptions:
         each.close()
     assert dict(own(node)) == {("/stays", "link"): {publisher.gid}}

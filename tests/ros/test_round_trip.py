@@ -23,7 +23,7 @@ from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.native import named_types, typesupport
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class
 from rsb_bridge.ros.raw_types import UnusableType
-from rsb_bridge.ros.ros_interface import RosError, RosProblem
+from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 from rsb_bridge.ros.self_test import Shortfall
 
 if TYPE_CHECKING:
@@ -55,14 +55,14 @@ def test_every_common_type_crosses_from_and_to_a_stock_node(
     for number, (name, message_class) in enumerate(INSTALLED.items()):
         sources[name] = rclpy_node.create_publisher(message_class, f"/in{number}", 10)
         targets[name] = rclpy_node.create_subscription(message_class, f"/out{number}", lambda _: None, 10)
-        outgoing[name] = ours.advertise(f"/out{number}", name, hash_of(message_class), Qos(), "link")
+        outgoing[name] = ours.advertise(TopicSpec(f"/out{number}", name, hash_of(message_class), Qos()), "link")
 
         def bridge(batch: Any, name: str = name) -> None:
             for taken in batch:
                 raw[name].append(taken.payload)
                 outgoing[name].publish(taken.payload)
 
-        ours.subscribe(f"/in{number}", name, hash_of(message_class), Qos(), bridge, "link")
+        ours.subscribe(TopicSpec(f"/in{number}", name, hash_of(message_class), Qos()), bridge, "link")
     eventually(lambda: all(each.get_subscription_count() for each in sources.values()))
     eventually(lambda: all(each.subscriber_count for each in outgoing.values()))
     messages = {name: [message_class(), filled(message_class)] for name, message_class in INSTALLED.items()}
@@ -103,8 +103,8 @@ def test_a_type_that_is_installed_nowhere_crosses(
         def sink(batch: Any, node: RosNode = far) -> None:
             received[node].extend(taken.payload for taken in batch)
 
-        far.subscribe("/blob", type_name, MADE_UP_HASH, Qos(), sink, "link")
-        publisher = near.advertise("/blob", type_name, MADE_UP_HASH, Qos(), "link")
+        far.subscribe(TopicSpec("/blob", type_name, MADE_UP_HASH, Qos()), sink, "link")
+        publisher = near.advertise(TopicSpec("/blob", type_name, MADE_UP_HASH, Qos()), "link")
         eventually(lambda publisher=publisher: publisher.subscriber_count)
         publisher.publish(payload)
         eventually(lambda far=far: received[far])
@@ -135,10 +135,9 @@ def test_a_bare_name_and_hash_speak_with_the_real_type_of_another_process(
     replaced.INSTALLED_CLASS.set(monkeypatch, lambda name: None if name == ODOMETRY else found(name))
     node = open_node()
     received: list[bytes] = []
-    node.subscribe(
-        "/odom_out", ODOMETRY, hash_of(odometry), Qos(), lambda batch: received.extend(t.payload for t in batch), "link"
-    )
-    publisher = node.advertise("/odom_in", ODOMETRY, hash_of(odometry), Qos(), "link")
+    heard = TopicSpec("/odom_out", ODOMETRY, hash_of(odometry), Qos())
+    node.subscribe(heard, lambda batch: received.extend(t.payload for t in batch), "link")
+    publisher = node.advertise(heard._replace(topic="/odom_in"), "link")
     eventually(lambda: publisher.subscriber_count and node.publishers("/odom_out"))
     assert node.publishers("/odom_out")[0].type_hash == hash_of(odometry)
     messages = [odometry(), filled(odometry)]
@@ -176,8 +175,8 @@ def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
     replaced.NAMED_TYPES.set(monkeypatch, named_types.NamedTypes())
     one, other = open_node(), open_node(name="other")
     received: list[Any] = []
-    one.subscribe("/asked", "asked_msgs/msg/A", MADE_UP_HASH, Qos(), received.extend, "link")
-    publisher = other.advertise("/asked", "asked_msgs/msg/A", MADE_UP_HASH, Qos(), "link")
+    one.subscribe(TopicSpec("/asked", "asked_msgs/msg/A", MADE_UP_HASH, Qos()), received.extend, "link")
+    publisher = other.advertise(TopicSpec("/asked", "asked_msgs/msg/A", MADE_UP_HASH, Qos()), "link")
     eventually(lambda: publisher.subscriber_count)
     publisher.publish(bytes(8))
     eventually(lambda: received)
@@ -196,11 +195,11 @@ def test_months_of_reconnects_with_other_types_make_none(
     for connection in range(5):
         received: list[Any] = []
         names = [f"made_up_msgs/msg/C{connection}N{number}" for number in range(3)]
-        ends: list[Any] = [
-            here.advertise(f"/t{number}", name, MADE_UP_HASH, Qos(), "link") for number, name in enumerate(names)
-        ]
-        shares = here.advertise("/shares", names[0], MADE_UP_HASH, Qos(), "link")
-        listens = there.subscribe("/shares", names[0], MADE_UP_HASH, Qos(), received.extend, "link")
+        specs = [TopicSpec(f"/t{number}", name, MADE_UP_HASH, Qos()) for number, name in enumerate(names)]
+        ends: list[Any] = [here.advertise(each, "link") for each in specs]
+        shared = specs[0]._replace(topic="/shares")
+        shares = here.advertise(shared, "link")
+        listens = there.subscribe(shared, received.extend, "link")
         eventually(lambda shares=shares: shares.subscriber_count)
         shares.publish(bytes(8))
         eventually(lambda received=received: received)
@@ -217,7 +216,7 @@ def test_an_endpoint_that_cannot_be_made_keeps_no_type(
     types = named_types.NamedTypes()
     replaced.NAMED_TYPES.set(monkeypatch, types)
     with pytest.raises(RosError, match=pattern(RosProblem.INVALID_NAME, name="/no topic")):
-        open_node().advertise("/no topic", "made_up_msgs/msg/A", MADE_UP_HASH, Qos(), "link")
+        open_node().advertise(TopicSpec("/no topic", "made_up_msgs/msg/A", MADE_UP_HASH, Qos()), "link")
     assert types.used == 0
 
 

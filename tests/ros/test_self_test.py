@@ -20,7 +20,7 @@ from rsb_bridge.ros import participant, raw_types, self_test
 from rsb_bridge.ros.distribution import described, package_of
 from rsb_bridge.ros.known_messages import STRING, stamped_string
 from rsb_bridge.ros.native import librcl, rclpy_extension
-from rsb_bridge.ros.ros_interface import RosError, RosProblem
+from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 from rsb_bridge.ros.self_test import Findings, Shortfall, findings
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ def test_other_arguments_lead_to_the_public_classes(
     )
     here, there = open_node(), open_node(name="other")
     received: list[Any] = []
-    there.subscribe("/chatter", STRING, "", Qos(), received.extend, "link")
-    publisher = here.advertise("/chatter", STRING, "", Qos(), "link")
+    there.subscribe(TopicSpec("/chatter", STRING, "", Qos()), received.extend, "link")
+    publisher = here.advertise(TopicSpec("/chatter", STRING, "", Qos()), "link")
     eventually(lambda: publisher.subscriber_count)
     publisher.publish(stamped_string(100))
     eventually(lambda: received)
@@ -98,7 +98,7 @@ def test_calls_that_do_not_cross_leave_messages_alone(
     assert not found.no_messages
     assert found.shortfalls == (Shortfall.CALLS(distribution=described(), error="Fast CDR"),)
     node = open_node()
-    node.advertise("/any", "no_such_msgs/msg/Any", _TYPE_HASH, Qos(), "link")
+    node.advertise(TopicSpec("/any", "no_such_msgs/msg/Any", _TYPE_HASH, Qos()), "link")
     node.serve("/set", SET, "", lambda _: None)
 
 
@@ -108,7 +108,7 @@ def test_without_std_msgs_installed_types_cross(
     replaced.SELF_TEST_INSTALLED_CLASS.set(monkeypatch, lambda _: None)
     found = found_anew(monkeypatch)
     assert found.shortfalls == (RosProblem.NO_STRINGS(package=package_of("std_msgs")),)
-    open_node().advertise("/chatter", STRING, "", Qos(), "link")
+    open_node().advertise(TopicSpec("/chatter", STRING, "", Qos()), "link")
 
 
 def test_nodes_that_start_at_once_leave_the_environment_alone(monkeypatch: pytest.MonkeyPatch) -> None:

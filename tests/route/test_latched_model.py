@@ -16,12 +16,12 @@ from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 from rsb_bridge.context import Context
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
-from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.ros.ros_interface import RawMessage, TopicSpec
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
 from rsb_bridge.route.peer import TypeBudget
 from rsb_bridge.route.source_publishers import bounded
-from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
+from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.transport.registry import default_transports
@@ -67,7 +67,7 @@ class NearDds:
 
     def subscribe(self, *arguments: Any) -> NearReader:
         self.subscribed += 1
-        reader = NearReader(self, arguments[4])
+        reader = NearReader(self, arguments[1])
         self.readers.append(reader)
         for writer in self.writers.values():
             reader.match(writer)
@@ -203,11 +203,12 @@ class Route:
 
     def make_subscription(self) -> TopicSubscription:
         qos = msgspec.structs.replace(LATCHED, lifespan=self.near.lifespan)
-        subject = SubscriptionSpec("/latched", "std_msgs/msg/String", "", qos, "robot1")
+        subject = TopicSpec("/latched", "std_msgs/msg/String", "", qos)
         self.topic.opened()
         subscription = TopicSubscription(
             self.context,
             self.context.ros,
+            "robot1",
             cast("OutgoingPath", self),
             TypeBudget(),
             self.meter,

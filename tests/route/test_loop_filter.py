@@ -66,7 +66,7 @@ class Graph(NoRos):
     def installed_hash(self, type_name: str) -> str | None:
         return TYPE_HASH
 
-    def subscribe(self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Any, *_: object) -> Any:
+    def subscribe(self, _: object, sink: Any, *__: object) -> Any:
         self.sink = sink
 
         class Subscription:

@@ -9,9 +9,10 @@ import pytest
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, auto_depth
+from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.peer import TypeBudget
-from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
+from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.telemetry.meters import RateMeter
 
 if TYPE_CHECKING:
@@ -33,8 +34,8 @@ class FakeRos(NoRos):
     def __init__(self) -> None:
         self.made: list[FakeSubscription] = []
 
-    def subscribe(self, topic: str, type_name: str, type_hash: str, qos: Qos, *_: Any, **__: Any) -> Any:
-        self.made.append(FakeSubscription(qos))
+    def subscribe(self, spec: TopicSpec, *_: Any, **__: Any) -> Any:
+        self.made.append(FakeSubscription(spec.qos))
         return self.made[-1]
 
 
@@ -76,9 +77,9 @@ def make_subscription(
     context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
 ) -> TopicSubscription:
     subscription = TopicSubscription(
-        context, context.ros, cast("OutgoingPath", Path()), TypeBudget(), owner.meter, owner.log, lambda: None
+        context, context.ros, "robot1", cast("OutgoingPath", Path()), TypeBudget(), owner.meter, owner.log, lambda: None
     )
-    spec = SubscriptionSpec("/fast", "std_msgs/msg/String", "", qos, "robot1")
+    spec = TopicSpec("/fast", "std_msgs/msg/String", "", qos)
     subscription.begin(spec, automatic=automatic, expected_rate=expected_rate, known={})
     subscription.subscribe()
     return subscription

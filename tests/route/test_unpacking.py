@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
 
     from rsb_bridge.context import Context
+    from rsb_bridge.ros.ros_interface import TopicSpec
     from rsb_bridge.wire.framing import Message
 
 LARGE = EXPANSION_A_TURN * 3 // 4
@@ -55,7 +56,7 @@ class OnePublisher(NoRos):
     def __init__(self) -> None:
         self.published = Published()
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Published:
+    def advertise(self, spec: TopicSpec, origin: Hashable) -> Published:
         return self.published
 
 

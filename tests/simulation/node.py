@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.calls import Fields
-    from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RequestSink, ResponseSink, Sink
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RequestSink, ResponseSink, Sink, TopicSpec
 
 
 class Node:
@@ -119,28 +118,18 @@ class Node:
     def installed_hash(self, type_name: str) -> str | None:
         return self._domain.installed.get(type_name)
 
-    def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
-    ) -> Reader:
-        self._check_type(type_name, type_hash)
-        taking = self._taking(sink)
-        reader = Reader(self._domain, self._name, topic, type_name, type_hash, qos, taking, origin, on_failure)
+    def subscribe(self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None) -> Reader:
+        self._check_type(spec.type_name, spec.type_hash)
+        reader = Reader(self._domain, self._name, *spec, self._taking(sink), origin, on_failure)
         reader.stalled = self._stalled
         _keep(self.readers, reader)
         if self.on_reader is not None:
             self.on_reader(reader, origin)
         return reader
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Writer:
-        self._check_type(type_name, type_hash)
-        writer = Writer(self._domain, self._name, topic, type_name, type_hash, qos, origin)
+    def advertise(self, spec: TopicSpec, origin: Hashable) -> Writer:
+        self._check_type(spec.type_name, spec.type_hash)
+        writer = Writer(self._domain, self._name, *spec, origin)
         _keep(self.writers, writer)
         if self.on_writer is not None:
             self.on_writer(writer, origin)

@@ -44,7 +44,7 @@ from rsb_bridge.ros.internal_ends import resources
 from rsb_bridge.ros.known_messages import STRING, STRING_HASH, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.peeking import PeekError
@@ -257,7 +257,7 @@ class Bridge:
         def subscribe(on_failure: OnFailure) -> Subscription:
             # A bridge needs no types: without std_msgs, the topic works nevertheless.
             type_hash = context.ros.installed_hash(STRING) or STRING_HASH
-            return context.ros.subscribe(topic, STRING, type_hash, Qos(), sink, None, on_failure)
+            return context.ros.subscribe(TopicSpec(topic, STRING, type_hash, Qos()), sink, None, on_failure)
 
         def changed() -> None:
             if watch.failure:

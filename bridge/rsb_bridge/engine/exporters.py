@@ -16,7 +16,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
-from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -145,8 +145,9 @@ class _SessionTopic:
             self.failed(f"{self._type} is not installed here", Level.INFO)
             return
         try:
-            self._publisher = ros.advertise(topic, self._type, type_hash, self._qos, self)
-            endpoint = Endpoint(f"/{ros.node_name}", self._type, type_hash, self._qos, self._publisher.gid)
+            spec = TopicSpec(topic, self._type, type_hash, self._qos)
+            self._publisher = ros.advertise(spec, self)
+            endpoint = Endpoint(f"/{ros.node_name}", *spec[1:], self._publisher.gid)
             # As a node's, so that routes take it to other domains.
             self._context.announcements.announce(topic, self, endpoint, Origin(()))
         except RosError as error:

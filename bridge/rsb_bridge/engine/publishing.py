@@ -31,13 +31,12 @@ from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.velocity_limits import TWISTS, smallest
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
-from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.gates import why_not_by_hand
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peeking import PeekError
-from rsb_bridge.route.source_publishers import PublicationSpec
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.wire.messages import ByHand
 
@@ -105,14 +104,6 @@ class PublishProblem(Wording):
     NO_DEADMAN = "{topic} cannot be driven: that needs arm: true and max_age on the topic, so that the robot stops"
 
 
-class _Resolved(NamedTuple):
-    """The type and QoS of a topic's publisher."""
-
-    type_name: str
-    type_hash: str
-    qos: Qos
-
-
 class _Rest(NamedTuple):
     """A message that ends a motion.
 
@@ -141,7 +132,7 @@ class _Publication:
         self.turn = asyncio.Lock()
         self.commands: Counter[str] = Counter()
         self.used_at = self.resolved_at = 0.0
-        self.resolved: _Resolved | None = None
+        self.resolved: TopicSpec | None = None
         self.publisher: Publisher | None = None
         self.count = 0
         self.operators: dict[str, float] = {}
@@ -181,7 +172,7 @@ class Publishing:
         """
         resolved = await self._resolve(command.topic, command.type_name)
         text = await asyncio.to_thread(self._description, resolved.type_name)
-        if (passed := await self._passing(command.topic, resolved)) is not None:
+        if (passed := await self._passing(resolved)) is not None:
             fields = await asyncio.to_thread(_fields_of, text, passed)
             if fields:
                 return Draft(resolved.type_name, fields, is_last=True)
@@ -231,7 +222,7 @@ class Publishing:
         payload = await self._serialize(resolved, command.fields)
         rest = await self._serialize(resolved, command.rest) if driven else b""
         self._within_limits(command, resolved.type_name, self._routes(topic), (payload, rest))
-        await self._open(publication, topic, resolved)
+        await self._open(publication, resolved)
         assert publication.publisher is not None
         # Nothing is awaited from here on.
         routes = self._routes(topic)
@@ -243,7 +234,7 @@ class Publishing:
         rests = [route.rest for route in armed if isinstance(route, IncomingRoute)]
         # First: a motion that no rest can follow must not begin.
         for each in rests:
-            each.prepare(PublicationSpec(topic, *resolved))
+            each.prepare(resolved)
         publication.publisher.publish(payload)
         for each in rests:
             each.moved_by_hand(payload)
@@ -373,8 +364,8 @@ class Publishing:
         routes = [route for link in self._links() for route in link.routes.values()]
         return [route for route in routes if isinstance(route, TopicRoute) and route.local_topic == topic]
 
-    async def _resolve(self, topic: str, wanted: str) -> _Resolved:
-        """Return type and QoS of a topic's publisher.
+    async def _resolve(self, topic: str, wanted: str) -> TopicSpec:
+        """Return a topic as it is to be published.
 
         Raises:
             LinkError: the type is unknown, or not the wanted one.
@@ -409,7 +400,7 @@ class Publishing:
         # Other nodes would read the bytes as other fields. Empty: the middleware does not tell the version.
         if type_hash and known.get(name, set()) - {"", type_hash}:
             raise LinkError(PublishProblem.OTHER_VERSION(type_name=name, topic=topic))
-        return _Resolved(name, type_hash, self._qos(topic, name, publishers, subscriptions, routes))
+        return TopicSpec(topic, name, type_hash, self._qos(topic, name, publishers, subscriptions, routes))
 
     async def _types_there(self, routes: Sequence[TopicRoute[DataChannel]]) -> dict[str, set[str]]:
         """Return the types that the other sides of routes know for their topics: of a robot's motors, for example."""
@@ -444,11 +435,11 @@ class Publishing:
         is_armed = any(route.arming.required for route in routes) or (demand is not None and demand.arm)
         return without_history(qos) if is_armed else qos
 
-    async def _serialize(self, resolved: _Resolved, fields: str) -> bytes:
+    async def _serialize(self, resolved: TopicSpec, fields: str) -> bytes:
         async with self._long if len(fields) > _LONG else contextlib.nullcontext():
             return await asyncio.to_thread(self._serialized, resolved, fields)
 
-    def _serialized(self, resolved: _Resolved, fields: str) -> bytes:
+    def _serialized(self, resolved: TopicSpec, fields: str) -> bytes:
         """Return a message as bytes. Slow: not for the I/O thread."""
         return self._context.ros.serialize(resolved.type_name, read_fields(fields), self._context.wall_ns())
 
@@ -458,10 +449,10 @@ class Publishing:
             self._context.ros.serialize(type_name, {}, 0)  # which names the package to install
         return text or ""
 
-    async def _passing(self, topic: str, resolved: _Resolved) -> bytes | None:
+    async def _passing(self, resolved: TopicSpec) -> bytes | None:
         """Return a message that passes soon, or None."""
-        flowing = (route for route in self._routes(topic) if route.flowing and route.type_hash == resolved.type_hash)
-        route = next(flowing, None)
+        routes, type_hash = self._routes(resolved.topic), resolved.type_hash
+        route = next((route for route in routes if route.flowing and route.type_hash == type_hash), None)
         if route is None:
             return None
         try:
@@ -473,23 +464,23 @@ class Publishing:
 
     # --- publishers
 
-    async def _open(self, publication: _Publication, topic: str, resolved: _Resolved) -> None:
+    async def _open(self, publication: _Publication, resolved: TopicSpec) -> None:
         """Have a publisher that subscriptions and routes have found. The one before stays until then, for a rest."""
         publication.resolved_at = self._context.now()
-        before = publication.resolved
+        topic, before = resolved.topic, publication.resolved
         if publication.publisher is not None and before is not None:
             if before == resolved:
                 return
-            if before[:2] != resolved[:2]:  # this bridge may have one type of a topic at a time
+            if before[:3] != resolved[:3]:  # this bridge may have one type of a topic at a time
                 if publication.rest is not None:
                     raise LinkError(
                         PublishProblem.OTHER_TYPE(topic=topic, actual=before.type_name, wanted=resolved.type_name)
                     )
                 self._close(publication)
         ros = self._context.ros
-        publisher = ros.advertise(topic, *resolved, self)
+        publisher = ros.advertise(resolved, self)
         try:
-            endpoint = Endpoint(f"/{ros.node_name}", *resolved, publisher.gid)
+            endpoint = Endpoint(f"/{ros.node_name}", *resolved[1:], publisher.gid)
             # As a node's, so that routes take its messages.
             self._context.announcements.announce(topic, self, endpoint, Origin(()))
             await self._found(publisher, topic)

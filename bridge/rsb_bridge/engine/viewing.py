@@ -7,10 +7,10 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.topic_view import TopicView, Viewable, check_names
+from rsb_bridge.link.topic_view import TopicView, check_names
 from rsb_bridge.model.pictures import Picture, Viewed, encode_picture
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.topic_route import TopicRoute
 
 if TYPE_CHECKING:
@@ -172,14 +172,14 @@ class Viewing:
         others = "any side that is linked" if links else "another side"
         raise LinkError(LookProblem.NOWHERE(topic=topic, others=others))
 
-    def _bridged(self, topic: str) -> Viewable | None:
+    def _bridged(self, topic: str) -> TopicSpec | None:
         """Return a topic that a link brings to this side, or None."""
         for link in self._links():
             for route in link.routes.values():
                 if not isinstance(route, TopicRoute) or route.outgoing or route.local_topic != topic:
                     continue
                 if route.flowing and route.type_hash and route.qos is not None:
-                    return Viewable(route.type_name, route.type_hash, route.qos)
+                    return TopicSpec(topic, route.type_name, route.type_hash, route.qos)
         return None
 
     def tick(self) -> None:

@@ -7,7 +7,7 @@ import contextlib
 import math
 import threading
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -18,7 +18,7 @@ from rsb_bridge.model.qos import AUTO_DEPTH, Qos
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_graph import agreed_type
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.view.worker import TakenSample, Task
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
@@ -61,20 +61,6 @@ def check_names(topics: Iterable[str]) -> None:
             raise LinkError(str(problem))
 
 
-class Viewable(NamedTuple):
-    """A topic as it is published here.
-
-    Attributes:
-        type_name: ``pkg/msg/Name``.
-        type_hash: ``RIHS01_...``.
-        qos: of a subscription that gets its messages.
-    """
-
-    type_name: str
-    type_hash: str
-    qos: Qos
-
-
 class _Feed:
     """The messages of one topic between two pictures. The ROS thread adds, the I/O thread takes.
 
@@ -82,8 +68,7 @@ class _Feed:
         authors: names of the nodes that publish it, by their publishers' ids.
     """
 
-    def __init__(self, topic: str, viewable: Viewable, description: str) -> None:
-        self.topic = topic
+    def __init__(self, viewable: TopicSpec, description: str) -> None:
         self.viewable = viewable
         self.description = viewable.type_name, description, viewable.type_hash
         self.resolved_at = 0.0
@@ -111,8 +96,8 @@ class _Feed:
         """Return the kept messages, and keep none."""
         with self._lock:
             kept, self._kept, self._bytes = self._kept, deque(), 0
-        name, author_of = self.viewable.type_name, self.authors.get
-        return [TakenSample(self.topic, name, each.payload, each.stamp, author_of(each.gid, "")) for each in kept]
+        topic, name, *_ = self.viewable
+        return [TakenSample(topic, name, each.payload, each.stamp, self.authors.get(each.gid, "")) for each in kept]
 
     def close(self) -> None:
         if self.subscription is not None:
@@ -140,7 +125,7 @@ class TopicView:
         topics: tuple[str, ...],
         wish: Wish,
         deliver: Callable[[Picture], Awaitable[None]],
-        bridged: Callable[[str], Viewable | None] = lambda _: None,
+        bridged: Callable[[str], TopicSpec | None] = lambda _: None,
     ) -> None:
         self._context = context
         self._renderer = renderer
@@ -226,7 +211,7 @@ class TopicView:
             seen += feed.seen
             size = size or feed.size
             if feed.size > MESSAGE_LIMIT:
-                problem = ViewProblem.MESSAGE_TOO_LARGE(topic=feed.topic, size=feed.size, limit=MESSAGE_LIMIT)
+                problem = ViewProblem.MESSAGE_TOO_LARGE(topic=feed.viewable.topic, size=feed.size, limit=MESSAGE_LIMIT)
         descriptions = tuple({feed.viewable.type_name: feed.description for feed in feeds}.values())
         now = int(self._context.wall() * 1e9)
         task = Task(self._number, feeds[0].viewable.type_name, self.wish, tuple(samples), seen, size, descriptions, now)
@@ -275,12 +260,10 @@ class TopicView:
             raise LinkError(ViewProblem.ENDED())
         if feed is not None:
             self._close_feed(topic)
-        feed = self._feeds[topic] = _Feed(topic, viewable, text)
+        feed = self._feeds[topic] = _Feed(viewable, text)
         feed.resolved_at, feed.authors = self._context.now(), authors
         try:
-            feed.subscription = self._context.ros.subscribe(
-                topic, viewable.type_name, viewable.type_hash, viewable.qos, self._sink(feed), self._origin
-            )
+            feed.subscription = self._context.ros.subscribe(viewable, self._sink(feed), self._origin)
         except RosError as error:
             del self._feeds[topic]
             raise LinkError(str(error)) from None
@@ -294,7 +277,7 @@ class TopicView:
 
         return sink
 
-    async def _resolve(self, topic: str) -> tuple[Viewable, dict[bytes, str]]:
+    async def _resolve(self, topic: str) -> tuple[TopicSpec, dict[bytes, str]]:
         """Return a topic as it is published now, and its publishers' nodes by their ids.
 
         Raises:
@@ -319,7 +302,7 @@ class TopicView:
         if not type_name:
             raise LinkError(ViewProblem.TYPES_DIFFER(topic=topic))
         authors = {each.gid: each.node for each in publishers}
-        return Viewable(type_name, type_hash, _qos_for([each.qos for each in publishers])), authors
+        return TopicSpec(topic, type_name, type_hash, _qos_for([each.qos for each in publishers])), authors
 
 
 def _qos_for(offered: Sequence[Qos]) -> Qos:

@@ -20,7 +20,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.ros.known_messages import STRING, STRING_HASH, serialize_string, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
-from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
 from rsb_bridge.wire.fields import Hops, Name
 
 if TYPE_CHECKING:
@@ -297,15 +297,14 @@ class Announcements:
         self.changed = changed
         # The hash of the installed package: another one would be refused as another version of the type.
         type_hash = self._ros.installed_hash(STRING) or STRING_HASH
+        spec = TopicSpec(ANNOUNCEMENT_TOPIC, STRING, type_hash, _SAID)
 
         def subscribe(on_failure: OnFailure) -> Subscription:
-            return self._ros.subscribe(
-                ANNOUNCEMENT_TOPIC, STRING, type_hash, _HEARD, self._arrived, ANNOUNCEMENT_TOPIC, on_failure
-            )
+            return self._ros.subscribe(spec._replace(qos=_HEARD), self._arrived, ANNOUNCEMENT_TOPIC, on_failure)
 
         try:
             # One origin for both ends, so that this bridge does not hear itself.
-            self._publisher = self._ros.advertise(ANNOUNCEMENT_TOPIC, STRING, type_hash, _SAID, ANNOUNCEMENT_TOPIC)
+            self._publisher = self._ros.advertise(spec, ANNOUNCEMENT_TOPIC)
             self._subscription = LastingSubscription(self._loop, subscribe, self._subscription_changed)
         except RosError as error:
             self._unnoticed(str(error))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable
 
     from rsb_bridge.model.purposes import Purpose
-    from rsb_bridge.ros.ros_interface import OnFailure, Sink
+    from rsb_bridge.ros.ros_interface import OnFailure, Sink, TopicSpec
 
 _NODE = "/rsb_internal"
 _GID = b"rsb_internal".ljust(16, b"\0")
@@ -262,24 +262,15 @@ class InternalEnds(Generic[SourceT, DrainT]):
     subscriptions = publishers
 
     def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
+        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None
     ) -> Subscription:
-        del type_name, type_hash, qos, on_failure
-        key, (make, _) = (topic, origin), self._makers(origin)
+        key, (make, _) = (spec.topic, origin), self._makers(origin)
         source: SourceT = make(sink, lambda: _forget(self.sources, key, source))
         self.sources[key] = source
         return source
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
-        del type_name, type_hash, qos
-        key, (_, make) = (topic, origin), self._makers(origin)
+    def advertise(self, spec: TopicSpec, origin: Hashable) -> Publisher:
+        key, (_, make) = (spec.topic, origin), self._makers(origin)
         drain: DrainT = make(lambda: _forget(self.drains, key, drain))
         self.drains[key] = drain
         return drain

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         ServiceServer,
         Sink,
         Subscription,
+        TopicSpec,
     )
     from rsb_bridge.ros.service_endpoints import RawServiceClient, RawServiceServer, TypedClient, TypedServer
     from rsb_bridge.ros.topic_endpoints import Reader, Writer
@@ -172,29 +173,22 @@ class RosNode:
             )
 
     def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
+        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None
     ) -> Subscription:
         with self._lock:
             participant = self._joined()
-            reader = participant.create_reader(topic, type_name, type_hash, qos)
+            reader = participant.create_reader(spec)
             key = (reader.topic, origin)
             # It gets the set itself: the messages of publishers that this link makes later are left out, too.
-            subscription = _Subscription(reader, qos, sink, on_failure, key, self._own[key], self._retire)
+            subscription = _Subscription(reader, spec.qos, sink, on_failure, key, self._own[key], self._retire)
             self._drain(subscription, participant)
         return subscription
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+    def advertise(self, spec: TopicSpec, origin: Hashable) -> Publisher:
         with self._lock:
-            writer = self._joined().create_writer(topic, type_name, type_hash, qos)
+            writer = self._joined().create_writer(spec)
             self._own[writer.topic, origin].add(writer.told)
-            publisher = _Publisher(writer, qos, self, (writer.topic, origin))
+            publisher = _Publisher(writer, spec.qos, self, (writer.topic, origin))
             self._publishers |= {publisher}
         return publisher
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from rsb_bridge.cdr.decoder import HEADER_LENGTH
 from rsb_bridge.model.wording import Wording
@@ -17,8 +17,18 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
-    from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosError, RosInterface, Sink, Subscription
+    from rsb_bridge.ros.ros_interface import (
+        OnFailure,
+        RawMessage,
+        RosError,
+        RosInterface,
+        Sink,
+        Subscription,
+        TopicSpec,
+    )
+
+    _Key: TypeAlias = tuple[TopicSpec, Hashable]
+    """A topic, and the link that its events go to."""
 
 LONGEST = 256 << 10
 """Bytes of an event that gets another name: some 2,000 parameters that changed at once. Each takes 10 µs."""
@@ -139,19 +149,6 @@ class _Copy:
         self.take(self.length(), 1)
 
 
-class EventsTopic(NamedTuple):
-    """The topic of one subscription for one link.
-
-    Attributes:
-        link: the link that the events go to.
-    """
-
-    name: str
-    type_name: str
-    type_hash: str
-    link: Hashable
-
-
 class _Listener(NamedTuple):
     node: str
     sink: Sink
@@ -168,9 +165,9 @@ class ParameterEvents:
     def __init__(self, ros: RosInterface, call: Callable[[Callable[[], None]], None]) -> None:
         self._ros = ros
         self._call = call
-        self._shared: dict[EventsTopic, _Shared] = {}
+        self._shared: dict[_Key, _Shared] = {}
 
-    def listen(self, topic: EventsTopic, qos: Qos, node: str, sink: Sink, on_failure: OnFailure) -> ExitStack:
+    def listen(self, topic: TopicSpec, link: Hashable, node: str, sink: Sink, on_failure: OnFailure) -> ExitStack:
         """Listen to the events of one node, until what is returned is closed.
 
         Args:
@@ -180,33 +177,32 @@ class ParameterEvents:
         Raises:
             RosError: it cannot be subscribed to.
         """
-        shared = self._shared.get(topic)
+        key = topic, link
+        shared = self._shared.get(key)
         if shared is None:
             shared = _Shared()
 
             def failed(error: RosError) -> None:
-                self._call(lambda: self._failed(topic, shared, error))
+                self._call(lambda: self._failed(key, shared, error))
 
-            shared.subscription = self._ros.subscribe(
-                topic.name, topic.type_name, topic.type_hash, qos, shared.receive, topic.link, failed
-            )
-            self._shared[topic] = shared
+            shared.subscription = self._ros.subscribe(topic, shared.receive, link, failed)
+            self._shared[key] = shared
         listener = _Listener(node, sink, on_failure)
         shared.listen((*shared.listeners, listener))
         ending = ExitStack()
-        ending.callback(self._end, topic, shared, listener)
+        ending.callback(self._end, key, shared, listener)
         return ending
 
-    def _end(self, topic: EventsTopic, shared: _Shared, listener: _Listener) -> None:
+    def _end(self, key: _Key, shared: _Shared, listener: _Listener) -> None:
         shared.listen(tuple(each for each in shared.listeners if each is not listener))
         # One that has failed is closed already, and another may have its place.
-        if not shared.listeners and self._shared.get(topic) is shared:
-            del self._shared[topic]
+        if not shared.listeners and self._shared.get(key) is shared:
+            del self._shared[key]
             shared.subscription.close()
 
-    def _failed(self, topic: EventsTopic, shared: _Shared, error: RosError) -> None:
-        if self._shared.get(topic) is shared:
-            del self._shared[topic]
+    def _failed(self, key: _Key, shared: _Shared, error: RosError) -> None:
+        if self._shared.get(key) is shared:
+            del self._shared[key]
             for listener in shared.listeners:
                 listener.on_failure(error)
 

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.ros.native.named_types import BorrowedType
     from rsb_bridge.ros.native.rclpy_extension import Entity, Kind, Question
+    from rsb_bridge.ros.ros_interface import TopicSpec
 
 _TRY_AGAIN_NS = 100_000_000
 """After that, kept answers are tried again if nothing happens before: half of the interval between two attempts."""
@@ -156,24 +157,24 @@ class Participant:
             reset_error()
             raise RosError(RosProblem.NODE_UNREADABLE(node=node, reason=reason_of(error))) from error
 
-    def create_reader(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Reader:
+    def create_reader(self, spec: TopicSpec) -> Reader:
         """Create a raw subscription.
 
         Raises:
             RosError: the type, the name or the QoS will not do.
         """
-        latched = qos.latched
         # The history of a latched topic may begin with any number, as its publisher keeps the newest only.
-        earlier = None if latched else frozenset(each.gid for each in self.publishers(topic))
-        handle = self._create("subscription", topic, borrow_type(type_name, type_hash), qos)
+        earlier = None if spec.qos.latched else frozenset(each.gid for each in self.publishers(spec.topic))
+        handle = self._create("subscription", spec.topic, borrow_type(spec.type_name, spec.type_hash), spec.qos)
         return Reader(handle, self._buffer, earlier)
 
-    def create_writer(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Writer:
+    def create_writer(self, spec: TopicSpec) -> Writer:
         """Create a raw publisher; errors as `create_reader`.
 
         One that keeps all would make its caller wait 100 ms a message once a slow reader has fallen a whole history
         behind, and then refuse the message; so it keeps the same number and lets the oldest go instead.
         """
+        topic, type_name, type_hash, qos = spec
         kept = Qos(qos.reliability, qos.durability, "keep_last", _KEPT, qos.deadline, qos.lifespan)
         asked = kept if qos.history == "keep_all" else qos
         return Writer(self._create("publisher", topic, borrow_type(type_name, type_hash), asked))

@@ -60,6 +60,19 @@ class RosError(Exception):
     """ROS refused something; the message says what and what to do, in an operator's words."""
 
 
+class TopicSpec(NamedTuple):
+    """A topic to subscribe to or to publish.
+
+    Attributes:
+        type_hash: ``RIHS01_...``, or empty if unknown: then the type must be installed here.
+    """
+
+    topic: str
+    type_name: str
+    type_hash: str
+    qos: Qos
+
+
 class RawMessage(NamedTuple):
     """One message taken from a subscription.
 
@@ -227,14 +240,7 @@ class RouteEnds(Protocol):
         """Return the subscriptions on a topic, our own node's left out."""
 
     def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
+        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None
     ) -> Subscription:
         """Subscribe raw, to a type installed here or known by name and hash only.
 
@@ -246,7 +252,7 @@ class RouteEnds(Protocol):
             RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.
         """
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+    def advertise(self, spec: TopicSpec, origin: Hashable) -> Publisher:
         """Create a raw publisher; types and errors as `subscribe`."""
 
 

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         ServiceServer,
         Sink,
         Subscription,
+        TopicSpec,
     )
 
 
@@ -205,23 +206,14 @@ class StandIn(NoRos):
         except (ImportError, ValueError):  # a bench without ROS does without
             return None
 
-    def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
-    ) -> _Reader:
-        readers = self._readers.setdefault(topic, [])
+    def subscribe(self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None) -> _Reader:
+        readers = self._readers.setdefault(spec.topic, [])
         reader = _Reader(sink, readers)
         readers.append(reader)
         return reader
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> _Writer:
-        return _Writer(topic, self.received)
+    def advertise(self, spec: TopicSpec, origin: Hashable) -> _Writer:
+        return _Writer(spec.topic, self.received)
 
 
 class _Reader:

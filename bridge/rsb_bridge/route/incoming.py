@@ -19,7 +19,7 @@ from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import type_hint
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
@@ -29,7 +29,7 @@ from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
-from rsb_bridge.route.source_publishers import PublicationSpec, SlowSubscriberError, SourcePublishers, bounded
+from rsb_bridge.route.source_publishers import SlowSubscriberError, SourcePublishers, bounded
 from rsb_bridge.route.topic_route import Signs, TopicRoute
 from rsb_bridge.route.topic_verdict import TopicProgress
 from rsb_bridge.route.type_versions import CompareTypes, TypeClash, TypeVersion, unknown_difference
@@ -176,7 +176,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self.outputs.renumber(description.sources)
         # The sender leaves the history out, too; here nothing depends on its word.
         qos = without_history(description.qos) if self.arming.required else description.qos
-        spec = PublicationSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
+        spec = TopicSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
         try:
             self.outputs.make(spec, description.sources)
             # Now, as a rest that does not fit the type must refuse the route instead of failing when it is needed.

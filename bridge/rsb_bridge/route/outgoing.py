@@ -15,7 +15,7 @@ from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, SendersDelay, delay_of_sender
@@ -25,7 +25,7 @@ from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_route import MEASURED_FOR, Signs, TopicRoute
-from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
+from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import TopicProgress
 from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
@@ -150,6 +150,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._subscription = TopicSubscription(
             context,
             self.ends,
+            peer.name,
             self._path,
             peer.budget.types,
             self.meter,
@@ -178,7 +179,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._end_subscription()
             self._kept_there = ready.newest.keys()
             self.age.publishers.since = None if described.qos.latched else self.context.stamps.now()
-            spec = SubscriptionSpec(self.topic, described.type, described.type_hash, described.qos, self.peer.name)
+            spec = TopicSpec(self.topic, described.type, described.type_hash, described.qos)
             self._subscription.begin(
                 spec,
                 automatic=self.proposal.qos is None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 import msgspec
 
 from rsb_bridge.model.snapshot import PEEK_LIMIT, PeekedMessage
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -146,10 +146,9 @@ class Peeking:
         # what this node publishes is what late joiners get on the receiving side, and none of theirs on the other
         origin = route.peer.name if route.outgoing else _LATE_JOINER
         depth_one = msgspec.structs.replace(qos, history="keep_last", depth=1)
+        spec = TopicSpec(route.local_topic, route.type_name, route.type_hash, depth_one)
         try:
-            subscription = context.ros.subscribe(
-                route.local_topic, route.type_name, route.type_hash, depth_one, take, origin
-            )
+            subscription = context.ros.subscribe(spec, take, origin)
         except RosError as error:
             raise PeekError(str(error)) from None
         try:

@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.velocity import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
-    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.ros_interface import TopicSpec
     from rsb_bridge.route.arming import Arming
-    from rsb_bridge.route.source_publishers import PublicationSpec
 
 EVERY = 0.1
 """s from one rest to the next. A subscription that asks for best effort may miss one."""
@@ -70,7 +69,7 @@ class RestMessage:
         self,
         context: Context,
         link: str,
-        spec: PublicationSpec,
+        spec: TopicSpec,
         on_end: str,
         failed: Callable[[str], None],
         overdue: Callable[[], None],
@@ -90,12 +89,11 @@ class RestMessage:
         self._last: bytes | None = None  # of the messages of the present arming
         self._under_way: asyncio.Task[None] | None = None
         self._is_wanted = True
-        topic, type_name, type_hash, _ = spec
-        qos = _resting_qos(spec)
-        self._publisher = context.ros.advertise(topic, type_name, type_hash, qos, origin=link)
+        published = _resting(spec)
+        self._publisher = context.ros.advertise(published, link)
         try:
-            endpoint = Endpoint(f"/{context.ros.node_name}", type_name, type_hash, qos, self._publisher.gid)
-            context.announcements.announce(topic, link, endpoint, Origin(()))
+            endpoint = Endpoint(f"/{context.ros.node_name}", *published[1:], self._publisher.gid)
+            context.announcements.announce(spec.topic, link, endpoint, Origin(()))
         except RosError:
             self._publisher.close()
             raise
@@ -113,10 +111,9 @@ class RestMessage:
         self._hold()
         return was_moving != self._is_moving
 
-    def fits(self, spec: PublicationSpec, on_end: str) -> bool:
+    def fits(self, spec: TopicSpec, on_end: str) -> bool:
         """Whether it can follow messages of a spec: then subscriptions have found its publisher already."""
-        now, before = (each._replace(qos=_resting_qos(each)) for each in (spec, self.spec))
-        return (now, on_end) == (before, self.on_end)
+        return (_resting(spec), on_end) == (_resting(self.spec), self.on_end)
 
     def replaces(self, before: RestMessage) -> None:
         """Follow the motion that another rest of this route would have ended.
@@ -269,7 +266,7 @@ class RestAfterArming:
         self._failed = failed
         self._overdue = overdue
 
-    def prepare(self, spec: PublicationSpec) -> None:
+    def prepare(self, spec: TopicSpec) -> None:
         """Have a rest that can follow messages of a spec.
 
         Raises:
@@ -308,11 +305,10 @@ class RestAfterArming:
             self.message = None
 
 
-def _resting_qos(spec: PublicationSpec) -> Qos:
-    """Return the QoS of a rest; subscriptions of either reliability hear it."""
-    return msgspec.structs.replace(
-        spec.qos, reliability="reliable", depth=1, history="keep_last", durability="volatile"
-    )
+def _resting(spec: TopicSpec) -> TopicSpec:
+    """Return how a rest is published; subscriptions of either reliability hear it."""
+    qos = msgspec.structs.replace(spec.qos, reliability="reliable", depth=1, history="keep_last", durability="volatile")
+    return spec._replace(qos=qos)
 
 
 def velocity_on(context: Context, topic: str) -> Velocity | None:

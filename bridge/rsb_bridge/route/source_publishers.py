@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.calls import Refused
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.ros_interface import Publisher
+    from rsb_bridge.ros.ros_interface import Publisher, TopicSpec
     from rsb_bridge.route.gates import LastLook
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.framing import Budget
@@ -242,19 +242,6 @@ class VolatileTopic:
         return self._budget.take(size)
 
 
-class PublicationSpec(NamedTuple):
-    """A topic to publish.
-
-    Attributes:
-        qos: of the publishers; of a volatile topic, a depth of 0 means that nobody has chosen one.
-    """
-
-    topic: str
-    type_name: str
-    type_hash: str
-    qos: Qos
-
-
 class _Announced:
     """A DDS publisher that is announced to the domain's other bridges while it is open."""
 
@@ -285,7 +272,7 @@ class _SourcePublisher:
         context: Context,
         purpose: Purpose,
         peer: Peer,
-        spec: PublicationSpec,
+        spec: TopicSpec,
         origin: Origin,
         failed: Callable[[Exception], None],
     ) -> None:
@@ -322,10 +309,8 @@ class _SourcePublisher:
                 self._announce(gid)
 
     def _advertise(self, depth: int) -> Publisher:
-        topic, type_name, type_hash, qos = self._spec
-        publisher = self._context.ends(self._purpose).advertise(
-            topic, type_name, type_hash, msgspec.structs.replace(qos, depth=depth), origin=self._peer.name
-        )
+        spec = self._spec._replace(qos=msgspec.structs.replace(self._spec.qos, depth=depth))
+        publisher = self._context.ends(self._purpose).advertise(spec, self._peer.name)
         self._gids.add(publisher.gid)
         try:
             self._announce(publisher.gid)
@@ -338,9 +323,8 @@ class _SourcePublisher:
     def _announce(self, gid: bytes) -> None:
         if not self._purpose.in_graph:
             return  # no other bridge can take its messages
-        topic, type_name, type_hash, qos = self._spec
-        endpoint = Endpoint(f"/{self._context.ros.node_name}", type_name, type_hash, qos, gid)
-        self._context.announcements.announce(topic, self._peer.name, endpoint, self._origin)
+        endpoint = Endpoint(f"/{self._context.ros.node_name}", *self._spec[1:], gid)
+        self._context.announcements.announce(self._spec.topic, self._peer.name, endpoint, self._origin)
 
     def _closed(self, gid: bytes) -> None:
         self._gids.discard(gid)
@@ -371,8 +355,11 @@ class SourcePublishers:
     def __len__(self) -> int:
         return len(self._outputs)
 
-    def make(self, spec: PublicationSpec, sources: Sequence[Source]) -> None:
+    def make(self, spec: TopicSpec, sources: Sequence[Source]) -> None:
         """Have a publisher for each source, or for the first ones if there can't be more. Present ones have this spec.
+
+        Args:
+            spec: a depth of 0 means that nobody has chosen one, on a volatile topic.
 
         Raises:
             RosError: there can't be a publisher for the first source, or the link has too many types.
@@ -407,7 +394,7 @@ class SourcePublishers:
             count += 1
         self.close(count)
 
-    def _add(self, spec: PublicationSpec, origin: Origin) -> None:
+    def _add(self, spec: TopicSpec, origin: Origin) -> None:
         further = len(self._outputs) > 0
         if further and not self._peer.budget.further_publishers.take(1):
             raise RosError("this link has too many publishers")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -22,26 +22,11 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RouteEnds, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RouteEnds, Subscription, TopicSpec
     from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.route.peer import TypeBudget
     from rsb_bridge.route.sending import OutgoingPath
     from rsb_bridge.telemetry.meters import RateMeter
-
-
-class SubscriptionSpec(NamedTuple):
-    """A topic to subscribe to.
-
-    Attributes:
-        qos: as its publishers offer, or as an operator wants it.
-        origin: messages that this node publishes under the same origin are left out.
-    """
-
-    topic: str
-    type_name: str
-    type_hash: str
-    qos: Qos
-    origin: Hashable
 
 
 class TopicSubscription:
@@ -51,13 +36,14 @@ class TopicSubscription:
     what their publishers keep for late joiners, and none that the peer has.
 
     Args:
+        origin: messages that this node publishes under the same origin are left out.
         path: gets the messages; after `close` it drops messages that are still in the ROS queue.
         meter: of the topic's messages so far.
         found: called after the histories know more depths.
         marks: gives the lease that messages are marked with, or None if they are not marked.
 
     Attributes:
-        spec: what is subscribed to in the present opening, or None before it begins.
+        spec: the present opening's topic, with the QoS that publishers offer or an operator wants; or None before.
         histories: of a latched topic's publishers, or None for a volatile topic.
     """
 
@@ -65,6 +51,7 @@ class TopicSubscription:
         self,
         context: Context,
         ends: RouteEnds,
+        origin: Hashable,
         path: OutgoingPath,
         types: TypeBudget,
         meter: RateMeter,
@@ -72,10 +59,11 @@ class TopicSubscription:
         found: Callable[[], None],
         marks: Callable[[], LeaseHalf | None] = lambda: None,
     ) -> None:
-        self.spec: SubscriptionSpec | None = None
+        self.spec: TopicSpec | None = None
         self.histories: Histories | None = None
         self._context = context
         self._ends = ends
+        self._origin = origin
         self._path = path
         self._type = TypeUse(context.ros, types)
         self._meter = meter
@@ -92,7 +80,7 @@ class TopicSubscription:
     # --- the subscription
 
     def begin(
-        self, spec: SubscriptionSpec, *, automatic: bool, expected_rate: float | None, known: Mapping[bytes, int]
+        self, spec: TopicSpec, *, automatic: bool, expected_rate: float | None, known: Mapping[bytes, int]
     ) -> None:
         """Begin an opening. Subscribe to nothing yet.
 
@@ -191,8 +179,8 @@ class TopicSubscription:
 
     def _subscribe_for(self, receiver: _Receiver, on_failure: OnFailure | None) -> Subscription:
         assert self.spec is not None
-        spec, qos = self.spec, self._qos()
-        self._depth = qos.depth
+        spec = self.spec._replace(qos=self._qos())
+        self._depth = spec.qos.depth
         put = partial(self._context.ros_queue.put, receiver)
         sink: Callable[[Sequence[RawMessage]], None] = put
         if (lease := self._marks()) is not None:
@@ -202,7 +190,7 @@ class TopicSubscription:
                 put(marked(batch))
 
             sink = put_marked
-        return self._ends.subscribe(spec.topic, spec.type_name, spec.type_hash, qos, sink, spec.origin, on_failure)
+        return self._ends.subscribe(spec, sink, self._origin, on_failure)
 
     def _changed(self) -> None:
         if self.failure:

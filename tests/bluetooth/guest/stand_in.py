@@ -26,6 +26,7 @@ from rsb_bridge.ros.ros_interface import (
     Response,
     ResponseSink,
     Sink,
+    TopicSpec,
 )
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.ros.stand_in import NoRos
@@ -123,20 +124,13 @@ class StandIn(NoRos):
         return HASH if type_name == TYPE else None
 
     def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
+        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None
     ) -> _Subscription:
-        self._sinks[topic] = sink
-        return _Subscription(self._sinks, topic)
+        self._sinks[spec.topic] = sink
+        return _Subscription(self._sinks, spec.topic)
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> _Publisher:
-        return _Publisher(self.arrived[topic])
+    def advertise(self, spec: TopicSpec, origin: Hashable) -> _Publisher:
+        return _Publisher(self.arrived[spec.topic])
 
     def services(self) -> dict[str, list[str]]:
         return {service: [SERVICE_TYPE] for service in self.answering}

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.parameter_events import EventsTopic
-from rsb_bridge.ros.ros_interface import BATCH
+from rsb_bridge.ros.ros_interface import BATCH, TopicSpec
 from rsb_bridge.route.calls.calls_verdict import Trouble
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer import TypeUse
@@ -290,10 +289,10 @@ class Clients(LaneEndpoints):
         assert qos is not None
         sink, failed = self._sink(lane, self._published)
         context, link = self._context, self._peer.name
+        spec = TopicSpec(name, *kind, qos)
         if self.node:  # all nodes publish their events on one topic: the link's routes share a subscription
-            topic = EventsTopic(name, kind.type_name, kind.type_hash, link)
-            return context.parameter_events.listen(topic, qos, self.node, sink.put, failed)
-        return context.ros.subscribe(name, kind.type_name, kind.type_hash, qos, sink.put, link, failed)
+            return context.parameter_events.listen(spec, link, self.node, sink.put, failed)
+        return context.ros.subscribe(spec, sink.put, link, failed)
 
     def close(self, keep: Collection[int] = ()) -> None:
         """Close the clients and subscriptions of all lanes, except the lanes to keep."""
@@ -373,7 +372,7 @@ class Offers(LaneEndpoints):
         qos = self._members[lane].qos
         assert qos is not None
         context, budget = self._context, self._peer.budget.unacknowledged
-        publisher = context.ros.advertise(name, kind.type_name, kind.type_hash, qos, self._peer.name)
+        publisher = context.ros.advertise(TopicSpec(name, *kind, qos), self._peer.name)
         self.publishers[lane] = bounded = VolatileTopic(publisher, qos.depth, budget, context.now)
         return bounded
 
