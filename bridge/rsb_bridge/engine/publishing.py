@@ -132,7 +132,6 @@ class _Publication:
     Attributes:
         turn: held while a message is published.
         commands: how many are being published, by operator.
-        count: messages so far.
         operators: who publish, and when each did last.
         rest: the message that ends the motion, or None if nobody drives.
     """

@@ -196,7 +196,6 @@ class Describe(ControlMessageBase, frozen=True):
     """The sending side describes the messages that it will send.
 
     Attributes:
-        type: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``; may be empty.
         qos: to publish with; a depth of 0: as the messages themselves say (`rsb_bridge.wire.headers`), or as the
             receiver likes.
