@@ -43,7 +43,6 @@ class ConsoleShell(Protocol):
     Attributes:
         preferences: the user's themes and keys.
         config: the folder that those are in.
-        refresh_rate: Hz.
     """
 
     preferences: Preferences

@@ -18,9 +18,9 @@ from rsb_bridge.config.file_form import KEYS, as_topic, as_written
 from rsb_bridge.config.session_file import dump, load, load_file, parse, same, save, validate
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake, validate_topic
-from rsb_bridge.model.limits import CALL_TIME, TOPIC_LENGTH
+from rsb_bridge.model.limits import TOPIC_LENGTH
 from rsb_bridge.model.session import Client, Session, Topic
-from rsb_bridge.model.topic_keys import ForeignKey, RangeText
+from rsb_bridge.model.topic_keys import CALL_TIME, ForeignKey, RangeText
 from rsb_console.session.draft import problems_of
 from rsb_console.session.saving import unsaved
 

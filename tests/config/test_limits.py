@@ -14,20 +14,19 @@ from rsb_bridge.config.validation import SessionMistake, domain_of, validate, va
 from rsb_bridge.link.proposals import proposal_of, topic_of
 from rsb_bridge.model.limits import (
     CHANNEL,
-    DEADMAN_TIME,
     DEPTH,
     DOMAIN,
     NAME_BYTES,
     QOS_TIME,
     RATE,
     SPEED,
-    STALE_AFTER,
     TOPIC_LENGTH,
     TURN_RATE,
     Range,
 )
 from rsb_bridge.model.qos import PROFILES, QosProblem
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.topic_keys import DEADMAN_TIME, STALE_AFTER
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.codec import decode, decode_hello, encode

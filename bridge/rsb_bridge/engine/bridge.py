@@ -11,7 +11,7 @@ import contextlib
 import logging
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 
@@ -58,14 +58,12 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
+    from rsb_bridge.engine.topic_commands import Handlers
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Client, Session
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription
     from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
-
-    Handler: TypeAlias = Callable[[Any], Coroutine[None, None, object]]
-    """Executes a command of one type, and returns its result."""
 
 _WORD = b"shutdown"
 _ERROR_LOGGED_EVERY = 10.0
@@ -109,31 +107,17 @@ class Bridge:
         self._viewing = Viewing(context, self.links, self._tasks.spawn)
         self._publishing = Publishing(context, self.links, self._log, inspector.peeking)
         self._arming = arming = ArmingCommands(self.links, topics.find, self._publishing.end_motions)
-        self.handlers: dict[type[Command[Any]], Handler] = {
+        self.handlers: Handlers = {
+            **topics.handlers,
+            **arming.handlers,
+            **inspector.handlers,
+            **self._publishing.handlers,
+            **self._viewing.handlers,
             commands.Acknowledge: self._acknowledge,
-            commands.AddTopic: topics.add,
-            commands.ArmTopic: arming.arm,
             commands.Bench: self._bench,
-            commands.Call: inspector.call,
-            commands.DescribeType: inspector.describe,
-            commands.AskHolder: arming.ask,
-            commands.TakeArming: arming.take,
-            commands.AnswerAsker: arming.answer,
-            commands.DisarmTopic: arming.disarm,
-            commands.DraftMessage: self._publishing.draft,
-            commands.EditTopic: topics.edit,
-            commands.EndLook: self._viewing.end,
-            commands.KeepArmed: arming.keep,
-            commands.LookAtTopics: self._viewing.next_picture,
-            commands.PauseTopics: topics.pause,
-            commands.Peek: inspector.peek,
-            commands.Publish: self._publishing.publish,
-            commands.ReleaseArmed: arming.release,
             commands.RemoveClient: self._remove_client,
-            commands.RemoveTopic: topics.remove,
             commands.Retry: self._retry,
             commands.ShutDownLinks: self._shut_down,
-            commands.Template: inspector.template,
             commands.Topics: self._topics,
         }
         self._changing = asyncio.Lock()
@@ -288,7 +272,7 @@ class Bridge:
         Args:
             step: called with each step of a restart, or None.
         """
-        act: Handler = (
+        act: Callable[[Any], Coroutine[None, None, object]] = (
             partial(self._restart, step) if isinstance(command, commands.Restart) else self.handlers[type(command)]
         )
         given_at = self.context.now()

@@ -12,6 +12,7 @@ from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.peer_operators import acting_operator, called
 from rsb_bridge.model.calls import SEND_GOAL
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import Call, DescribeType, Peek, Template
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.calls.calls_route import CallsRoute
@@ -25,9 +26,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.context import Context
-    from rsb_bridge.engine.topic_commands import CommandLog
+    from rsb_bridge.engine.topic_commands import CommandLog, Handlers
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.commands import Call, DescribeType, Peek, Template
     from rsb_bridge.model.snapshot import PeekedMessage
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import LaneEntry
@@ -60,6 +60,12 @@ class RouteInspector:
         self._log = log
         self.peeking = Peeking(context)
         self._calls = 0
+        self.handlers: Handlers = {
+            Call: self.call,
+            DescribeType: self.describe,
+            Peek: self.peek,
+            Template: self.template,
+        }
 
     async def peek(self, command: Peek) -> PeekedMessage | None:
         _, route = self._find(command.key)

@@ -23,6 +23,7 @@ from rsb_bridge.model.by_hand import TICKET_LIFE, Draft, Published
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import console
+from rsb_bridge.model.commands import DraftMessage, Publish
 from rsb_bridge.model.demands import NO_DEMAND
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
@@ -45,9 +46,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.engine.topic_commands import CommandLog
+    from rsb_bridge.engine.topic_commands import CommandLog, Handlers
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.commands import DraftMessage, Publish
     from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.route.peeking import Peeking
     from rsb_bridge.telemetry.event_log import About
@@ -123,7 +123,6 @@ class _Publication:
     Attributes:
         turn: held while a message is published.
         commands: how many are being published, by operator.
-        count: messages so far.
         operators: who publish, and when each did last.
         rest: the message that ends the motion, or None if nobody drives.
     """
@@ -160,6 +159,7 @@ class Publishing:
         self._ending: Counter[str] = Counter()  # topics whose motions end; `_EVERY_TOPIC` for all
         self._long = asyncio.Lock()
         self._first_ticket = context.random.getrandbits(40)  # tickets of another engine, or an earlier one, are void
+        self.handlers: Handlers = {DraftMessage: self.draft, Publish: self.publish}
 
     # --- commands
 

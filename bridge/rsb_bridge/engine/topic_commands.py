@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import msgspec
 
@@ -11,33 +11,37 @@ from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.model.by_hand import Held
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import console, is_undo, operator
-from rsb_bridge.model.commands import ArmTopic
+from rsb_bridge.model.commands import (
+    AddTopic,
+    AnswerAsker,
+    ArmTopic,
+    AskHolder,
+    DisarmTopic,
+    EditTopic,
+    KeepArmed,
+    PauseTopics,
+    ReleaseArmed,
+    RemoveTopic,
+    TakeArming,
+)
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lifecycle import pause_word
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Iterable
+    from collections.abc import Awaitable, Callable, Coroutine, Iterable
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
-    from rsb_bridge.model.commands import (
-        AddTopic,
-        AnswerAsker,
-        AskHolder,
-        DisarmTopic,
-        EditTopic,
-        KeepArmed,
-        PauseTopics,
-        ReleaseArmed,
-        RemoveTopic,
-        TakeArming,
-    )
+    from rsb_bridge.model.commands import Command
     from rsb_bridge.model.demands import RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import EventLog
+
+    Handlers: TypeAlias = dict[type[Command[Any]], Callable[[Any], Coroutine[None, None, object]]]
+    """Functions that execute commands, by the command's type. Each returns its command's result."""
 
 _INSTEAD = "remove the one, and add the other"
 
@@ -99,6 +103,12 @@ class TopicCommands:
         self._log = log
         self._demands = demands
         self._end_motions = end_motions
+        self.handlers: Handlers = {
+            AddTopic: self.add,
+            EditTopic: self.edit,
+            PauseTopics: self.pause,
+            RemoveTopic: self.remove,
+        }
 
     def find(self, key: str) -> tuple[Link, Route]:
         """Return a route and its link by the route's key."""
@@ -268,6 +278,15 @@ class ArmingCommands:
         self._links = links
         self._find = find
         self._end_motions = end_motions
+        self.handlers: Handlers = {
+            AnswerAsker: self.answer,
+            ArmTopic: self.arm,
+            AskHolder: self.ask,
+            DisarmTopic: self.disarm,
+            KeepArmed: self.keep,
+            ReleaseArmed: self.release,
+            TakeArming: self.take,
+        }
 
     async def arm(self, command: ArmTopic) -> None:
         link, route = self._find(command.key)

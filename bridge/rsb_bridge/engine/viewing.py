@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.topic_view import TopicView, check_names
+from rsb_bridge.model.commands import EndLook, LookAtTopics
 from rsb_bridge.model.pictures import Picture, Viewed, encode_picture
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
@@ -17,9 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rsb_bridge.context import Context
+    from rsb_bridge.engine.topic_commands import Handlers
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.link_views import PeerView
-    from rsb_bridge.model.commands import EndLook, LookAtTopics
 
 VIEWS = 8
 """Views of all consoles at the same time. A round figure: one process draws them all."""
@@ -76,6 +77,7 @@ class Viewing:
         self._links = links
         self._spawn = spawn
         self._views: dict[str, _View] = {}
+        self.handlers: Handlers = {EndLook: self.end, LookAtTopics: self.next_picture}
 
     async def next_picture(self, command: LookAtTopics) -> Viewed | None:
         """Return a console's next picture, or None if there is none for some time.

@@ -261,7 +261,6 @@ class Disk:
     a limited number.
 
     Args:
-        role: ``client`` or ``server``.
         recorder: has the time line; goes on from the file that an earlier process left.
     """
 

@@ -91,7 +91,6 @@ class Recorder:
     """Remembers what an engine's snapshots and events show, from `start` to `stop`.
 
     Args:
-        role: ``client`` or ``server``.
         latest: gives its newest snapshot; a new object each time that it is renewed.
 
     Attributes:

@@ -71,7 +71,6 @@ class Claim:
 
     Args:
         folder: made if it is missing, mode 0700.
-        role: ``client`` or ``server``.
 
     Raises:
         OSError: the folder cannot be written to.

@@ -103,7 +103,6 @@ class Saved(msgspec.Struct, frozen=True):
     """A `Timeline` as it is kept on disk.
 
     Attributes:
-        role: ``client`` or ``server``.
         time: when it was saved, s since the epoch.
         runs: beginning and end of each time in which the bridge ran.
         subjects: the links and topics.
@@ -125,9 +124,6 @@ def is_from_the_future(saved: Saved, wall: float) -> bool:
 
 class Timeline:
     """Remembers outages, rates and operators' actions. All times are on one `ClockAxis`.
-
-    Args:
-        role: ``client`` or ``server``.
 
     Attributes:
         changes: grows with each outage that begins or ends.

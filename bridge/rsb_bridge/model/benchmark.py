@@ -14,7 +14,6 @@ class BenchmarkLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, o
 
     Attributes:
         seconds: seconds of sending, by the peer or by this side at its request.
-        megabytes: megabytes of payload.
     """
 
     seconds: float = 300.0
@@ -32,7 +31,6 @@ class BenchmarkStep(msgspec.Struct, frozen=True, omit_defaults=True):
         transport: transport that carries the messages, or an empty string for the link's.
         direction: ``transmit`` goes from client to server.
         size: bytes of each message, at least `LEAST_SIZE`.
-        count: number of messages.
     """
 
     what: Literal["run", "measure", "end"] = "run"
@@ -76,8 +74,6 @@ class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Attributes:
         usage: usage of the process that did the step, at the end.
-        sent: number of messages.
-        received: number of messages.
         rate: Hz that the sending side reached.
         p50: median latency from one end of the link to the other, in seconds.
         p99: 99th percentile of the latency, in seconds.

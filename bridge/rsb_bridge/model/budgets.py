@@ -52,7 +52,6 @@ class Strangers:
     """The budget of all strangers of an engine, over all transports. Used on any thread.
 
     Attributes:
-        used: bytes counted now.
         turned_away: connections closed and samples dropped so far: the budget was spent, or they were too long.
     """
 

@@ -25,7 +25,6 @@ class Draft(msgspec.Struct, frozen=True, omit_defaults=True):
     """A message to begin with.
 
     Attributes:
-        type_name: ``pkg/msg/Name``.
         fields: of the message, as YAML.
         is_last: whether they are from a message that has just passed, and not the type's defaults.
     """
@@ -41,7 +40,6 @@ class Published(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes:
         is_done: whether the message was published. If not, the command had no valid ticket: repeat it with this one.
         ticket: for the next message.
-        type_name: ``pkg/msg/Name``.
         nodes: subscriptions of other nodes in this domain that it reached.
         links: names of the links that take it to the other side.
     """

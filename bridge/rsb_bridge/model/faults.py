@@ -161,9 +161,6 @@ class FaultWatch:
 
     A topic whose messages failed waits when its link comes back, since nothing is due in the new opening. That is no
     recovery: its fault lasts until a message crosses, or the topic is paused, disarmed or removed.
-
-    Args:
-        lasts: s, as `LASTS`.
     """
 
     def __init__(self, lasts: float = LASTS) -> None:

@@ -110,7 +110,6 @@ class HistoryReport:
     """The history of a bridge in a span of time.
 
     Attributes:
-        role: ``client`` or ``server``.
         time: the end of the span, s since the epoch.
         running: whether the bridge still runs; if not, the report comes from its files.
         tracks: of each link and each route: first a link, then its routes.

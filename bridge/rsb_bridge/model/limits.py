@@ -1,4 +1,4 @@
-"""Every limit on a value that an operator or a peer gives, with its source.
+"""Limits on what operators and peers give, with their sources; `rsb_bridge.model.topic_keys` has those of its keys.
 
 `rsb_bridge.config.validation` applies them to sessions, `rsb_bridge.wire.fields` to messages. Both read them here, so
 that they accept the same values. Budgets of memory and time are in the modules that spend them.
@@ -70,20 +70,10 @@ QOS_TIME = Range(0.001, 1e9)
 """s: a deadline or lifespan where there is one. The shortest costs no timer storm, the longest is 30 years."""
 RATE = Range(0.001, 1e6)
 """Hz: a message in a quarter of an hour to more than DDS carries."""
-STALE_AFTER = Range(0.1, 1e6)
-"""s: the engine looks at a route every quarter of a second at most; the longest is eleven days."""
-LATE_AFTER = Range(0.05, 1e6)
-"""s; a smaller bound would be within the uncertainty of the other side's clock."""
-MAX_AGE = Range(0.05, 3600)
-"""s: a smaller bound would be within the uncertainty of the other side's clock; an hour old is no command any more."""
-DEADMAN_TIME = Range(2, 86_400)
-"""s: the other side hears of pressed keys once a second; the longest is a day."""
 SPEED = Range(0.01, 1000)
 """m/s: a bound on what a hand may ask, from a robot that creeps to one that flies."""
 TURN_RATE = Range(0.01, 1000)
 """rad/s: the same for turning."""
-CALL_TIME = Range(0.1, 86_400)
-"""s: until a call is given up. Shorter ones are over before a slow link has answered; the longest is a day."""
 
 ROUTES_PER_LINK = 1000
 """Routes that one peer may make the other side keep."""

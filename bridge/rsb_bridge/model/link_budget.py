@@ -44,9 +44,6 @@ def allot(capacity: float, wishes: Mapping[K, TopicDemand]) -> dict[K, float]:
 
     A topic that wants less than its share gets all it wants, and the others share the rest.
 
-    Args:
-        capacity: bytes/s.
-
     Returns:
         Bytes/s by topic, at most its demand.
     """

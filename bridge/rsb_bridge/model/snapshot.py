@@ -457,7 +457,6 @@ class Snapshot:
 
     Attributes:
         time: s since the epoch.
-        role: ``client`` or ``server``.
         address: the address that is bound or called.
         running: False: stopped, or not started.
         links: on a server, one for each known client.
@@ -525,7 +524,6 @@ class PeekedMessage:
     Attributes:
         payload: the serialized message with its encapsulation header; of a longer one, the first `PEEK_LIMIT` bytes.
         size: bytes of the whole message.
-        type_name: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``, or empty.
         time: s since the epoch on this machine's clock, when DDS received it (sending side), or when it came over the
             link (receiving side).

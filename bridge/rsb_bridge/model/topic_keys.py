@@ -10,12 +10,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from rsb_bridge.model.limits import CALL_TIME, DEADMAN_TIME, LATE_AFTER, MAX_AGE, RATE, STALE_AFTER, Range
+from rsb_bridge.model.limits import RATE, Range
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN, Kind
 from rsb_bridge.model.wording import Wording
 
 Value = Literal["text", "number", "switch", "list"]
+
+STALE_AFTER = Range(0.1, 1e6)
+"""s: the engine looks at a route every quarter of a second at most; the longest is eleven days."""
+LATE_AFTER = Range(0.05, 1e6)
+"""s; a smaller bound would be within the uncertainty of the other side's clock."""
+MAX_AGE = Range(0.05, 3600)
+"""s: a smaller bound would be within the uncertainty of the other side's clock; an hour old is no command any more."""
+DEADMAN_TIME = Range(2, 86_400)
+"""s: the other side hears of pressed keys once a second; the longest is a day."""
+CALL_TIME = Range(0.1, 86_400)
+"""s: until a call is given up. Shorter ones are over before a slow link has answered; the longest is a day."""
 
 
 class ForeignKey(Wording):

@@ -29,7 +29,6 @@ def borrow_type(type_name: str, type_hash: str) -> BorrowedType:
     """Return the class for raw endpoints of a type: the installed one, else one made here.
 
     Args:
-        type_name: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``, or empty where it is not known: then the type must be installed.
 
     Raises:

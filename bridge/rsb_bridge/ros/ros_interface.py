@@ -323,8 +323,6 @@ class RosInterface(RouteEnds, Protocol):
         This may wait some seconds; other threads continue meanwhile.
 
         Args:
-            type_name: ``pkg/msg/Name``.
-            type_hash: ``RIHS01_...``.
             still_wanted: asked several times a second; False ends the waiting.
 
         Raises:

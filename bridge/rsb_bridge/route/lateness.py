@@ -160,7 +160,6 @@ class Unreported:
         """Take the counts of an opening once a second.
 
         Args:
-            sent: messages so far.
             accounted: messages that the receiver has reported, arrived or lost.
 
         Returns:
@@ -207,7 +206,6 @@ class SendersDelay:
         """Begin the look of each second: return the age of the oldest message that is not reported, in s.
 
         Args:
-            sent: messages so far.
             accounted: messages that the receiver has reported, arrived or lost.
         """
         self.least = 0.0

@@ -32,8 +32,6 @@ class Resolved(NamedTuple):
     """Type and QoS of the messages that a route sends.
 
     Attributes:
-        type: ``pkg/msg/Name``.
-        type_hash: ``RIHS01_...``.
         warning: the publishers that are left out, for an operator, or empty.
     """
 

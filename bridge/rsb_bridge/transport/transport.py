@@ -7,8 +7,8 @@ A transport is one class in one module of this package, listed in `rsb_bridge.tr
 - A `DatagramTransport` sends single datagrams. It carries routes of a link whose control connection is a stream.
 
 Links and routes never ask which transport they have. They ask for its properties, which `rsb_bridge.model.transports`
-declares with its name, so a new transport changes no other file. A test replaces a transport by a subclass with methods
-of its own, and passes it to the engine in a `rsb_bridge.transport.registry.Transports`.
+declares with its name, so a new transport changes no other module. A test replaces a transport by a subclass with
+methods of its own, and passes it to the engine in a `rsb_bridge.transport.registry.Transports`.
 
 All of it runs on the I/O loop. Timers and the time come from the loop, so that a test can own them.
 """

@@ -56,13 +56,7 @@ class MapProblem(Wording):
 
 
 class Transform(NamedTuple):
-    """The pose of a frame in another, in the plane.
-
-    Attributes:
-        x: m.
-        y: m.
-        yaw: rad.
-    """
+    """The pose of a frame in another, in the plane."""
 
     x: float = 0.0
     y: float = 0.0

@@ -10,16 +10,7 @@ from typing import Annotated, Literal, TypeAlias
 from msgspec import Meta, Struct
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
-from rsb_bridge.model.limits import (
-    LATCHED_DEPTH,
-    LATE_AFTER,
-    MAX_AGE,
-    PORT,
-    RATE,
-    REASON_LENGTH,
-    STALE_AFTER,
-    TEXT_LENGTH,
-)
+from rsb_bridge.model.limits import LATCHED_DEPTH, PORT, RATE, REASON_LENGTH, TEXT_LENGTH
 from rsb_bridge.model.pictures import TOPICS_AT_ONCE
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
@@ -45,9 +36,6 @@ Port: TypeAlias = Annotated[int, Meta(ge=0, le=int(PORT.high))]
 Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
 Share: TypeAlias = Annotated[float, Meta(ge=0, le=1)]
 Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=RATE.high)]
-StaleAfter: TypeAlias = Annotated[float, Meta(ge=0, le=STALE_AFTER.high)]
-LateAfter: TypeAlias = Annotated[float, Meta(ge=0, le=LATE_AFTER.high)]
-MaxAge: TypeAlias = Annotated[float, Meta(ge=0, le=MAX_AGE.high)]
 Causes: TypeAlias = Annotated[dict[Name, int], Meta(max_length=32)]
 Rank: TypeAlias = Annotated[int, Meta(ge=LOWEST, le=HIGHEST)]
 Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, pattern=PRINTABLE)]

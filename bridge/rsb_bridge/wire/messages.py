@@ -22,9 +22,7 @@ from rsb_bridge.wire.fields import (
     DescriptionText,
     Hertz,
     HistoryDepths,
-    LateAfter,
     LinkId,
-    MaxAge,
     MaybeHops,
     Name,
     Nanoseconds,
@@ -37,7 +35,6 @@ from rsb_bridge.wire.fields import (
     RouteId,
     Seconds,
     Shift,
-    StaleAfter,
     ViewedTopics,
     check_limits,
 )
@@ -142,7 +139,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     compression: Compression = "none"
     max_rate: Hertz = 0.0
     expected_rate: Hertz = 0.0
-    stale_after: StaleAfter | None = None
+    stale_after: Seconds | None = None
     paused: bool = False
     pause_revision: Count = 0
     arm: bool = False
@@ -152,8 +149,8 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     kind: Name = "topic"
     timeout: Seconds = 0.0
     priority: Rank = 0
-    late_after: LateAfter | None = None
-    max_age: MaxAge | None = None
+    late_after: Seconds | None = None
+    max_age: Seconds | None = None
     on_end: Name = ""
     limits: VelocityLimits | None = None
     purpose: Name = "topic"
@@ -179,7 +176,7 @@ class Accept(ControlMessageBase, frozen=True):
     topic: Name
     arm: bool = False
     deadman: Seconds = 0.0
-    max_age: MaxAge | None = None
+    max_age: Seconds | None = None
     on_end: Name = ""
     limits: VelocityLimits | None = None
 
@@ -199,7 +196,6 @@ class Describe(ControlMessageBase, frozen=True):
     """The sending side describes the messages that it will send.
 
     Attributes:
-        type: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``; may be empty.
         qos: to publish with; a depth of 0: as the messages themselves say (`rsb_bridge.wire.headers`), or as the
             receiver likes.
@@ -410,11 +406,11 @@ class Amend(ControlMessageBase, frozen=True):
     route: RouteId
     max_rate: Hertz = 0.0
     expected_rate: Hertz = 0.0
-    stale_after: StaleAfter | None = None
+    stale_after: Seconds | None = None
     who: Name = ""
     priority: Rank = 0
-    late_after: LateAfter | None = None
-    max_age: MaxAge | UnsetType | None = UNSET
+    late_after: Seconds | None = None
+    max_age: Seconds | UnsetType | None = UNSET
 
     def __post_init__(self) -> None:
         check_limits(self)

@@ -22,8 +22,6 @@ class Run:
 
     Attributes:
         size: bytes of payload of each message.
-        sent: number of messages.
-        received: number of messages.
         rate: Hz that the sender reached.
         p50: median latency in ms.
         p99: 99th percentile of the latency in ms.
@@ -108,7 +106,6 @@ class Many:
     """Many topics at once, each at 1 Hz.
 
     Attributes:
-        count: number of topics.
         opened: seconds from the start of the client's bridge until all topics carry messages.
         memory: MB of the sending and the receiving bridge.
         cpu: % of a core of the sending and the receiving bridge.
@@ -126,7 +123,6 @@ class Load:
 
     Attributes:
         size: bytes of a message.
-        rate: Hz.
         transport: transport that carries it, or an empty string for any.
         direction: direction as the client sees it, or an empty string for any.
     """

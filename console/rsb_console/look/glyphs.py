@@ -47,7 +47,6 @@ def sparkline(values: Sequence[float], width: int, top: float = 0.0) -> str:
     """Draw the last `width` values as bars, right-aligned.
 
     Args:
-        width: cells.
         top: the value of the highest bar, unless one of `values` is larger.
     """
     shown = values[-width:]

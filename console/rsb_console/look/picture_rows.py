@@ -47,7 +47,6 @@ class Part(NamedTuple):
     """Some cells of one row.
 
     Attributes:
-        text: the characters.
         style: a style of `rsb_bridge.model.pictures.STYLES`, or the characters' colour as ``#rrggbb``.
         background: a colour as ``#rrggbb``, or an empty string for the terminal's own.
     """

@@ -327,7 +327,6 @@ def answer_lines(answer: str, width: int) -> Iterator[Line]:
 
     Args:
         answer: answer as YAML.
-        width: cells.
     """
     pieces = (
         (piece, "dim" if text.startswith("#") else "")

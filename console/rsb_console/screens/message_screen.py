@@ -204,11 +204,7 @@ class MessageScreen(FullScreen[bool]):
 
 
 def content_lines(read: ReadMessage, width: int) -> list[Line]:
-    """Format the message as YAML or hex, with a note if it is incomplete.
-
-    Args:
-        width: cells.
-    """
+    """Format the message as YAML or hex, with a note if it is incomplete."""
     if read.decoded is not None:
         lines = list(islice(message_lines(read.decoded.message, width), _MOST_LINES + 1))
     else:

@@ -133,8 +133,6 @@ class Goal(NamedTuple):
     """A pose on a map.
 
     Attributes:
-        x: m.
-        y: m.
         heading: rad, counterclockwise from the x axis.
     """
 
@@ -183,8 +181,6 @@ def velocity(type_name: str, forward: float, turn: float) -> str:
     """Return a velocity as the fields of a Twist or a TwistStamped, in YAML.
 
     Args:
-        type_name: ``geometry_msgs/msg/Twist`` or ``geometry_msgs/msg/TwistStamped``.
-        forward: m/s.
         turn: rad/s, counterclockwise.
     """
     twist = f"linear: {{x: {forward:.3f}}}, angular: {{z: {turn:.3f}}}"

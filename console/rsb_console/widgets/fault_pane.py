@@ -115,7 +115,6 @@ class Heights:
 
         Args:
             faults: all that are shown.
-            width: cells.
         """
         before = self._needed if width == self._width else {}
         self._width, self._needed = width, {}
@@ -137,8 +136,6 @@ def fault_lines(
 
     Args:
         faults: faults, the worst first.
-        width: cells.
-        most: lines.
         heights: least number of lines for each fault, or None.
     """
     # Each fault takes a line at least, so there is no room for further ones.

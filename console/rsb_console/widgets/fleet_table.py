@@ -151,7 +151,6 @@ def layout(width: int, *, servers: bool, grouped: bool) -> Layout[RobotRow]:
     """Return the columns that fit, each with its width in cells.
 
     Args:
-        width: cells.
         servers: robots come from several servers.
         grouped: each group has a heading.
     """
