@@ -15,6 +15,7 @@ from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.data_stream import StreamPair, stream_channel
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.window import ReceiptBook, Window
+from rsb_bridge.model.session import weight_of
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.sealing import CipherSuite
@@ -40,7 +41,7 @@ class Route:
     """
 
     def __init__(self, number: int, rank: int = 0, always: int = 0, *, outgoing: bool, duplex: bool = False) -> None:
-        self.id, self.rank, self.always = number, rank, always
+        self.id, self.rank, self.weight, self.always = number, rank, weight_of(rank), always
         self.outgoing, self.duplex = outgoing, duplex
         self.waiting: deque[bytes] = deque()
         self.arrived: list[tuple[bytes, float]] = []

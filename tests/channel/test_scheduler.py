@@ -143,6 +143,7 @@ async def test_a_queue_that_never_empties_is_told_from_one_that_does(every: floa
                 near.tick()
                 far.tick()
             waits.append(near.scheduler.waits_for(now()))
+        assert route.channel.behind(now()) is full
         assert (min(waits[100:]) > 1.0) is full
         assert full or max(waits) < every
 

@@ -19,12 +19,12 @@ from rsb_bridge.link.proposals import amended, amended_topic, amendment, authori
 from rsb_bridge.model.limits import TOPIC_LENGTH
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.session import HIGHEST, Client, Problem, Session, Topic, priority_of
+from rsb_bridge.model.session import Client, Problem, Session, Topic, priority_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import Protocol
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.route.rate_limit import limits_changed
-from rsb_bridge.route.route import rank_of
+from rsb_bridge.route.route import route_weight
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.messages import Propose
@@ -151,10 +151,10 @@ def test_the_peer_is_told_each_key_that_a_proposal_has(key: str) -> None:
 def test_a_newer_side_s_ranks_count_as_the_nearest_word() -> None:
     """Else each of them would keep a part of the link, until nothing is left for the highest."""
     normal = proposed(Topic("/scan", "transmit"))
-    ranks = [rank_of(msgspec.structs.replace(normal, priority=rank), armed=False) for rank in range(-100, 101)]
-    assert ranks == [-1] * 100 + [0] + [1] * 100
+    weights = [route_weight(msgspec.structs.replace(normal, priority=rank), armed=False) for rank in range(-100, 101)]
+    assert weights == [1] * 100 + [4] + [16] * 100
     assert [priority_of(rank) for rank in (-100, -1, 0, 1, 100)] == ["low", "low", "normal", "high", "high"]
-    assert rank_of(msgspec.structs.replace(normal, priority=-1), armed=True) == HIGHEST
+    assert route_weight(msgspec.structs.replace(normal, priority=-1), armed=True) == 16
 
 
 def test_a_priority_changes_while_the_route_is_open() -> None:

@@ -50,12 +50,12 @@ class FullChannel:
 
 
 def flood(
-    box: Outbox, seconds: int, pace: Pace, qos: Qos = AUTO, *, turn_every: int = 0, size: int = 0
+    box: Outbox, seconds: int, pace: Pace, qos: Qos = AUTO, *, turn_every: int = 0, size: int = 0, behind: bool = False
 ) -> tuple[QueueLimits, list[bytes]]:
     """Queue 10 messages a second, each of which says its number; the limits at the end, and what was sent."""
     limits, channel = box.limits(qos, 0, pace, 0.0), FullChannel()
     for tick in range(10 * seconds):
-        limits = box.limits(qos, 0, pace, tick / 10)
+        limits = box.limits(qos, 0, pace, tick / 10, behind=behind and tick > 10)
         box.add([(b"%d" % tick + bytes(size), 0, 0)], tick / 10, b"", limits)
         if turn_every and not tick % turn_every:
             channel.congested = False
@@ -81,9 +81,9 @@ def test_stall_keeps_messages_for_seconds() -> None:
 def test_live_topic_sends_what_is_newest_once_some_have_to_be_left_out() -> None:
     """Otherwise each one would wait for the whole depth of the queue."""
     qos = Qos(reliability="best_effort", depth=5)
-    _, sent = flood(outbox(), 20, Pace.SLOW, qos, turn_every=3, size=100)
+    _, sent = flood(outbox(), 20, Pace.SLOW, qos, turn_every=3, size=100, behind=True)
     assert [int(payload.rstrip(bytes(1))) for payload in sent[-3:]] == [191, 194, 197]
-    _, sent = flood(outbox(qos), 20, Pace.SLOW, qos, turn_every=3, size=100)
+    _, sent = flood(outbox(qos), 20, Pace.SLOW, qos, turn_every=3, size=100, behind=True)
     assert int(sent[-1].rstrip(bytes(1))) == 194, "a depth that is promised is kept"
 
 

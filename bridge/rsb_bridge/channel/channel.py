@@ -27,8 +27,8 @@ class RouteSink(Protocol):
         """Whether both sides send."""
 
     @property
-    def rank(self) -> int:
-        """The rank of its priority among routes of the same link."""
+    def weight(self) -> int:
+        """The weight of its share of the link."""
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Take messages that arrived whole and authentic."""
@@ -109,6 +109,9 @@ class SendingChannel(DataChannel, Protocol):
 
     def datagrams(self, size: int) -> int:
         """Return how many datagrams a message of `size` bytes takes now, or 0 on a stream; only once it is ready."""
+
+    def behind(self, now: float) -> bool:
+        """Whether its turns have not been enough for a second, at `now` (s)."""
 
     @property
     def unheard_for(self) -> float:

@@ -77,7 +77,7 @@ class DataStream(StreamHandler):
 
     @property
     def congested(self) -> bool:
-        return self.stream.congested or self.stream.over or self.acknowledged < self._written_off
+        return self.stream.congested or self.acknowledged < self._written_off
 
     @property
     def in_transit(self) -> int:
@@ -86,7 +86,9 @@ class DataStream(StreamHandler):
     def write_off(self) -> None:
         self._written_off = self.sent
 
-    def write(self, data: bytes | memoryview) -> None:
+    def write(self, data: bytes | memoryview, now: float) -> None:
+        if self.sent <= max(self.acknowledged, self._written_off):
+            self.moved_at = now
         self.sent += len(data)
         self.stream.write(data)
         if self.stream.congested and isinstance(data, memoryview):
@@ -312,7 +314,7 @@ class _StreamEnd:
         assert pair.small is not None
         self._pair = pair
         self._small = pair.small
-        self._route = route
+        self.route = route
         self._route_id = route.id
 
     def trouble(self) -> str:
@@ -324,7 +326,7 @@ class _StreamEnd:
 
     def lost(self, reason: str) -> None:
         """Report the end of the streams to the route."""
-        self._route.channel_lost(reason)
+        self.route.channel_lost(reason)
 
     def uses(self, stream: DataStream) -> bool:
         """Whether the route's messages are on a stream."""
@@ -347,12 +349,13 @@ class StreamSender(_StreamEnd, SendingEnd):
         if self._in_turn:
             self._messages += batch
             return
-        size = sum([len(payload) for payload, _, _ in batch])
-        if size <= self._scheduler.chunk and not self._must_move(size):
+        scheduler = self._scheduler
+        size = len(batch[0][0]) if len(batch) == 1 else sum([len(payload) for payload, _, _ in batch])
+        if size <= scheduler.chunk and (size < LARGE or not self._must_move(size)):
             # Nothing waits, so there is no turn to wait for: the hot path.
             data = self._writer.write_many(batch)
-            self._scheduler.charge(self, len(data))
-            self._scheduler.write(self.via, data)
+            scheduler.charge(self, len(data))
+            self.via.write(data, scheduler.count(len(data)))
             return
         self._wait(batch)
 
@@ -430,7 +433,7 @@ class StreamReceiver(_StreamEnd):
             return self._moved(frames)
         messages = self._reader.open_frames(frames)
         if messages:
-            self._route.deliver(messages)
+            self.route.deliver(messages)
         return True
 
     def _moved(self, frames: Sequence[memoryview]) -> bool:

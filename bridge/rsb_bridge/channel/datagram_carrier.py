@@ -395,7 +395,9 @@ class DatagramCarrier:
         """Send datagrams, so many times each, of `size` bytes in all."""
         if self._began is None:
             self._began = self._now
-        self._scheduler.count(self, size)  # before the pacer: the scheduler asks whether anything was in transit
+        now = self._scheduler.count(size)
+        if not self.in_transit:
+            self.moved_at = now
         self._datagrams += len(datagrams)
         self._pacer.sent(size, self._datagrams - 1, self._now)
         self._channel.send(datagrams if times == 1 else [*datagrams] * times)

@@ -39,7 +39,7 @@ class _DatagramChannel:
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink) -> None:
         self.carrier = udp_channel
-        self._route = route
+        self.route = route
         self._route_id = route.id
 
     @property
@@ -249,7 +249,7 @@ class DatagramReceiver(_DatagramChannel):
             largest = max(len(payload) for payload, _, _ in whole)
             if largest > buffer // WINDOW:
                 self.carrier.shortages[True] = BufferShortage(buffer, largest)
-        self._route.deliver(whole)
+        self.route.deliver(whole)
         return True
 
     def news(self) -> Arrived | None:

@@ -23,7 +23,6 @@ from collections import deque
 from typing import TYPE_CHECKING, Protocol, cast
 
 from rsb_bridge.channel.channel import Pace
-from rsb_bridge.model.session import weight_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,6 +54,8 @@ ChaCha20 on a Cortex-A72 (`bench.ciphers`, bench/README.md, *Attached consoles*)
 _STALLED = 1.5
 """Seconds without a receipt after which the link delivers nothing: receivers acknowledge the last bytes within 1 s. The
 half second more is a round figure; below 1 s, each stream with few bytes would count as stuck."""
+_BEHIND = 1.0
+"""s for which a route has had turns without an end before it seems to get less than it asks for. A round figure."""
 
 
 class Carrier(Protocol):
@@ -87,8 +88,8 @@ class Carrier(Protocol):
 class StreamCarrier(Carrier, Protocol):
     """A stream, on which the bytes of several turns are joined."""
 
-    def write(self, data: bytes | memoryview) -> None:
-        """Send."""
+    def write(self, data: bytes | memoryview, now: float) -> None:
+        """Send, at `now` (s)."""
 
 
 class Scheduler:
@@ -167,6 +168,8 @@ class Scheduler:
         self._waiting += 1
         if self._waits_since is None:
             self._waits_since = self._now()
+        if end.waits_since is None:
+            end.waits_since, end.turned = self._now(), False
         # Ends that begin at the same time take turns as they came. Without a number, heapq would compare the ends.
         self._order += 1
         heapq.heappush(end.via.queue, (end.start, self._order, end))
@@ -186,22 +189,20 @@ class Scheduler:
         start = max(end.start, self._time - via.behind)
         via.time = start
         self._time = start + via.behind
-        end.start = start + size * _UNIT // weight_of(end.rank)
+        end.start = start + size * _UNIT // end.route.weight
 
     def write(self, carrier: StreamCarrier, data: bytes | memoryview) -> None:
         """Send bytes on a stream."""
-        self.count(carrier, len(data))
-        carrier.write(data)
+        carrier.write(data, self.count(len(data)))
 
-    def count(self, carrier: Carrier, size: int) -> None:
-        """Count bytes that are sent next."""
+    def count(self, size: int) -> float:
+        """Count bytes that are sent next, and return the time (s)."""
         if not self.sent:
             self._window.expect(self._book.ping())  # known by now: when the connection began, it was not
         now = self._now()
-        if not carrier.in_transit:
-            carrier.moved_at = now
         self._window.wrote(self.sent, now)
         self.sent += size
+        return now
 
     def run(self) -> None:
         """Give turns while streams and window take bytes."""
@@ -273,12 +274,15 @@ class Scheduler:
             data = end.take_turn(self.chunk)
             taken = data if isinstance(data, int) else len(data)
             size += taken
-            end.start = start + taken * _UNIT // weight_of(end.rank)
+            end.start = start + taken * _UNIT // end.route.weight
+            end.turned = True
             if end.waits and end.via is carrier:
                 self._push(end)
             elif end.waits:
                 end.start = 0  # another stream's time
                 self.join(end)
+            else:
+                end.waits_since = None
             if isinstance(data, bytes):
                 parts.append(data)
             elif isinstance(data, memoryview):  # memory that the next piece uses again
@@ -372,6 +376,9 @@ class SendingEnd:
 
     Attributes:
         start: virtual time at which its next turn begins.
+        route: whose messages it sends.
+        waits_since: since when (s) it has waited for turns all the time, or None.
+        turned: whether it has had one meanwhile.
     """
 
     via: Carrier
@@ -379,17 +386,14 @@ class SendingEnd:
     def __init__(self, scheduler: Scheduler, route: RouteSink, via: Carrier) -> None:
         self.start = 0
         self.queued = False
+        self.waits_since: float | None = None
+        self.turned = False
         self.via = via
         self._scheduler = scheduler
-        self._route = route
+        self.route = route
         self._messages: deque[Message] = deque()  # of the present turn, or of a large message's further ones
         self._asked = False  # more waits in the route's queue
         self._in_turn = False
-
-    @property
-    def rank(self) -> int:
-        """The rank of its priority."""
-        return self._route.rank
 
     @property
     def congested(self) -> bool:
@@ -408,6 +412,10 @@ class SendingEnd:
     def waits(self) -> bool:
         """Whether it has more to send after a turn."""
         return self._asked or bool(self._messages)
+
+    def behind(self, now: float) -> bool:
+        """Whether it has had turns, and something was left each time, for a second."""
+        return self.turned and self.waits_since is not None and now - self.waits_since >= _BEHIND
 
     @property
     def pace(self) -> Pace:
@@ -448,7 +456,7 @@ class SendingEnd:
         """Take messages from the route's queue for this turn; return whether there are any."""
         self._asked, self._in_turn = False, True
         try:
-            self._route.flush()
+            self.route.flush()
         finally:
             self._in_turn = False
         if self._messages:

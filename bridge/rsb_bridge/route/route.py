@@ -15,7 +15,7 @@ import msgspec
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.purposes import PURPOSES
-from rsb_bridge.model.session import HIGHEST, RANKS, priority_of
+from rsb_bridge.model.session import HIGHEST, weight_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
@@ -102,7 +102,7 @@ class Route:
         self.remote_topic = proposal.remote_topic
         ends = self.topic, self.remote_topic
         self.local_topic, self.far_topic = ends if self.outgoing else ends[::-1]
-        self.rank = rank_of(proposal, armed=False)
+        self.weight = route_weight(proposal, armed=False)
         self.from_client = proposal.from_client
         self.transport = context.transports[proposal.transport]
         self.proposed_here = proposed_here
@@ -343,7 +343,7 @@ class Route:
         """Apply new limits; counts, endpoints and messages in transit stay."""
         changes = limits_changed(self.proposal, proposal)
         self.spec, self.proposal = spec, proposal
-        self.rank = rank_of(proposal, armed=self.arming.required)
+        self.weight = route_weight(proposal, armed=self.arming.required)
         self.limit.set_max_rate(proposal.max_rate)
         self.settle_age()
         self._verdict = None
@@ -517,9 +517,9 @@ class Route:
         self.context.log(level, code, f"{name}: {text}", **about)
 
 
-def rank_of(proposal: Propose, *, armed: bool) -> int:
-    """Return the rank of a route's priority: what moves robots, and calls, go ahead of all."""
-    return HIGHEST if armed or proposal.kind != "topic" else RANKS[priority_of(proposal.priority)]
+def route_weight(proposal: Propose, *, armed: bool) -> int:
+    """Return the weight of a route's share of the link: what moves robots, and calls, go ahead of all."""
+    return weight_of(HIGHEST if armed or proposal.kind != "topic" else proposal.priority)
 
 
 def route_key(link: str, proposal: Propose) -> str:

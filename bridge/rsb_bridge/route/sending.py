@@ -20,7 +20,7 @@ from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, se
 from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
-from rsb_bridge.route.route import rank_of
+from rsb_bridge.route.route import route_weight
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message
 
 if TYPE_CHECKING:
@@ -44,10 +44,10 @@ _LOOKS_EVERY = 1.0
 WAITS = 1.0
 """s that an overloaded topic's queue keeps a message, unless it is the only one."""
 _FRESH = 0.1
-"""The same for a live topic: what waits ahead only makes each one late. On the Wi-Fi of `bench.robot`, a camera's
-pictures came after 0.54 s with a queue of ten, and after 0.30 s with this. With the newest alone they came after
-0.22 s, but a topic that has nothing to send for a moment loses its turns: by Zenoh, 26 % of them crossed instead of
-44."""
+"""The same for a live topic whose turns are not enough: what waits ahead only makes each one late. On the Wi-Fi of
+`bench.robot`, a camera's pictures came after 0.54 s with a queue of ten, and after 0.30 s with this. With the newest
+alone they came after 0.22 s, but a topic that has nothing to send for a moment loses its turns: by Zenoh, 26 % of them
+crossed instead of 44."""
 _LASTS = 10.0
 """s for which a topic that has dropped messages in spite of turns is overloaded. A round figure, longer than a tunnel
 of 2 kB/s keeps its window closed."""
@@ -294,12 +294,15 @@ class Outbox:
         """The limits of a queue in which a message makes those before it worthless."""
         return QueueLimits(1, 0.0, QUEUE_BYTES + self.largest)
 
-    def limits(self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = PLAIN) -> QueueLimits:
+    def limits(
+        self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = PLAIN, *, behind: bool = False
+    ) -> QueueLimits:
         """Return the queue's limits at `now` (s). While the channel takes messages, the queue only passes them on.
 
         Args:
             qos: of the route, or None if it is unknown.
             depth: messages that the publisher of a latched topic keeps, or 0.
+            behind: whether the channel's turns are not enough.
         """
         self._overload.judge(now, self._queue.oldest_since, len(self._queue))
         best_effort = qos is not None and qos.reliability == "best_effort"
@@ -307,7 +310,7 @@ class Outbox:
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
         if best_effort and self._automatic and qos is not None and not qos.latched:
-            return QueueLimits(0, 0.0, size, _FRESH if self._overload.lasts(now) else WAITS)
+            return QueueLimits(0, 0.0, size, _FRESH if behind else WAITS)
         if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
             return QueueLimits(0, 0.0, size)
         automatic = self._automatic and not best_effort
@@ -359,7 +362,7 @@ class OutgoingPath:
             # Only on a change: `limit` restarts the beat, and gates are composed for other reasons, too.
             self._last_later.flush()
             self._throttle.limit(rate)
-        self._route.rank = rank_of(self._route.proposal, armed=self._route.arming.required)
+        self._route.weight = route_weight(self._route.proposal, armed=self._route.arming.required)
         self.gates = gates = sending_gates(
             self._route, self._ledger, self._throttle, self._last_later, self._loop_filter, self._outbox
         )
@@ -503,14 +506,16 @@ class OutgoingPath:
             size = sum([len(message[0]) for message in messages])
             if not messages:
                 return
-        traffic.packed(len(messages), size)
+        traffic.messages += len(messages)
+        traffic.bytes += size
         if outbox.pass_on(messages, size, channel):
             return
         if route.arming.required and route.on_end not in ("", NONE):
             # It is a state: after a stall, a robot would follow all the old ones before the present one.
             limits = outbox.newest_only
         else:
-            limits = outbox.limits(route.qos, depth, channel.pace, now, route.peer.profile)
+            profile, behind = route.peer.profile, channel.behind(now)
+            limits = outbox.limits(route.qos, depth, channel.pace, now, profile, behind=behind)
         outbox.add(messages, now, publisher, limits)
         self.flush()
 

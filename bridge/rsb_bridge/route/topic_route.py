@@ -175,11 +175,13 @@ class TrafficMeter:
 
     Attributes:
         offered: messages that the topic wanted to send since the last look, within its own rate limit.
+        messages: packed lately; older ones count less.
+        bytes: of these.
     """
 
     def __init__(self, now: float) -> None:
         self.offered = 0
-        self._messages = self._bytes = 0.0  # packed lately
+        self.messages = self.bytes = 0.0
         self._size = 0.0
         self._wanted = Smoothed(now)
 
@@ -188,18 +190,13 @@ class TrafficMeter:
         # Most of hundreds of topics are idle, and each is asked once a second.
         if not self.offered and self._wanted.idle(now):
             return 0.0
-        if self._messages:
-            self._size = _PER_MESSAGE + self._bytes / self._messages
+        if self.messages:
+            self._size = _PER_MESSAGE + self.bytes / self.messages
         self._wanted.add(self.offered, now)
-        self._messages *= _SIZE_FADES
-        self._bytes *= _SIZE_FADES
+        self.messages *= _SIZE_FADES
+        self.bytes *= _SIZE_FADES
         self.offered = 0
         return self._wanted.rate * self._size
-
-    def packed(self, messages: int, size: int) -> None:
-        """Count messages that are sent, of `size` bytes together."""
-        self._messages += messages
-        self._bytes += size
 
 
 class TopicRoute(Route, Generic[ChannelT]):
