@@ -102,6 +102,9 @@ class Channel:
     def ask(self) -> None:
         pass
 
+    def behind(self, now: float) -> bool:
+        return False
+
     def datagrams(self, size: int) -> int:
         return 0
 

@@ -59,7 +59,7 @@ def flood(
         box.add([(b"%d" % tick + bytes(size), 0, 0)], tick / 10, b"", limits)
         if turn_every and not tick % turn_every:
             channel.congested = False
-            box.flush(cast("SendingChannel", channel))
+            box.flush(cast("SendingChannel", channel), tick / 10)
     return limits, channel.sent
 
 
@@ -87,12 +87,15 @@ def test_live_topic_sends_what_is_newest_once_some_have_to_be_left_out() -> None
     assert int(sent[-1].rstrip(bytes(1))) == 194, "a depth that is promised is kept"
 
 
-def test_live_topic_loses_nothing_in_a_short_stall() -> None:
+def test_live_topic_loses_nothing_in_a_stall_below_a_second() -> None:
     box, channel = outbox(), FullChannel()
     limits = box.limits(Qos(reliability="best_effort", depth=5), 0, Pace.SLOW, 0.0)
     box.add([(b"%d" % number, 0, 0) for number in range(5)], 0.0, b"", limits)
-    box.flush(cast("SendingChannel", channel))
+    box.flush(cast("SendingChannel", channel), 0.9)
     assert channel.sent == [b"0"]
+    channel.congested = False
+    box.flush(cast("SendingChannel", channel), 1.1)
+    assert channel.sent == [b"0", b"4"], "of what is older than a second, only the newest is sent"
 
 
 @pytest.mark.parametrize("pace", Pace)
@@ -126,7 +129,7 @@ def test_queue_that_drains_after_a_stall_is_no_overload() -> None:
     for tick in range(30):
         overload.judge(tick / 10, 0.0, tick)
     for tick in range(30, 60):
-        overload.turn()
+        overload.turn(tick / 10)
         overload.judge(tick / 10, (tick - 30) / 10 * 2, 30 - (tick - 30))
         assert not overload.lasts(tick / 10)
 
@@ -134,7 +137,7 @@ def test_queue_that_drains_after_a_stall_is_no_overload() -> None:
 def test_overload_ends_with_the_queue() -> None:
     overload = Overload()
     for tick in range(40):
-        overload.turn()
+        overload.turn(tick / 10)
         overload.judge(tick / 10, 0.0, tick)
     assert overload.lasts(4.0)
     overload.reset()
@@ -145,10 +148,10 @@ def test_overload_ends_with_the_queue() -> None:
 def test_what_drops_again_in_spite_of_turns_is_overloaded(turns: bool, lasts: bool) -> None:
     """As where a tunnel's window opens each few seconds, and lets through all that waits."""
     overload = Overload()
-    overload.turn()
+    overload.turn(9.0)
     overload.dropped(10.0)
     if turns:
-        overload.turn()
+        overload.turn(12.0)
     overload.dropped(16.0)
     assert overload.lasts(16.0) is lasts
     assert not overload.lasts(27.0)

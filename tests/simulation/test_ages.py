@@ -120,7 +120,7 @@ def test_nothing_is_sent_that_is_old_when_it_is_sent(monkeypatch: pytest.MonkeyP
     send = StreamSender.send
 
     def noted(self: Any, batch: Any) -> None:
-        now = self._route.context.stamps.now()
+        now = self.route.context.stamps.now()
         sent.extend((now - stamp) / 1e9 for _, stamp, _ in batch)
         send(self, batch)
 

@@ -104,8 +104,8 @@ class SendingChannel(DataChannel, Protocol):
         """Send messages, oldest first."""
 
     @property
-    def grows(self) -> bool:
-        """Whether it does not yet send as fast as it can, so that messages wait though the link has room."""
+    def moves(self) -> bool:
+        """Whether what it sends on delivers."""
 
     def datagrams(self, size: int) -> int:
         """Return how many datagrams a message of `size` bytes takes now, or 0 on a stream; only once it is ready."""

@@ -319,6 +319,7 @@ class DatagramCarrier:
 
     Attributes:
         queue: see `rsb_bridge.channel.scheduler.Carrier`, and so for `time`, `behind` and `moved_at`.
+        proven: whether datagrams arrive, by the last receipt.
     """
 
     def __init__(self, channel: Datagrams, scheduler: Scheduler) -> None:
@@ -334,7 +335,7 @@ class DatagramCarrier:
         self._datagrams = 0  # sent so far
         self._counted = self._missing = 0  # datagrams that are no longer in transit, and how many of them have not come
         self._told = (0, 0)  # the two by the last receipt
-        self._proven = self._tried = False
+        self.proven = self._tried = False
         self._began: float | None = None
         self._heard = False
         self._pause = _FIRST_PAUSE
@@ -354,7 +355,7 @@ class DatagramCarrier:
             return False
         if self._timer is None:
             # No event tells that the pace allows more, so a timer wakes the scheduler.
-            pause = self._pacer.pause() if self._proven else self._pause
+            pause = self._pacer.pause() if self.proven else self._pause
             self._timer = self._loop.call_later(pause, self._go_on)
         return True
 
@@ -377,7 +378,7 @@ class DatagramCarrier:
         """Return the bytes that may be sent now; none if it is 0 or less."""
         self._now = self._loop.time()
         room = self._pacer.room(self._now)
-        return room if self._proven else min(room, LEAST - self._pacer.in_transit)
+        return room if self.proven else min(room, LEAST - self._pacer.in_transit)
 
     def asks(self, size: int) -> bool:
         """Whether the next datagrams, of `size` bytes together, have to ask for a receipt."""
@@ -385,7 +386,7 @@ class DatagramCarrier:
         most = min(self._scheduler.every, self._pacer.limit // _PARTS)
         # Where asking or the answer got lost, every datagram asks, so that what gets lost by chance stops nothing.
         overdue = self._now > self._unanswered + self._pacer.patience / 2
-        if self._proven and self._unasked < most and self._now - self._asked_at < _ASKS_EVERY and not overdue:
+        if self.proven and self._unasked < most and self._now - self._asked_at < _ASKS_EVERY and not overdue:
             return False
         self._unasked, self._asked_at = 0, self._now
         self._unanswered = min(self._unanswered, self._now)
@@ -417,7 +418,7 @@ class DatagramCarrier:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        self._heard = self._proven = True
+        self._heard = self.proven = True
         self._unanswered = float("inf")
         self._tried = False
         self._pause = _FIRST_PAUSE
@@ -425,15 +426,16 @@ class DatagramCarrier:
         (datagrams, missing), self._told = self._told, (self._counted, self._missing)
         datagrams, missing = self._counted - datagrams, self._missing - missing
         gained = before - self._pacer.in_transit
-        lost = gained * max(0, missing) // datagrams if datagrams > missing else gained
+        # A late receipt after a write-off may tell of fewer that are missing, and of no further datagram.
+        lost = gained * max(0, missing) // datagrams if datagrams > max(0, missing) else gained
         self._scheduler.acknowledge(gained, lost)
 
     def write_off(self) -> None:
         """Count what is in transit no longer, and send little until a receipt comes."""
         if self._tried:
             self._channel.given_up()
-        self._tried = not self._proven  # a first datagram may only be late, and its message goes on
-        self._proven = False
+        self._tried = not self.proven  # a first datagram may only be late, and its message goes on
+        self.proven = False
         self._pacer.write_off()
         self._channel.written_off()
 
@@ -450,9 +452,9 @@ class DatagramCarrier:
     def _go_on(self) -> None:
         self._timer = None
         now = self._loop.time()
-        if not self._proven:
+        if not self.proven:
             self._pause = _LONGEST_PAUSE
-        if not self._proven or self._pacer.gives_up(now):
+        if not self.proven or self._pacer.gives_up(now):
             self._give_up()
         self._scheduler.run()
 

@@ -91,8 +91,8 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         return super().pace
 
     @property
-    def grows(self) -> bool:
-        return super().grows and not self.via.knows_its_rate
+    def moves(self) -> bool:
+        return self.via.proven and super().moves
 
     def datagrams(self, size: int) -> int:
         return self._codec.datagrams(size, self.carrier.datagram_size())

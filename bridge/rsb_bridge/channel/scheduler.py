@@ -3,8 +3,8 @@
 The turns are start-time fair queueing (Goyal, Vin, Cheng 1996): each turn has the virtual time at which it would begin
 if every route had an equal share, and the earliest goes first. So a route that uses less than its share, like a
 joystick, goes ahead of a map at once; busier routes share equally; nothing starves. A route's share is weighted by its
-topic's priority; calls have the highest. Control messages do not pass here: they have a connection of their own, or go
-ahead of all turns.
+topic's priority; calls and what moves robots have the highest. Control messages do not pass here: they have a
+connection of their own, or go ahead of all turns.
 
 A route is asked for its messages when its turn comes, and not before. What waits, waits in the routes' queues, where
 depth and age count, and newer messages replace older ones.
@@ -211,7 +211,7 @@ class Scheduler:
         if self._passing or self._next_pass is not None:
             return
         if not self._waiting:
-            self._waits_since = None
+            self._emptied()
             return
         self._passing = True
         left = _A_PASS
@@ -221,9 +221,14 @@ class Scheduler:
         finally:
             self._passing = False
         if not self._waiting:  # and not whenever none is queued: a route alone leaves the queue in each of its turns
-            self._waits_since = None
+            self._emptied()
         elif left <= 0:
             self._next_pass = asyncio.get_running_loop().call_soon(self._continue)
+
+    def _emptied(self) -> None:
+        # Where nothing more could go, the next message waits, too.
+        if self.sent < self._window.limit and not any(each.congested for each in self._carriers):
+            self._waits_since = None
 
     def _continue(self) -> None:
         self._next_pass = None
@@ -357,6 +362,15 @@ class Scheduler:
         """Bytes after which the next receipt is wanted."""
         return self._window.every
 
+    def delivers(self, carrier: Carrier) -> bool:
+        """Whether what is sent on a stream or socket still gets through."""
+        return not carrier.in_transit or self._now() - carrier.moved_at < self.stalls_after
+
+    @property
+    def held_by_growing_window(self) -> bool:
+        """Whether messages wait though the link may carry more: the window still grows."""
+        return self.grows and self.sent >= self._window.limit
+
     @property
     def moves(self) -> bool:
         """Whether the link delivers."""
@@ -413,6 +427,11 @@ class SendingEnd:
         """Whether it has more to send after a turn."""
         return self._asked or bool(self._messages)
 
+    @property
+    def moves(self) -> bool:
+        """Whether what it sends on delivers."""
+        return self._scheduler.delivers(self.via)
+
     def behind(self, now: float) -> bool:
         """Whether it has had turns, and something was left each time, for a second."""
         return self.turned and self.waits_since is not None and now - self.waits_since >= _BEHIND
@@ -426,11 +445,6 @@ class SendingEnd:
         if scheduler.grows:  # what waits in the kernel alone is no sign of an overload: the path may have stalled
             return Pace.STOPPED if self.via.congested else Pace.FREE
         return Pace.SLOW if scheduler.moves else Pace.STOPPED
-
-    @property
-    def grows(self) -> bool:
-        """Whether the link's window still grows."""
-        return self._scheduler.grows
 
     def datagrams(self, size: int) -> int:
         return 0

@@ -32,7 +32,9 @@ _TICKS = 4
 """Ticks that have to agree before a link counts as full, or as no longer full. A round figure."""
 _CARRIED_SHARE = 0.95
 """Share of the asked bytes: a link that carries that much is not full. The rest is what the two figures may differ by,
-since asked bytes are counted before they are packed. Nothing was measured."""
+since asked messages are counted as they come, and arriving bytes as they are. Nothing was measured."""
+_STALLS = 2
+"""Ticks without a byte that are a stall: a full link still carries some, and one receipt may be late."""
 _AFTER_STALL = 6
 """Ticks after a stall in which the arriving bytes say nothing about the link's capacity. A round figure."""
 _SHOWN_OVER = 6
@@ -71,7 +73,7 @@ class LinkFullness:
         self._log = log
         self._other = 0
         self._stalled = 0  # ticks for which the last stall explains the arriving bytes
-        self._flowed = False
+        self._silent = 0  # ticks in which nothing has arrived of what is asked for
         self._arrived: deque[float] = deque(maxlen=_SHOWN_OVER)  # since it seems full
         self._sent = FullRecord()
         self._record = FullRecord()
@@ -87,14 +89,11 @@ class LinkFullness:
         asked = sum(each.bytes_per_second for each in topics)
         was = self.out is not None
         self._stalled = max(0, self._stalled - 1)
-        # If nothing arrives any more of what is asked for, the link stalls: a full one still carries some.
-        if asked and not arrived:
-            if self._flowed:
-                self._flowed, self._stalled = False, _AFTER_STALL
-            if was or not self._other:
-                return  # a gap does not show how much the link carries: its last figures stay
-        elif arrived:
-            self._flowed = True
+        self._silent = self._silent + 1 if asked and not arrived else 0
+        if self._silent == _STALLS:
+            self._stalled, self._other = _AFTER_STALL, 0
+        if self._silent and (was or not self._other):
+            return  # a gap does not show how much the link carries: its last figures stay
         if not was and not self._other:
             self._arrived.clear()  # it carried what it was asked for
         self._arrived.append(arrived)
@@ -146,7 +145,7 @@ class LinkFullness:
     def disconnected(self) -> None:
         """Forget everything: the next connection may go another way."""
         self.out = self.into = None
-        self._other = self._stalled = 0
+        self._other = self._stalled = self._silent = 0
         self._arrived.clear()
         self._sent = self._record = FullRecord()
 
@@ -185,21 +184,22 @@ class FullnessWatch:
             lossy: the path loses packets, which explains why less arrives than is asked for.
         """
         now, at = self._context.now(), self._context.wall()
-        asked, grows = [], True
+        asked, called = [], 0.0
         for route in self._routes():
-            if not isinstance(route, OutgoingRoute) or route.channel is None or not route.connected:
-                continue
-            if rate := route.traffic.measure(now):
-                asked.append(Asked(route.topic, route.remote_topic, rate))
-                grows = grows and route.channel.grows
+            if route.duplex:
+                called += route.meter.bytes_per_second
+            elif isinstance(route, OutgoingRoute) and route.channel is not None and route.connected:
+                rate = route.traffic.measure(now)
+                # What waits for a path that takes nothing says nothing about the others.
+                if rate and route.channel.moves:
+                    asked.append(Asked(route.topic, route.remote_topic, rate))
         arrived, self._arrived = scheduler.arrived - self._arrived, scheduler.arrived
         full = scheduler.waits_for(now) >= 1.0
         self.sending.measure(arrived, now, at, full=full)
         before = self._fullness.out
-        # While all windows still grow, what waits behind them says nothing about the link. And a benchmark fills it on
-        # purpose.
-        overloaded = full and not lossy and not grows and not self._is_measured()
-        self._fullness.judge(asked, arrived, full=overloaded, peer=peer)
+        # While the window grows, what waits behind it says nothing about the link. And a benchmark fills it on purpose.
+        overloaded = full and not lossy and not scheduler.held_by_growing_window and not self._is_measured()
+        self._fullness.judge(asked, max(0.0, arrived - called), full=overloaded, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.measure(received - self._received, now, at, full=False)
         self._received = received

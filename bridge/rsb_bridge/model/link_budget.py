@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 import msgspec
 
 from rsb_bridge.model.capacity import Capacity, CapacitySource
-from rsb_bridge.model.session import RANKS, weight_of
+from rsb_bridge.model.session import rank_of, weight_of
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import about
 from rsb_bridge.model.wording import Wording
@@ -190,13 +190,13 @@ def cost_of(
         if route.link == link and route.outgoing == outgoing and route.key != replaces and route.calls is None
     ]
     wishes: dict[str, TopicDemand] = {
-        route.key: TopicDemand(RANKS[route.spec.priority], route.bytes_per_second + PER_MESSAGE * route.rate)
+        route.key: TopicDemand(rank_of(route.spec), route.bytes_per_second + PER_MESSAGE * route.rate)
         for route in routes
     }
     used = sum(wish.bytes_per_second for wish in wishes.values())
     if capacity is not None and capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < used:
         capacity = msgspec.structs.replace(capacity, bytes_per_second=used)  # more than before crosses right now
-    own = TopicDemand(RANKS[topic.priority], load.bytes_per_second)
+    own = TopicDemand(rank_of(topic), load.bytes_per_second)
     if capacity is None or (
         # So little has crossed, as on a link that has just come up, that it tells nothing about this topic.
         capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < own.bytes_per_second

@@ -36,6 +36,11 @@ def priority_of(rank: int) -> Priority:
     return "low" if rank < 0 else "high" if rank > 0 else "normal"
 
 
+def rank_of(topic: Topic) -> int:
+    """Return the rank of a topic's share of a full link: what moves robots goes ahead of all."""
+    return HIGHEST if topic.arm else RANKS[topic.priority]
+
+
 def weight_of(rank: int) -> int:
     """Return the weight of a route's share of a full link, relative to the weights of the others."""
     return _WEIGHTS[priority_of(rank)]

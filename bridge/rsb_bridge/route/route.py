@@ -82,7 +82,7 @@ class Route:
         closed_ids: ids of its last openings on the present connection, the oldest first.
         endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
             calls, the clients and the servers.
-        rank: rank of its priority; calls rank above topics.
+        weight: of its share of the link.
         idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown again.
         peer_report: type of the reports that the other side's half sends.
     """
