@@ -15,6 +15,7 @@ ROUTES_BY_PATTERNS: Final = 250
 PATTERNS_PER_LINK: Final = 64
 """Patterns of one side, on one link; of the protocol (PROTOCOL.md, 3: Follow)."""
 EXCEPTIONS_PER_PATTERN: Final = 256
+"""Names and patterns that one pattern leaves out. A round figure: each name that it matches is compared with them."""
 NAMES_FOLLOWED: Final = 1000
 """Names that one side of a link tells the other because they match its patterns; of the protocol (3: Followed)."""
 GONE_AFTER: Final = 300.0
