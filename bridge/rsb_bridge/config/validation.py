@@ -273,7 +273,7 @@ _ZENOH_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")
 _ZENOH_HOST = r"\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\[\]:/\s]+"
 _ZENOH_ENDPOINT = re.compile(rf"(?P<protocol>[a-z0-9_]+)/(?P<host>{_ZENOH_HOST}):(?P<port>\d{{1,5}})([?#]\S*)?")
 _FLEET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-_MOST_ENDPOINTS = 16
+_MOST_ENDPOINTS = 16  # a round figure: Zenoh tries them in turn (docs/zenoh.md)
 
 
 def build(data: object) -> tuple[Session, list[Problem]]:

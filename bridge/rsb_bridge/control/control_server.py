@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from rsb_bridge.control.protocol import BridgeInfo
 
 _TURNS = 10
-"""Turns of the loop after which the last accepted connection is a console, and aborted connections are closed."""
+"""Turns of the loop after which the last accepted connection is a console, and aborted connections are closed.
+A round figure."""
 _SAID_WITHIN = 0.25
 """s, twice, in which consoles have to take the end. Where one does not listen, the end of a bridge takes so long."""
 _CLOSED_WITHIN = 2.0

@@ -54,7 +54,7 @@ _COMES_BEFORE_USE = 0.1
 _USED_REGULARLY = 3.0
 """s between two uses up to which the next use is expected after the same time. A round figure."""
 
-_BUSY_TRIED_EVERY = 0.05
+_BUSY_TRIED_EVERY = 0.05  # s. A round figure: a console attaches so much later at most
 _READ_SIZE = 256 << 10
 
 _logger = logging.getLogger(__name__)

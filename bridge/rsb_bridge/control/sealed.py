@@ -45,7 +45,7 @@ _PLACES = protocol.CONSOLES - 8
 _LIMITS = Limits(total=32, of_one_host=32, accepted=_PLACES)
 """For connections that have not authenticated. In a Zenoh network, a peer chooses its own address."""
 _TOLD_WITHIN = 5.0
-"""s in which a refusal has to be taken."""
+"""s in which a refusal has to be taken. A round figure: a peer that reads nothing keeps its connection for so long."""
 _TICK = 1.0
 _PEER_LENGTH = 80
 _LINES, _LINES_A_SECOND = 64, 0.2
@@ -59,7 +59,8 @@ _REMEDIES = {
     RefusalCode.UNKNOWN_NAME: "the engine's session file lists who may attach, under operators",
 }
 _REFUSED_AFTER = 1.5
-"""s from a refusal, which anybody in a Zenoh network can forge, until it counts: the engine's answer may follow."""
+"""s from a refusal, which anybody in a Zenoh network can forge, until it counts: the engine's answer may follow.
+The same holds for a client's link (PROTOCOL.md, 12)."""
 _READ_SIZE = 256 << 10
 _HELD = 1 << 20
 """Bytes that wait to be read, of which twice as many stop the stream."""

@@ -49,7 +49,7 @@ LONGEST_TEXT: Final = 4096
 """Characters of a text."""
 _EVENTS, _EVENTS_A_SECOND = 3 * KEPT, 50.0
 """At each start an engine sends all events that it has kept; after that, its own limit is lower than this."""
-_MOST_COUNTED = 10**18
+_MOST_COUNTED = 10**18  # bytes of 30 years at 1 GB/s
 _not_in_lines = re.compile(f"(?![\\n\\t])[{UNPRINTABLE}\\ud800-\\udfff]")
 
 _fields_of: dict[type, tuple[str, ...]] = {}

@@ -30,10 +30,10 @@ _BATTERY_TOPIC: Final = "/battery_state"
 _BATTERY_TYPES = 16
 """Descriptions that are kept: every robot should have the same one."""
 BATTERY_EVERY = 30.0
-"""s between two messages of one robot that are looked at."""
+"""s between two messages of one robot that are looked at. A round figure."""
 BATTERIES_AT_ONCE = 4
-"""Robots whose next message is waited for: other consoles look at messages, too."""
-ANSWERS_WITHIN = 5.0
+"""Robots whose next message is waited for: other consoles look at messages, too. A round figure."""
+ANSWERS_WITHIN = 5.0  # s, as `remote_engine.ANSWERS_WITHIN`
 _HELD_FOR = 0.25
 """s for which an engine that does not answer keeps another one from being tried. A round figure."""
 _SILENT_FOR = 3 * protocol.SIGN_OF_LIFE_EVERY

@@ -104,22 +104,22 @@ round figure, which bounds memory."""
 _LINE = 60_000
 """Bytes of a report: a pipe holds 64 KiB, so that a command that does not read holds up nothing."""
 EVERY = 1.0
-"""s between two starts of the command, at least. Changes that come together share one."""
+"""s between two starts of the command, at least. Changes that come together share one. A round figure."""
 STARTS, STARTS_WITHIN = 10, 60.0
 """The most starts of the command, and the s in which they are counted."""
 FOR_LINKS = 3
 """Starts of these that are kept for changes of links. Otherwise, 30 silent topics use up all of them, and nobody is
 told of a link that is down."""
 OUTPUT = 1000
-"""Characters of a command's output that are logged; the rest is read and dropped."""
+"""Characters of a command's output that are logged; the rest is read and dropped. A round figure."""
 _ENDS_WITHIN = 1.0
 """s from SIGTERM to SIGKILL for a command that takes too long, and s that `join` waits for the thread."""
 _ENDS_WITHIN_AT_STOP = 0.2
 """s from SIGTERM to SIGKILL while the bridge ends: `join` waits 1 s for all of it."""
 _LOOK_EVERY = 0.05
-"""s between two checks of a running command."""
+"""s between two checks of a running command. A round figure."""
 _TOLD_EVERY = 60.0
-"""s between two events about a problem, at least."""
+"""s between two events about a problem, at least. A round figure."""
 _READ_SIZE = 64 << 10
 """Bytes that a pipe holds: one read empties it."""
 _OF_THE_BRIDGE = ("LD_", "PYTHON", "NOTIFY_SOCKET", "WATCHDOG_", "LISTEN_")

@@ -61,17 +61,19 @@ MATCHED_WITHIN = 3.0
 """s in which subscriptions and routes have to find a new publisher. A round figure: a subscription whose QoS never
 matches delays the first message by so much."""
 _LOOK_EVERY = 0.02
-"""s between two looks for that: this side's ROS interface tells of no match."""
+"""s between two looks for that: this side's ROS interface tells of no match. A round figure."""
 _RESOLVE_EVERY = 2.0
-"""s after which the graph is asked again for the topic's type and QoS. A drive does not ask at each of its commands."""
+"""s after which the graph is asked again for the topic's type and QoS. A drive does not ask at each of its commands.
+A round figure."""
 _NAMED = 5
 """Operators in one event."""
 _LAST_WITHIN = 1.0
-"""s in which a message has to pass to be the beginning of an operator's."""
+"""s in which a message has to pass to be the beginning of an operator's. A round figure."""
 _DEPTH = 10
 """Messages: ROS's default."""
 AT_ONCE = 4
-"""Messages of one operator on one topic that may wait for their turn, before other operators' messages."""
+"""Messages of one operator on one topic that may wait for their turn, before other operators' messages. A round
+figure."""
 _LONG = 4_096
 """Characters of fields that take 20 ms to read. Such messages are read one at a time, while short ones go on."""
 _REST_CROSSES = 0.1

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 VIEWS = 8
 """Views of all consoles at the same time. A round figure: one process draws them all."""
 WAITS_AT_MOST = 10.0
-"""s after which a console gets None, and asks again."""
+"""s after which a console gets None, and asks again, as `route.peeking.WAITS_AT_MOST`."""
 ENDS_AFTER = 5.0
-"""s without a question after which a view ends: its console is gone."""
+"""s without a question after which a view ends: its console is gone. A round figure."""
 
 
 class LookProblem(Wording):

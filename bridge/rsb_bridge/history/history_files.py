@@ -237,15 +237,16 @@ def report(files: Files, now: float, seconds: float) -> HistoryReport:
 
 
 _EVERY = 0.5
-"""s from one write to the next; all events in between are written together."""
+"""s from one write to the next; all events in between are written together. A round figure."""
 _LOOKS_EVERY = 2.0
-"""s after which it looks whether the time line is due, if there is no event before."""
+"""s after which it looks whether the time line is due, if there is no event before. A round figure."""
 _RETRIED_EVERY = 5.0
-"""s from one try to the next while the disk takes nothing."""
+"""s from one try to the next while the disk takes nothing. A round figure."""
 SAVED_EVERY = 120.0
 """s from one save to the next while nothing happens; not measured. A killed process loses the rates since then."""
 _SAVED_SOON = 5.0
-"""s from one save to the next where an outage has begun or ended, or an operator did something."""
+"""s from one save to the next where an outage has begun or ended, or an operator did something. A round
+figure."""
 _ANSWERED_WITHIN = 10.0
 """s for an answer of the recorder's thread: at most 0.26 s in bench/README."""
 SET_ASIDE = ".bad"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _SET_BY = 2.0
 """s by which the wall clock must jump to count as set."""
 T = TypeVar("T")
-_EVERY = 1.0
+_EVERY = 1.0  # s, as often as the engine makes a snapshot
 _GAP = 30.0
 """s without a new snapshot that count as a gap in the history; not measured.
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
 
 MOST_TRACKS = 2000
-"""The most links and topics kept, including removed ones."""
+"""The most links and topics kept, including removed ones. A round figure, twice `model.limits.ROUTES_PER_LINK`."""
 
 Key = tuple[str, Kind | Literal["link"], str, bool]
 """Of a track: link, kind, topic, outgoing."""
@@ -37,7 +37,7 @@ _RUNS = 200
 _TIDIED_EVERY = 60.0
 """s; what is too old may stay for so long beyond 24 h."""
 _SHORT_GAP = 5.0
-"""s between two runs that are not worth a word."""
+"""s between two runs that are not worth a word. A round figure."""
 
 
 class TrackRecords(dict[Key, TrackRecord]):

@@ -24,7 +24,7 @@ _EMPTY_LINE = b"\r\n\r\n"
 _PROBED_FOR = 0.5
 """s to wait for a program that answers once it has read a whole line. A round figure: nothing was measured."""
 _REFUSED_AFTER = 1.5
-"""s from a refusal, which anybody can forge, until it counts: the server's own answer may follow."""
+"""s from a refusal, which anybody can forge, until it counts: the server's own answer may follow (PROTOCOL.md, 12)."""
 _SEARCH_REMEDY = "set access control on the router (docs/zenoh.md)"
 
 LetIn: TypeAlias = "Callable[[Stream, Established | Accepted, list[Event]], None]"

@@ -47,7 +47,7 @@ which takes 0.5 ms; further ones are each further endpoint, each `_BYTES_A_UNIT`
 Nothing more is done after a whole slice of a message (`entries_in_slices`)."""
 _BYTES_A_UNIT = 1 << 10
 """Bytes of any message that are decoded in 0.5 ms."""
-_ENTRIES_A_UNIT = 8
+_ENTRIES_A_UNIT = 8  # so a slice (`ENTRIES`) is all that is done at once
 _MESSAGES, _MESSAGES_A_SECOND = 4096, 500.0
 """As many as a thousand routes take when they are opened, and what may come after them for ever."""
 _BYTES, _BYTES_A_SECOND = 4 * CONTROL_LIMIT, CONTROL_LIMIT

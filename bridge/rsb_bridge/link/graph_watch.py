@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 _ROUTES_EVERY = 0.25
 """s between two looks at the least; a robot that starts changes its graph a hundred times a second."""
 _ROUTES_SHARE = 10
-"""Looking takes at most one part in this many of the time, however many routes there are, until the longest pause."""
+"""Looking takes at most one part in this many of the time, however many routes there are, until the longest pause.
+A round figure."""
 _ROUTES_LONGEST_PAUSE = 2.0
 """s. A round figure: on a slow machine with many routes, a new node is bridged so much later at worst."""
 _MATCHED_AFTER = 1.0
@@ -35,11 +36,11 @@ _ROUTES_ALWAYS_AFTER = 10.0
 _NAMES_EVERY = 1.0
 """s between two looks at the least: a Followed comes once a second at most (PROTOCOL.md, 11)."""
 _NAMES_SHARE = 20
-"""Looking takes at most one part in this many of the time, until the longest pause."""
+"""Looking takes at most one part in this many of the time, until the longest pause. A round figure."""
 _NAMES_LONGEST_PAUSE = 10.0
 """s. Round figures: nothing was measured. On a slow machine, a name is found so much later at worst."""
 _NAMES_ALWAYS_AFTER = 60.0
-"""s after which it looks even without a change, in case one was missed."""
+"""s after which it looks even without a change, in case one was missed. A round figure."""
 
 Named = tuple[Kind, str]
 """The kind of a name, and the name."""

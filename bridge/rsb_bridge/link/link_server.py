@@ -58,7 +58,8 @@ _PROVES_WITHIN = 1.0
 """s in which another server has to answer; this server waits so long before it listens."""
 _SHUT_DOWN = "the server shuts its links down: try again"
 _REPLACED_PAUSE = 10.0
-"""s that a replaced client waits, which was silent for a moment: it would find its name taken."""
+"""s that a replaced client waits, which was silent for a moment: it would find its name taken. A round
+figure."""
 
 
 class Server:

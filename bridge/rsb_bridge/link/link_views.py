@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 VIEWS_OF_PEER = 4
 """Views that one peer has at the same time (PROTOCOL.md, 13). A round figure."""
 _ANSWERED_WITHIN = 15.0
-"""s: the other side may have to ask several nodes for a type."""
+"""s: the other side may have to ask three nodes for a type, 2.5 s each (`ros.type_descriptions`). A round figure."""
 _ENDED = "the view is closed"
 
 

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.transport.streams import Stream
 
+# Numbers without a source are round figures. `bench.banners` counts how often banners change with them.
 _TICKS = 20
-"""Ticks over which the share is averaged. A round figure: nothing was measured."""
+"""Ticks over which the share is averaged."""
 _COUNTED = 10
 """The most packets of a tick that count: a gap loses a whole window at once, and is not a lossy path."""
 _ENOUGH, _LOSES_IN = 30, 4
@@ -38,7 +39,7 @@ _LOSSY_ABOVE, _WHOLE_BELOW = 0.05, 0.02
 """Shares, the same as for a topic's messages (`rsb_bridge.telemetry.watches`)."""
 _FORGOTTEN_AFTER = 10.0
 """s without a link after which it may go another way."""
-_PINGS = 3
+_PINGS = 3  # the last ones: one or two may be late by chance
 _QUEUE, _QUEUE_PART = 0.015, 0.25
 """s, and part of the shortest ping of an hour, by which all of the last pings take longer if a queue has built up on
 the path. If only packets are lost, some pings meet no loss."""

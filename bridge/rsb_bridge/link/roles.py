@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _RESTART_WITHIN = 5.0
 """s that a restart waits for the peers. A round figure."""
-_LOOK_EVERY = 0.05
+_LOOK_EVERY = 0.05  # s. A round figure: a restart takes so much longer at most
 _FAREWELL = 0.5
 """s in which a peer can take the reason. A round figure: if a peer takes nothing, a bridge stops so much later."""
 _RESTARTED_AFTER, _LONGEST_PAUSE = 1.0, 10.0

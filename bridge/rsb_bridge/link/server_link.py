@@ -51,7 +51,8 @@ if TYPE_CHECKING:
 _NAMED = 12
 """Ports that a refusal lists."""
 _SILENT = 1.5
-"""s without a byte (pings come every second) after which another process may take a client's name over."""
+"""s without a byte (pings come every second) after which another process may take a client's name over
+(PROTOCOL.md, 1.1)."""
 UNKNOWN_ROUTE = "unknown route"  # the same for all, so that a stranger does not learn which links exist
 
 

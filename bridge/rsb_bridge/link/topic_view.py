@@ -33,7 +33,7 @@ KEPT_BYTES, KEPT_MESSAGES = 256 << 10, 2000
 """Messages between two pictures that are kept for the next one, of each topic; the newest is always kept. Round
 figures: nothing was measured."""
 _RESOLVE_EVERY = 2.0
-"""s after which publishers and their QoS are looked up again."""
+"""s after which publishers and their QoS are looked up again. A round figure, as the two below."""
 _LATCHED_AGAIN_AFTER = 10.0
 """s after which kept messages may be asked for once more: one of them may be what ends the process that draws."""
 _SLOWEST = 0.05

@@ -76,14 +76,15 @@ TURN_RATE = Range(0.01, 1000)
 """rad/s: the same for turning."""
 
 ROUTES_PER_LINK = 1000
-"""Routes that one peer may make the other side keep."""
+"""Routes that one peer may make the other side keep, as many as a Report lists (PROTOCOL.md, 3)."""
 ROUTES_PROPOSED_BY_SERVER = 256
 """Routes of them that a server may have a client keep beyond the client's own: each costs endpoints in DDS, and the
 client's own file may list more."""
 OPERATORS = 32
-"""Operators of one session."""
+"""Operators of one session. A round figure."""
 PORTS_PER_CLIENT = 16
-"""Ports of their own that a client's topics may have a server bind, unless its session lists them (`Session.ports`)."""
+"""Ports of their own that a client's topics may have a server bind, unless its session lists them (`Session.ports`).
+A round figure."""
 
 
 def dds_ports(domain: int) -> Range:

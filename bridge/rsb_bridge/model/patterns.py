@@ -8,17 +8,19 @@ from typing import Final
 from rsb_bridge.model.names import is_topic_name
 
 ROUTES_PER_PATTERN: Final = 100
-"""Routes that one pattern makes on one link."""
+"""Routes that one pattern makes on one link. A round figure."""
 ROUTES_BY_PATTERNS: Final = 250
 """Routes that all patterns of one side make on one link: a client takes 256 of a server's
 (`rsb_bridge.model.limits.ROUTES_PROPOSED_BY_SERVER`)."""
 PATTERNS_PER_LINK: Final = 64
 """Patterns of one side, on one link; of the protocol (PROTOCOL.md, 3: Follow)."""
 EXCEPTIONS_PER_PATTERN: Final = 256
+"""Names and patterns that one pattern leaves out. A round figure: each name that it matches is compared with them."""
 NAMES_FOLLOWED: Final = 1000
 """Names that one side of a link tells the other because they match its patterns; of the protocol (3: Followed)."""
 GONE_AFTER: Final = 300.0
-"""s for which a route stays whose topic nobody publishes any more."""
+"""s for which a route stays whose topic nobody publishes any more. A round figure: bench/README has the memory that
+such routes take."""
 
 _WILDCARD = re.compile(r"\*+")
 

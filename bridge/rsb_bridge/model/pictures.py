@@ -13,6 +13,7 @@ from msgspec import Meta
 
 from rsb_bridge.model.text import UNPRINTABLE, sanitize_text, single_cells
 
+# Limits of the protocol (PROTOCOL.md, 3 and 13).
 MOST_COLUMNS, MOST_ROWS = 400, 150
 """Cells of the largest picture."""
 MOST_DETAIL = 16

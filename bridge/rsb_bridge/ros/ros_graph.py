@@ -24,7 +24,7 @@ Asked = TypeVar("Asked", bound="Hashable")
 _ASKED_EVERY = 1.0
 """Seconds between two searches: each takes up to 20 ms among a thousand topics."""
 _KNOWN_FOR = 10.0
-"""Seconds that an answer is kept."""
+"""Seconds that an answer is kept. A round figure."""
 _MOST_ANSWERS = 1000
 """A round figure: beyond it all are forgotten, and searched for again."""
 _ALIKE = 0.7

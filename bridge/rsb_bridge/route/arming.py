@@ -106,7 +106,8 @@ class Question:
 
 
 _QUESTION_LASTS = 2.0
-"""s beyond its end after which a question counts for nothing: the other side has given up, or stands still."""
+"""s beyond its end after which a question counts for nothing: the other side has given up, or stands still. A
+round figure."""
 
 
 class _Phase(Enum):

@@ -31,7 +31,8 @@ _TEXT_LENGTH = 300
 _LONGEST = 1e9
 """s, 30 years: a peer that says more makes it up."""
 _JITTER = 2.0
-"""s by which two reports on the same fault may be apart, or its time would jump on the screens with each of them."""
+"""s by which two reports on the same fault may be apart, or its time would jump on the screens with each of them. A
+round figure."""
 _NODES, _NODE_LENGTH = 4, 64
 """The most nodes in a report to the other side, and characters of their names: a report has room for a thousand
 routes."""
@@ -41,7 +42,8 @@ wrong would be logged."""
 _LOSS_LASTS = 7.0
 """s that a loss on the way must last: before that, its remedy is not known (`MEASURED_FOR`)."""
 _WAITS = 10.0
-"""s that a route must wait before the log reports it: nodes that start with the bridge are up by then."""
+"""s that a route must wait before the log reports it: nodes that start with the bridge are up by then. A round
+figure: nothing was measured."""
 _MENDABLE: dict[str, Level] = {
     Cause.NO_PUBLISHER: Level.INFO,
     Cause.NO_SERVER: Level.INFO,
@@ -52,7 +54,7 @@ _MENDABLE: dict[str, Level] = {
 _AGAIN_AFTER = 60.0
 """s until the log repeats a verdict. A round figure: nothing was measured. With a tenth of it, a topic that comes and
 goes would fill the log."""
-_MOST_LOGGED = 32
+_MOST_LOGGED = 32  # verdicts remembered for that. A round figure
 _LOGGED_ELSEWHERE = frozenset(
     {
         Cause.LINK_DOWN, Cause.REFUSED, Cause.LOOP, Cause.PAUSED, Cause.DISARMED, Cause.DISARMING,

@@ -27,7 +27,7 @@ A limit of 1 s would disarm 532 times an hour on a link with a round trip of 0.3
 one 2.5 times (`bench.lease`). It lets nothing older pass, as messages have their own limit.
 """
 _FIRST_WITHIN = 10.0
-"""Seconds until it has to begin; the asking side waits for half of that, and knows then why."""
+"""Seconds until it has to begin (PROTOCOL.md, 7.2); the asking side waits for half of that, and knows then why."""
 SLOW = LASTS - BEAT
 """Round trip in seconds from which on a link is too slow: most messages would be too old."""
 _KEPT = 64

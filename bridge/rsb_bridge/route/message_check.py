@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 EXPANSION_AT_ONCE = 4 * MESSAGE_LIMIT
 EXPANSION_A_SECOND = 256 << 20
-"""Bytes that a link's compressed messages may have more here than on the wire: 64 MiB of zeros come as 2 kB."""
+"""Bytes that a link's compressed messages may have more here than on the wire (PROTOCOL.md, 3): 64 MiB of zeros come as
+2 kB."""
 EXPANSION_A_TURN = 8 << 20
 """Bytes of that at each turn of the I/O loop, or one message: between two turns everyone else is served. They take 4
 ms."""

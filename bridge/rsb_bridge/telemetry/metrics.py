@@ -54,7 +54,7 @@ _ANSWERED_WITHIN = 10.0
 """s that a connection may last: as long as Prometheus waits by default."""
 _LOOKS_EVERY = 1.0
 """s from one look for overdue connections to the next, if none comes."""
-_BACKLOG = 16
+_BACKLOG = 16  # connections that wait in the kernel. A round figure
 
 _Samples: TypeAlias = dict[tuple[str, ...], float]
 """Values by the name of the family and the labels that not all metrics of a link or a route have."""

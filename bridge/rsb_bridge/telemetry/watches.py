@@ -25,7 +25,7 @@ _STOPPED_PERIODS, _STOPPED_AFTER = 5.0, 2.0
 tests/telemetry/test_regularity.py has publishers at random and in bursts, none of which may be called stopped.
 """
 _PAUSES = 2.0
-"""A topic may pause for so many times as long as it has paused before."""
+"""A topic may pause for so many times as long as it has paused before. A round figure."""
 _LONGEST_LEARNED = 600.0
 """s of a pause that count. An outage ends by itself, too, and would hide the next one for twice as long."""
 LATELY = 10
@@ -36,13 +36,16 @@ LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
 Two shares, so that a loss about one of them does not flap.
 """
 _ROW_LASTS = 2.0
-"""Times as long as between the last two losses in a row for which they count: a topic that ended owes nothing."""
+"""Times as long as between the last two losses in a row for which they count: a topic that ended owes nothing.
+A round figure."""
 _FEW_FOR = 10
 """Ticks in a row with fewer losses than make a fault, after which a topic has recovered: as long as `LATELY`."""
 _LOSSLESS_TICKS, _RECOVERED_TICKS = 2, 4
-"""Ticks in which messages arrive and none is lost, after which a topic recovers, and after which it has recovered."""
+"""Ticks in which messages arrive and none is lost, after which a topic recovers, and after which it has recovered.
+Round figures."""
 _EXPECTED_LOSSES = 3.0
-"""Losses that the arrived messages would have had at the share before, so that their absence is not chance."""
+"""Losses that the arrived messages would have had at the share before, so that their absence is not chance:
+independent ones would be absent in one case of 20 (e^-3)."""
 _NO_LOSS = frozenset({"already published", "link lost", "would loop", "expired", "disarmed"})
 """Causes of drops that are meant, or that the link's own state explains."""
 

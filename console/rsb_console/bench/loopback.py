@@ -38,15 +38,15 @@ _TYPE = "std_msgs/msg/String"
 _DEPTH = 2000  # messages, as in all figures of bench/README.md
 _HISTORY = 64 << 20
 """Most bytes that a publisher or a subscription keeps."""
-_LEAST_DEPTH = 4
+_LEAST_DEPTH = 4  # messages, however large. A round figure
 _QUIET = 0.7
 """Seconds without a message after which the wait ends."""
-_LOOK_EVERY = 0.05
+_LOOK_EVERY = 0.05  # s. A round figure, short beside `_QUIET`
 _READY_WITHIN = 60.0  # s for a start and for DDS to find its nodes: 20 were too few on one core beside other programs
-_ANSWERS_WITHIN = 5.0
+_ANSWERS_WITHIN = 5.0  # s, as `control.remote_engine.ANSWERS_WITHIN`
 _OPENED_WITHIN = 60.0  # s; 500 topics take 0.6 to 1.2 s on a quiet machine (bench/README.md, Opening 500 topics)
 _WATCHED_FOR = 3.0  # s, for three messages of each topic
-_STATE_EVERY = 0.1
+_STATE_EVERY = 0.1  # s. A round figure: a bridge renews its state each 0.25 s
 _CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
 _STOPS_WITHIN = 6.0  # s; a bridge ends within 5 s (docs/headless.md)
 

@@ -35,8 +35,8 @@ MOST_IN_ONE = 50
 """Most robots in one process, whose threads share an interpreter. A round figure."""
 _OPERATOR, _OPERATOR_KEY = "operator", "operator.key"
 _HOST = "127.0.0.1"
-_LOOK_EVERY = 0.25
-_READY_WITHIN = 60.0
+_LOOK_EVERY = 0.25  # s. A round figure: each look asks all processes
+_READY_WITHIN = 60.0  # s, as in `loopback`
 
 
 @contextlib.contextmanager

@@ -30,13 +30,13 @@ more for each doubling or halving."""
 _FIRST_RATE = 5000.0
 _GENTLE_BYTES = 20e6
 _LEAST_MESSAGES = 5  # large messages at a low rate would not come once in a run
-_TOO_FAST = 1.5
+_TOO_FAST = 1.5  # times the highest rate, to measure a link that gets too much
 _SLOWER_BY = 0.5  # far from a loss, which would count too few bytes
 TRIES = 2
 """Trials at each rate, as another program may cause one loss."""
 CLOSE = 1.1
 """Ratio of the lowest rate with loss to the highest without, at which a search ends."""
-_KEEPS_UP = 0.95
+_KEEPS_UP = 0.95  # of the rate: a sender that makes less has fallen behind
 _LOWEST = 0.5  # Hz
 
 
@@ -285,7 +285,7 @@ def _next(good: float, bad: float) -> float:
 
 
 _ANSWERED_WITHIN = 60.0  # s; a run takes 30 s at most (`MOST_SECONDS`)
-_ENDED_WITHIN = 5.0
+_ENDED_WITHIN = 5.0  # s. A round figure: the command ends so much later at most
 _ALONE = 0.01
 """Share of the benchmark's bytes up to which other topics' bytes are ignored."""
 

@@ -42,7 +42,7 @@ _AFTER = 5.0
 """Seconds until the first trouble, as docs/one-machine.md says."""
 _AWAY, _THERE = 10.0, 20.0
 """Seconds for which the robot that comes and goes is away, and then present."""
-_LOOK_EVERY = 0.2
+_LOOK_EVERY = 0.2  # s. A round figure: a trouble begins so much later at most
 _FAULTY = "/scan"
 _AFTER_QUIT = "All simulated robots end."
 HOW_TO_END = "Ctrl-C ends them all"

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import FleetSource, Robot
     from rsb_console.fleet.rolling import RobotChange, RolloutOutcome
 
-_LOOK_EVERY = 0.5
+_LOOK_EVERY = 0.5  # s. A round figure: the command takes so much longer at most
 _NO_ROBOTS = "no robots given: name them, or use --group GROUP or --all"
 
 

@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
-_LOOK_EVERY = 0.1
+_LOOK_EVERY = 0.1  # s. A round figure: a command takes so much longer at most
 _SHOWN_WITHIN = 1.0
 """s from the end of an arming until the bridge's state, which comes four times a second, surely shows it."""
 _ALIVE_EVERY = 1.0  # s; a console counts as gone after 5 s without a sign of life (docs/operators.md)

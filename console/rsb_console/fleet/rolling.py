@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 ANSWERED_WITHIN = 60.0  # s, as commands for one bridge: `command.target`
 PATIENCE = 30.0
 """Seconds beyond the time to settle in which a robot has to become as well as before. A round figure."""
-_LOOK_EVERY = 0.5
+_LOOK_EVERY = 0.5  # s. A round figure: a rollout takes so much longer a robot at most
 
 
 class Bridged(NamedTuple):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
 
-_LOOK_EVERY = 0.2
+_LOOK_EVERY = 0.2  # s. A round figure: a question stays so much longer at most
 
 
 class HandOverText(Wording):

@@ -38,7 +38,7 @@ T = TypeVar("T")
 _FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0
 """s between attempts, at first and at most. Round figures: nothing announces that ROS would take an endpoint now."""
 _HEALED_AFTER = 60.0
-"""s without a failure after which the first delay applies again."""
+"""s without a failure after which the first delay applies again: twice the longest delay."""
 
 
 def name_of(member: ServiceMember, route_name: str) -> str:

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from rsb_bridge.route.notices import Notices
 
 LATELY = 10
-"""s that verdicts look back."""
+"""s that verdicts look back, as `telemetry.watches.LATELY`."""
 _TIMED = 512
-"""Calls that are timed at most in a second: the newest."""
+"""Calls that are timed at most in a second: the newest. A round figure, which bounds memory."""
 _REPEATED_AFTER = 60.0
-"""s until the log repeats a failure of the same route."""
+"""s until the log repeats a failure of the same route, as `combined_verdict._AGAIN_AFTER`."""
 _MOST_LOGGED = 32
-"""Texts that are remembered: nodes' names in them make ever new ones."""
+"""Texts that are remembered: nodes' names in them make ever new ones. A round figure."""
 
 REMEDIES = {
     Refused.CALLS_UNDER_WAY: "too many calls wait for answers on this link: make fewer at once, or shorten the timeout",

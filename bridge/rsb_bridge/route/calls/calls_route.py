@@ -63,9 +63,10 @@ _OF_CALLS = (What.CALL, What.AGAIN, What.ANSWER)
 _ZSTD_LEVEL = 3
 """As of topics: 2.4 ns a byte of a map (bench/README.md)."""
 _MOST_REFUSALS = 8192
-"""Refusals that wait at most; a peer that calls and reads nothing makes more. A call with a dropped refusal expires."""
+"""Refusals that wait at most; a peer that calls and reads nothing makes more. A call with a dropped refusal expires. A
+round figure, twice `peer.CALLS_UNDER_WAY`."""
 _MESSAGE_BYTES = 32 << 20
-"""Bytes of messages that wait, over all lanes."""
+"""Bytes of messages that wait, over all lanes. A round figure."""
 
 
 class CallsOutbox:

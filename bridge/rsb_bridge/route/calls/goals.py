@@ -29,7 +29,7 @@ _REJECTED = 1
 """Of action_msgs/srv/CancelGoal. A goal that is unknown (2) or over (3) moves no robot."""
 _COUNT_END = HEADER_LENGTH + 4
 _FIRST_STATUS, _NEXT_STATUS = struct.Struct("16s8xB"), struct.Struct("16s3x8xB")  # goal id, stamp, state
-_MOST_STATUSES = 10_000
+_MOST_STATUSES = 10_000  # goals of a message that are read. A round figure: any node may publish a longer list
 
 STATES = ("unknown", "accepted", "executing", "canceling", "succeeded", "canceled", "aborted")
 """By their numbers in action_msgs/msg/GoalStatus."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
 INTERRUPTION = 3600.0
-"""s for which a call outlives an interruption at most, and its answer on the other side."""
+"""s for which a call outlives an interruption at most, and its answer on the other side. A round figure."""
 MOST_CALLS = 256
 """Calls of one action that wait. A round figure that bounds memory, as the three others here."""
 MOST_BYTES = 8 << 20
@@ -32,7 +32,8 @@ MOST_KEPT = 512
 MOST_ANSWER_BYTES = 16 << 20
 """Bytes of the kept answers."""
 SENT_KEPT = 60.0
-"""s for which an answer is kept after it was sent, as a link may notice late that nothing arrives."""
+"""s for which an answer is kept after it was sent, as a link may notice late that nothing arrives. A round
+figure."""
 _LITTLE_ENDIAN = b"\0\1\0\0"
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import LaneEntry
 
 _MATCHED_WITHIN = 5.0
-"""s for DDS to match a new client with the server that the graph shows."""
+"""s for DDS to match a new client with the server that the graph shows. A round figure, as the two below."""
 _LOOKED_EVERY = 0.05  # s: DDS has no event for that
 _LEFT_LOOKED_EVERY = 1.0  # s: nor for a server that has gone
 

@@ -43,9 +43,9 @@ _MATCHED_AGAIN, _LONGEST_MATCHED_AGAIN = 0.05, 1.0
 """s until the next look whether DDS has matched a client with its server. A look asks the graph of all lanes, and DDS
 shows a killed server for up to 40 s."""
 _WAITED_PART = 0.1
-"""Part of the wait so far that a look may come later than the match."""
+"""Part of the wait so far that a look may come later than the match. A round figure."""
 _EXPLAINED_AGAIN = 0.5
-"""s until the next look whether a bridge has announced where its answers come from."""
+"""s until the next look whether a bridge has announced where its answers come from. A round figure."""
 
 
 @dataclass(slots=True)
