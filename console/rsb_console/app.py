@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from textual import work
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.faults import ChangeKind, FaultWatch
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_bridge.model.verdict import LinkCause

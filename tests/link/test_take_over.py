@@ -15,7 +15,7 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.holder_questions import _AT_ONCE, ASKER_SILENT_AFTER, TakeOverText
 from rsb_bridge.model.by_hand import ASKED_FOR
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.commands import acting
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.wire.messages import AskEnded
 

@@ -30,8 +30,7 @@ from rsb_bridge.control.states import StateReceiver, UntrustedMessages
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import is_undo
-from rsb_bridge.model.commands import Publish, R
+from rsb_bridge.model.commands import Publish, R, is_undo
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.telemetry.event_log import EventLog

@@ -36,7 +36,7 @@ from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import operator
+from rsb_bridge.model.commands import operator
 from rsb_bridge.model.demands import DemandText, as_armed, sources_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo

@@ -22,8 +22,7 @@ from rsb_bridge.link.topic_view import check_names
 from rsb_bridge.model.by_hand import TICKET_LIFE, Draft, Published
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import console
-from rsb_bridge.model.commands import DraftMessage, Publish
+from rsb_bridge.model.commands import DraftMessage, Publish, console
 from rsb_bridge.model.demands import NO_DEMAND
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions

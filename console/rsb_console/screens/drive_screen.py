@@ -22,7 +22,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.velocity_limits import smallest
