@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from rsb_bridge.cdr.resting import BEGIN, TWIST, TWIST_STAMPED, TooShortError, aligned, end_of_header
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.velocity_limits import VelocityLimits
+    from rsb_bridge.model.by_hand import VelocityLimits
 
 Velocity: TypeAlias = tuple[float, float]
 """Forward in m/s, and turn in rad/s, counterclockwise."""

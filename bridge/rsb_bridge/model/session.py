@@ -12,13 +12,12 @@ from typing import Any, Final, Literal
 import msgspec
 
 from rsb_bridge.model.benchmark import BenchmarkLimits
-from rsb_bridge.model.on_end import text_of
+from rsb_bridge.model.by_hand import VelocityLimits, end_text
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import Compression, ProfileName
 from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
 from rsb_bridge.model.transports import ZENOH_HOST, Protocol, is_mac, of_link
-from rsb_bridge.model.velocity_limits import VelocityLimits
 
 Priority = Literal["low", "normal", "high"]
 
@@ -87,7 +86,7 @@ class Problem:
 def _write_out(entry: Topic | ArmedName) -> None:
     """Have `on_end` as one text, so that entries can be compared and hashed."""
     if isinstance(entry.on_end, dict):
-        msgspec.structs.force_setattr(entry, "on_end", text_of(entry.on_end))
+        msgspec.structs.force_setattr(entry, "on_end", end_text(entry.on_end))
 
 
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -17,9 +17,9 @@ import msgspec
 from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped
 from rsb_bridge.cdr.velocity import velocity_of
 from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.model.by_hand import END_NONE, END_ZERO
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.demands import PEER_DEMANDS
-from rsb_bridge.model.on_end import NONE, ZERO
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.lease import LASTS
@@ -79,7 +79,7 @@ class RestMessage:
         self._fields: Fields | None = None
         self._body_at = _BODY
         # The zero of a type that does not drive is a message of defaults.
-        if on_end != ZERO or spec.type_name not in DRIVING_TYPES:
+        if on_end != END_ZERO or spec.type_name not in DRIVING_TYPES:
             self._read_fields()
         self._failed = failed
         self._overdue = overdue
@@ -188,7 +188,7 @@ class RestMessage:
                 return
 
     def _read_fields(self) -> None:
-        fields = read_fields("" if self.on_end == ZERO else self.on_end)
+        fields = read_fields("" if self.on_end == END_ZERO else self.on_end)
         assert isinstance(fields, dict)
         try:
             self._fields = {"header": "auto", **fields}
@@ -272,10 +272,10 @@ class RestAfterArming:
         Raises:
             RosError: there can be none.
         """
-        before, on_end = self.message, self._on_end_of(spec.type_name) if self._arming.required else NONE
+        before, on_end = self.message, self._on_end_of(spec.type_name) if self._arming.required else END_NONE
         if before is not None and before.fits(spec, on_end):
             return
-        if on_end == NONE:
+        if on_end == END_NONE:
             self.close()
             return
         try:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import zstandard
 
 from rsb_bridge.channel.channel import Pace
+from rsb_bridge.model.by_hand import END_NONE
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.on_end import NONE
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
@@ -506,7 +506,7 @@ class OutgoingPath:
         traffic.packed(len(messages), size)
         if outbox.pass_on(messages, size, channel):
             return
-        if route.arming.required and route.on_end not in ("", NONE):
+        if route.arming.required and route.on_end not in ("", END_NONE):
             # It is a state: after a stall, a robot would follow all the old ones before the present one.
             limits = outbox.newest_only
         else:

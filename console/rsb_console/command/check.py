@@ -29,8 +29,8 @@ from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import command_words, domain_of, fault_command_warnings
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.by_hand import END_CANCEL
 from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
-from rsb_bridge.model.on_end import CANCEL
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
@@ -137,7 +137,7 @@ def _end_of(demand: Demand, topic: Topic, places: Mapping[SourceKey, str]) -> st
     line = next((each for each in demand.sources if demand.on_end and each.on_end == demand.on_end), None)
     if line is not None:
         place = describe(line, places)
-        if demand.on_end == CANCEL:
+        if demand.on_end == END_CANCEL:
             return SessionCheckText.CANCELS(line=place)
         return SessionCheckText.ENDS_WITH(message=demand.on_end, line=place) if topic.kind == "topic" else ""
     if topic.kind == "action":
@@ -154,7 +154,7 @@ def _demanded(source: DemandSource, places: Mapping[SourceKey, str]) -> str:
     limits = "" if source.limits is None else f", {SessionCheckText.LIMITED_PATTERN(limits=source.limits)}"
     if source.on_end:
         line = describe(source, places)
-        ends = SessionCheckText.CANCELS if source.on_end == CANCEL else SessionCheckText.ENDS_WITH
+        ends = SessionCheckText.CANCELS if source.on_end == END_CANCEL else SessionCheckText.ENDS_WITH
         return f"{kind}{source.name}{excepts}{limits}{ends(message=source.on_end, line=line)}"
     place = f" ({places[source.key]})" if source.key in places else ""
     return f"{kind}{source.name}{excepts}{limits}{place}"
