@@ -12,13 +12,12 @@ import msgspec
 
 from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import as_written, locations
-from rsb_bridge.config.files import replace_file, stat_of
+from rsb_bridge.config.files import replace_file, stat_of, why_not_written
 from rsb_bridge.config.thesis import bridge_nodes
 from rsb_bridge.config.validation import build, placed, validate, validate_topic
 from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read_yaml, text_if_there
 from rsb_bridge.model.demands import SourceKey, sources_of_names
 from rsb_bridge.model.session import Problem, Session, Topic
-from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.wording import Wording
 
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]

@@ -12,11 +12,10 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Self, TextIO
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import write_whole
+from rsb_bridge.config.files import why_not_written, write_whole
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.model.names import file_stem
-from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import one_line
 from rsb_console.bench.loopback import Loopback, machine, ros_problem

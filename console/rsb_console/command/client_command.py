@@ -10,12 +10,11 @@ import msgspec
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.client_entries import ClientError, client_named
-from rsb_bridge.config.files import is_there, write_whole
+from rsb_bridge.config.files import is_there, why_not_written, write_whole
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.model.session import Client, Grant
-from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import clock, json_line
