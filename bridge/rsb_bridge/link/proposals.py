@@ -16,10 +16,10 @@ from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.profiles import PLAIN, compression_of
 from rsb_bridge.model.purposes import PURPOSES, TOPIC, Purpose
 from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.transports import NO_PROFILE, compression_of
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Kind, Session
+    from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import Transport
 
@@ -55,7 +55,7 @@ def proposal_of(
     *,
     client_name: str,
     use_name: bool,
-    profile: LinkProfile = PLAIN,
+    profile: LinkProfile = NO_PROFILE,
     purpose: Purpose = TOPIC,
 ) -> Propose:
     """Return the proposal of a topic to the peer.

@@ -21,10 +21,9 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.route_table import RouteTable
-    from rsb_bridge.model.profiles import Compression
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Direction, Priority
-    from rsb_bridge.model.transports import Protocol
+    from rsb_bridge.model.transports import Compression, Protocol
     from rsb_bridge.ros.internal_ends import InternalEnds
     from rsb_bridge.ros.ros_interface import Sink
     from rsb_bridge.route.route import Route

@@ -1,4 +1,4 @@
-"""Faults of links, routes and patterns: which states are any, when they begin and are over, and which a path explains."""
+"""Faults of links, routes and patterns: which states are any, when they begin and end, and which a path explains."""
 
 from __future__ import annotations
 

@@ -14,8 +14,8 @@ from rsb_bridge.channel.channel import Pace
 from rsb_bridge.model.by_hand import END_NONE
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
+from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
 from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.gates import Sift
     from rsb_bridge.route.history_depth import Histories, Sample
@@ -294,7 +294,9 @@ class Outbox:
         """The limits of a queue in which a message makes those before it worthless."""
         return QueueLimits(1, 0.0, QUEUE_BYTES + self.largest)
 
-    def limits(self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = PLAIN) -> QueueLimits:
+    def limits(
+        self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = NO_PROFILE
+    ) -> QueueLimits:
         """Return the queue's limits at `now` (s). While the channel takes messages, the queue only passes them on.
 
         Args:

@@ -31,10 +31,10 @@ from rsb_bridge.config.validation import command_words, domain_of, fault_command
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.by_hand import END_CANCEL
 from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
-from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.transports import PROFILES, compression_of, profile_of, profile_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.shell import NO_KEY, OK, USAGE, print_error, print_line
 
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.model.demands import Demand, DemandSource, SourceKey
-    from rsb_bridge.model.profiles import Compression, LinkProfile
     from rsb_bridge.model.session import Client, Session, Topic
+    from rsb_bridge.model.transports import Compression, LinkProfile
 
 _NAMED = 6
 """Names in a line; the others are counted. A round figure."""
@@ -88,7 +88,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     yield f"{session.role} {session.name} {_where(session)}, {_domain(session)}"
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
     if session.profile is not None:
-        yield f"profile {session.profile}: {described(PROFILES[session.profile])}"
+        yield f"profile {session.profile}: {profile_text(PROFILES[session.profile])}"
     if session.on_fault is not None:
         yield f"on a fault, {shlex.join(command_words(session.on_fault))} is run"
     for topic in session.topics:
@@ -99,7 +99,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
         prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
         yield f"  accepts {client.name}: {allowed}{', not ' if denied else ''}{denied}{prefix}"
         if client.profile is not None:
-            yield f"    profile {client.profile}: {described(PROFILES[client.profile])}"
+            yield f"    profile {client.profile}: {profile_text(PROFILES[client.profile])}"
         for topic in client.topics:
             demanded = _demands_on(topic, session, client, demands, places or {})
             yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}{demanded}"
