@@ -25,7 +25,14 @@ from rsb_bridge.model.by_hand import (
 from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH, TOPIC_LENGTH
-from rsb_bridge.model.names import expand_type_name, is_topic_name, server_topic, well_formed
+from rsb_bridge.model.names import (
+    ANNOUNCEMENT_TOPIC,
+    OWN_NAMES,
+    expand_type_name,
+    is_topic_name,
+    server_topic,
+    well_formed,
+)
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
     PATTERNS_PER_LINK,
@@ -36,7 +43,6 @@ from rsb_bridge.model.patterns import (
 )
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Session, Topic
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, OWN_NAMES
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.wording import Wording
 

@@ -14,9 +14,8 @@ from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, FORGOTTEN_AFTER, LinkShutdown, name_taken
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.fingerprints import format_fingerprint
 from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports, discovery_domain
-from rsb_bridge.model.names import client_topic, server_topic
+from rsb_bridge.model.names import client_topic, format_fingerprint, server_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.transports import profile_of

@@ -16,8 +16,8 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.model.budgets import TokenBucket
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.ros.known_messages import STRING, STRING_HASH, serialize_string, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Hashable, Sequence
 
-    from rsb_bridge.model.sources import Via
+    from rsb_bridge.model.names import Via
     from rsb_bridge.ros.ros_interface import OnFailure, Publisher, RawMessage, RosInterface, Subscription
 
 LONGEST = 4 << 20

@@ -11,9 +11,9 @@ from msgspec import Meta, Struct
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.model.limits import LATCHED_DEPTH, PORT, RATE, REASON_LENGTH, TEXT_LENGTH
+from rsb_bridge.model.names import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.pictures import TOPICS_AT_ONCE
 from rsb_bridge.model.session import HIGHEST, LOWEST
-from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.wording import Wording

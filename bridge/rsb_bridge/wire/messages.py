@@ -10,10 +10,10 @@ from msgspec import UNSET, Meta, UnsetType
 from rsb_bridge.model.benchmark import MOST_SIZE
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import MOST_LANES
+from rsb_bridge.model.names import MOST_SOURCES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.sources import MOST_SOURCES
 from rsb_bridge.model.transports import Compression, Protocol
 from rsb_bridge.wire.fields import (
     Bridges,
