@@ -7,7 +7,7 @@ from math import inf, isnan, nan
 
 import pytest
 
-from rsb_bridge.cdr.velocity import reduced, speeds_of, velocity_of
+from rsb_bridge.cdr.known_types import reduced, speeds_of, velocity_of
 from rsb_bridge.model.by_hand import VelocityLimits
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError, Unable
+from rsb_bridge.cdr.known_types import STRING, STRING_HASH, string_bytes
 from rsb_bridge.config.client_entries import client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.difference import changes
 from rsb_bridge.config.keys import shared_key_problem
@@ -41,7 +42,6 @@ from rsb_bridge.model.demands import DemandText, as_armed, sources_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
 from rsb_bridge.ros.internal_ends import resources
-from rsb_bridge.ros.known_messages import STRING, STRING_HASH, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec

@@ -42,7 +42,7 @@ from rsb_bridge.wire.records import ReceivedReport, SentReport
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    from rsb_bridge.cdr.velocity import Velocity
+    from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic

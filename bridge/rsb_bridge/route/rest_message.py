@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped
-from rsb_bridge.cdr.velocity import velocity_of
+from rsb_bridge.cdr.known_types import DRIVING_TYPES, resting, stamped, velocity_of
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.by_hand import END_NONE, END_ZERO
 from rsb_bridge.model.calls import FieldError
@@ -27,7 +26,7 @@ from rsb_bridge.route.lease import LASTS
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.cdr.velocity import Velocity
+    from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.ros.ros_interface import TopicSpec

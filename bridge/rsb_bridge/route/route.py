@@ -33,7 +33,7 @@ from rsb_bridge.wire.messages import Close, Propose
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from rsb_bridge.cdr.velocity import Velocity
+    from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES
+from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.by_hand import END_NONE, END_ZERO, more_careful_end
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES
+from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.config.advice import advise, guarded_here_alone, uninstalled_types, without_max_age
 from rsb_bridge.config.file_form import LISTS, NOUNS
 from rsb_bridge.config.keys import (
