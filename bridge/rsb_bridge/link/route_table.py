@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias, get_args
 import msgspec
 from msgspec import UNSET
 
+from rsb_bridge.cdr.description import CompareTypes, unknown_difference
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.holder_questions import HolderQuestions
@@ -38,7 +39,6 @@ from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import route_key
-from rsb_bridge.route.type_versions import CompareTypes, unknown_difference
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import (

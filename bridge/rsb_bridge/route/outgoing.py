@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 
+from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level
@@ -27,7 +28,6 @@ from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_route import MEASURED_FOR, Signs, TopicRoute
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import TopicProgress
-from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
+from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.by_hand import END_NONE, END_ZERO, more_careful_end
 from rsb_bridge.model.codes import EventCode
@@ -14,7 +15,6 @@ from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
-from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.telemetry.meters import HISTORY, LatencyMeter, Smoothed, StaleWatch
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.cdr.description import TypeClash, hashes_text
 from rsb_bridge.model.names import MOST_HOPS, Via, hop, node_of_hop, topic_place
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of, type_of
 from rsb_bridge.route.calls.calls_verdict import Trouble
 from rsb_bridge.route.topic_verdict import named, nodes_by
-from rsb_bridge.route.type_versions import TypeClash, hashes_text
 from rsb_bridge.wire.records import LaneEntry
 
 if TYPE_CHECKING:
