@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rsb_bridge.channel.channel import Pace
-from rsb_bridge.config.difference import kept
+from rsb_bridge.config.session_changes import kept
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.qos import Qos

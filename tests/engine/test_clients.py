@@ -15,8 +15,8 @@ from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError, Unable
-from rsb_bridge.config.client_entries import ClientProblem
 from rsb_bridge.config.keys import KeyFileProblem, fingerprint, read_key, write_key
+from rsb_bridge.config.session_changes import ClientProblem
 from rsb_bridge.config.session_file import save
 from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode

@@ -17,9 +17,8 @@ import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError, Unable
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH, string_bytes
-from rsb_bridge.config.client_entries import client_named, with_changed_client, with_client, without_client
-from rsb_bridge.config.difference import changes
 from rsb_bridge.config.keys import shared_key_problem
+from rsb_bridge.config.session_changes import changes, client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 import msgspec
 
 from rsb_bridge.api import EngineApi, EngineError, Unable
-from rsb_bridge.config.difference import is_another, kept
+from rsb_bridge.config.session_changes import is_another, kept
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.difference import changes, described
+from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.codes import EventCode

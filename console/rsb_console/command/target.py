@@ -11,8 +11,8 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from rsb_bridge.api import EngineError, InvalidRequestError
-from rsb_bridge.config.client_entries import ClientError
 from rsb_bridge.config.keys import KeyFileError
+from rsb_bridge.config.session_changes import ClientError
 from rsb_bridge.config.session_file import SessionError, UnwritableError
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.control.bridges import ask, running_bridges

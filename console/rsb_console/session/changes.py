@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
 
-from rsb_bridge.config.difference import changes, described
+from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import undoing
 from rsb_bridge.model.names import client_topic, server_topic
