@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-    from rsb_bridge.config.fleet_file import FleetFile
+    from rsb_bridge.config.session_file import FleetFile
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.session import Kind
@@ -210,7 +210,7 @@ def fleet_file(arguments: Namespace) -> FleetFile:
     Raises:
         UsageError: it has mistakes.
     """
-    from rsb_bridge.config.fleet_file import load_fleet  # noqa: PLC0415 -- not needed elsewhere
+    from rsb_bridge.config.session_file import load_fleet  # noqa: PLC0415 -- not needed elsewhere
 
     try:
         return load_fleet(arguments.fleet)

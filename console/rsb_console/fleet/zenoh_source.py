@@ -22,7 +22,7 @@ from rsb_console.fleet.fleet import LEFT
 from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
-    from rsb_bridge.config.fleet_file import FleetFile
+    from rsb_bridge.config.session_file import FleetFile
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.control.zenoh_fleet import Member
 
