@@ -16,7 +16,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind
 from rsb_bridge.model.topic_keys import STALE_AFTER
 from rsb_bridge.wire import events, headers, messages, preamble, records
-from rsb_bridge.wire.fields import RefuseCode
+from rsb_bridge.wire.records import RefuseCode
 
 DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
 STRUCTS = {

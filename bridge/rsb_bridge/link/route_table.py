@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Identity, Topic
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.fields import RefuseCode
+    from rsb_bridge.wire.records import RefuseCode
 
 _HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
 """The control messages from one half of a route to the other."""

@@ -21,7 +21,7 @@ from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
-from rsb_bridge.wire.fields import Hops, Name
+from rsb_bridge.wire.records import Hops, Name
 
 if TYPE_CHECKING:
     import asyncio

@@ -30,10 +30,9 @@ from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import TopicProgress
 from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
 from rsb_bridge.transport.transport import DatagramTransport
-from rsb_bridge.wire.fields import MOST_PUBLISHERS
 from rsb_bridge.wire.headers import publisher_id
 from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
-from rsb_bridge.wire.records import ReceivedReport, SentReport
+from rsb_bridge.wire.records import MOST_PUBLISHERS, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     from collections.abc import Collection

@@ -15,38 +15,36 @@ from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.transports import Compression, Protocol
-from rsb_bridge.wire.fields import (
+from rsb_bridge.wire.framing import CONTROL_LIMIT
+from rsb_bridge.wire.headers import LeaseNumber
+from rsb_bridge.wire.records import (
     Bridges,
+    CallsReport,
     Count,
     DescriptionText,
+    FullRecord,
     Hertz,
     HistoryDepths,
+    LaneEntry,
     LinkId,
     MaybeHops,
     Name,
     Nanoseconds,
     NewestNumbers,
     NodeNames,
+    PathRecord,
     Port,
     Rank,
     Reason,
+    ReceivedReport,
     RefuseCode,
     RouteId,
     Seconds,
+    SentReport,
     Shift,
+    Source,
     ViewedTopics,
     check_limits,
-)
-from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.headers import LeaseNumber
-from rsb_bridge.wire.records import (
-    CallsReport,
-    FullRecord,
-    LaneEntry,
-    PathRecord,
-    ReceivedReport,
-    SentReport,
-    Source,
     check_qos,
 )
 
