@@ -19,7 +19,7 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.engine.inspector import CALLS_AT_ONCE
-from rsb_bridge.link.errors import Denied
+from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import OWN_CONSOLE

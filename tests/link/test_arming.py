@@ -13,7 +13,7 @@ from tests.route.test_unpacking import OnePublisher
 from tests.support.offline import proposal_for
 
 from rsb_bridge.engine.topic_commands import ArmingCommands
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.link_arming import ArmingProblem
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode

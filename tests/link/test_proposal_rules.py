@@ -14,7 +14,7 @@ from rsb_bridge.config.decoding import read
 from rsb_bridge.config.file_form import as_topic, as_written, foreign
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.config.topic_rules import topic_problems, unreported
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.proposals import amended, amended_topic, amendment, authorized, proposal_of, same_route, topic_of
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.limits import TOPIC_LENGTH

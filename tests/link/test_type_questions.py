@@ -24,7 +24,7 @@ from rsb_bridge.cdr.description import (
     read_description,
 )
 from rsb_bridge.cdr.description import text_of as text_of_description
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.questions import TypeQuestions, description_in
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos

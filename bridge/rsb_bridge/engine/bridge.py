@@ -25,7 +25,7 @@ from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
 from rsb_bridge.engine.viewing import Viewing
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.graph_watch import Follower, GraphWatch, NameWatch
 from rsb_bridge.link.link import link_named, topics_of_peer
 from rsb_bridge.link.reloading import ReloadStep

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import msgspec
 
 from rsb_bridge.config.session_changes import changes, described
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.model.by_hand import Held
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import (

@@ -6,7 +6,7 @@ import asyncio
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.by_hand import can_end

@@ -10,7 +10,7 @@ from msgspec import UNSET
 from rsb_bridge import __version__
 from rsb_bridge.config.rights import Use, uses
 from rsb_bridge.config.topic_rules import entry_problems, internal_problems, overlap, problems_here
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Generic
 
 from rsb_bridge.config.topic_rules import internal_problems, transport_of
 from rsb_bridge.config.validation import validate_topic
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.proposals import check_driver_topic, proposal_of, same_route, use_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic

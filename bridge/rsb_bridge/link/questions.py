@@ -16,8 +16,7 @@ import zstandard
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, difference_of_texts, hash_of_text
 from rsb_bridge.link.control_channel import entries_in_slices
-from rsb_bridge.link.errors import Denied, LinkError
-from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.limits import TEXT_LENGTH

@@ -8,8 +8,7 @@ import msgspec
 from msgspec import UNSET
 
 from rsb_bridge.cdr.description import CompareTypes, unknown_difference
-from rsb_bridge.link.errors import Denied, LinkError
-from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.holder_questions import HolderQuestions
 from rsb_bridge.link.link_arming import DROPPED, LinkArming
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
