@@ -223,6 +223,12 @@ class RemoteEngine(EngineApi):
         # A state may take longer over a thin line, but then parts of it come.
         return 0.0 if asked is None else time.monotonic() - max(asked, self._heard_at)
 
+    @property
+    def file_here(self) -> Path | None:
+        """The path of the bridge's session file, or None without a file on this machine."""
+        # A path of another machine may name another file here.
+        return Path(self.bridge.file) if self.bridge.file is not None and self.same_machine else None
+
     def start(self) -> None:
         self._loop = asyncio.new_event_loop()
         self._thread.start()
@@ -464,6 +470,17 @@ class RemoteEngine(EngineApi):
         if future.cancelled():
             with contextlib.suppress(RuntimeError):  # detached already
                 self._loop.call_soon_threadsafe(self._send, protocol.CommandWithdrawn(request))
+
+
+def attach(where: Path | Connector, *, read_only: bool) -> RemoteEngine:
+    """Attach to a bridge by its control socket or another connection; may take some seconds.
+
+    Raises:
+        EngineError: the attachment fails.
+    """
+    engine = RemoteEngine(where, read_only=read_only)
+    engine.start()
+    return engine
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from rsb_bridge.control.control_sockets import (
     run_as,
     user_name,
 )
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.names import other_side as other_side_of
@@ -33,7 +34,6 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
-from rsb_console.session.attaching import attach
 from rsb_console.session.draft import suggestion
 
 if TYPE_CHECKING:
