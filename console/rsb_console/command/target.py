@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.keys import KeyFileError
 from rsb_bridge.config.session_changes import ClientError
-from rsb_bridge.config.session_file import SessionError, UnwritableError
+from rsb_bridge.config.session_file import SessionError, UnwritableError, load_fleet
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.control_sockets import (
@@ -210,8 +210,6 @@ def fleet_file(arguments: Namespace) -> FleetFile:
     Raises:
         UsageError: it has mistakes.
     """
-    from rsb_bridge.config.session_file import load_fleet  # noqa: PLC0415 -- not needed elsewhere
-
     try:
         return load_fleet(arguments.fleet)
     except (SessionError, KeyFileError) as error:
