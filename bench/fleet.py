@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING
 
 from bench import bed
 from rsb_bridge.config import session_file
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import RobotTraffic
 from rsb_console.bench.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
 from rsb_console.command.shell import allow_many_descriptors
-from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 from bench.console import Watched
 
-from rsb_bridge.config.fleet_file import load_fleet
-from rsb_bridge.ros.known_messages import BATTERY_STATE
+from rsb_bridge.cdr.known_types import BATTERY_STATE
+from rsb_bridge.config.session_file import load_fleet
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench.robots import RobotTraffic
 from rsb_console.bench.simulated_fleet import SimulatedFleet, fleet, listening

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from bench.bed import FAR, NEAR, Process
 
+from rsb_bridge.control.remote_engine import attach
 from rsb_console.bench.loopback import headless, listening, write_sessions
-from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Ledger

@@ -32,8 +32,8 @@ from tests.support.relay import Relay
 
 from bench import bed
 from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.pictures import Wish
-from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

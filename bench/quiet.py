@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from bench import bed
+from rsb_bridge.cdr.known_types import STRING, STRING_HASH, stamped_string
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.ros.known_messages import STRING, STRING_HASH, stamped_string
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.ros.stand_in import StandIn, Talk

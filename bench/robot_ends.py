@@ -33,7 +33,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from test_msgs.action import Fibonacci
 
-from rsb_bridge.ros.known_messages import made_at, stamped_string
+from rsb_bridge.cdr.known_types import made_at, stamped_string
 from rsb_bridge.ros.measured_stream import drain
 
 if TYPE_CHECKING:

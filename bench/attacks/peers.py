@@ -14,9 +14,9 @@ from bench.attacks.target import Attack, paced
 from tests.support.frames import write_frame
 from tests.support.rogue import Rogue
 
+from rsb_bridge.cdr.known_types import STRING_HASH
 from rsb_bridge.model.limits import ROUTES_PER_LINK, dds_ports
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.known_messages import STRING_HASH
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.messages import (
     Accept,

@@ -11,7 +11,7 @@ import msgspec
 
 from rsb_bridge.model.clock import Clock, StampClock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import operator
+from rsb_bridge.model.commands import operator
 from rsb_bridge.model.demands import RunningDemands
 from rsb_bridge.model.purposes import PURPOSES
 from rsb_bridge.model.snapshot import Level

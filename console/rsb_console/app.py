@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from textual import work
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.faults import ChangeKind, FaultWatch
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_bridge.model.verdict import LinkCause
@@ -215,7 +215,7 @@ class ConsoleApp(TerminalApp[None]):
 
     @work(group="session")
     async def _attach_to_bridge(self, to: Path | Attach) -> None:
-        from rsb_console.session.attaching import attach, file_here  # noqa: PLC0415 -- keeps the start short
+        from rsb_bridge.control.remote_engine import attach  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import reopened  # noqa: PLC0415 -- keeps the start short
 
         open_it = partial(attach, to, read_only=self.readonly) if isinstance(to, Path) else to
@@ -232,7 +232,7 @@ class ConsoleApp(TerminalApp[None]):
                 self.notify(str(error), title="Not attached", severity="error", markup=False, timeout=30)
                 return
             self.engine, self.attached_to, self.note = engine, engine.bridge.name, ""
-            self.base, self.path = Path(engine.bridge.base), file_here(engine)
+            self.base, self.path = Path(engine.bridge.base), engine.file_here
             self.file = None if self.path is None else reopened(self.path)
             self.saved = None if self.file is None else self.file.session
 

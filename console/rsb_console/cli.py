@@ -89,7 +89,7 @@ def _run(argv: list[str], given_at: float | None = None) -> int:
 
 def _is_full(error: Exception) -> bool:
     """Whether the error means that standard output is redirected to a full disk; no named file is involved."""
-    from rsb_bridge.model.shortage import SHORTAGES
+    from rsb_bridge.config.files import SHORTAGES
 
     return isinstance(error, OSError) and error.errno in SHORTAGES and error.filename is None
 
@@ -125,8 +125,7 @@ def _unexpected(error: Exception, *, show: bool) -> int:
         return FAILURE
     from platformdirs import user_state_path
 
-    from rsb_bridge.config.files import owner_only
-    from rsb_bridge.model.shortage import why_not_written
+    from rsb_bridge.config.files import owner_only, why_not_written
     from rsb_bridge.model.text import several_lines
 
     log = user_state_path("rsb-console") / "crash.log"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from textual import work
 
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_console.actions import FLEET_ACTIONS
 from rsb_console.app import SSH_RATE, ConsoleApp
 from rsb_console.screens.fleet_screen import FleetScreen

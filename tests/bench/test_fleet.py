@@ -16,8 +16,8 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import read_description
+from rsb_bridge.cdr.known_types import BATTERY_STATE, STRING, STRING_HASH
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING, STRING_HASH
 from rsb_bridge.ros.ros_interface import RawMessage, TopicSpec
 from rsb_bridge.ros.stand_in import StandIn, Talk
 from rsb_console.bench.simulated_fleet import USUAL

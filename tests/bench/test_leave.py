@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rsb_bridge.config.client_entries import with_client
 from rsb_bridge.config.rights import Use, rights_of_client, rights_of_server
+from rsb_bridge.config.session_changes import with_client
 from rsb_bridge.config.validation import build, validate
 from rsb_bridge.link.link_bench import HOUR, BenchBudget
 from rsb_bridge.model.benchmark import BenchmarkLimits

@@ -18,7 +18,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.link_bench import REOPENED
 from rsb_bridge.model.benchmark import ENDED_BY_PEER, BenchmarkLimits, BenchmarkStep
 from rsb_bridge.model.purposes import BENCH

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from tests.support import surroundings
 
+from rsb_bridge.cdr.known_types import made_at, stamped_string
 from rsb_bridge.ros import measured_stream
-from rsb_bridge.ros.known_messages import made_at, stamped_string
 from rsb_bridge.ros.measured_stream import Arrivals
 
 

@@ -19,10 +19,10 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.engine.inspector import CALLS_AT_ONCE
-from rsb_bridge.link.errors import Denied
+from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import OWN_CONSOLE
+from rsb_bridge.model.commands import OWN_CONSOLE
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.calls.calling import LandedText
 

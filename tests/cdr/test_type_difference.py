@@ -6,8 +6,17 @@ from typing import Any
 
 import pytest
 
-from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription, text_of
-from rsb_bridge.cdr.type_difference import TypeDifference, difference, difference_of_texts, type_text
+from rsb_bridge.cdr.description import (
+    FieldType,
+    MessageField,
+    MessageType,
+    TypeDescription,
+    TypeDifference,
+    difference_of_texts,
+    difference_of_types,
+    text_of,
+    type_text,
+)
 
 FLOAT, STRING, INT = FieldType(10, 0, 0, ""), FieldType(17, 0, 0, ""), FieldType(6, 0, 0, "")
 POINT = FieldType(1, 0, 0, "a_msgs/msg/Point")
@@ -39,8 +48,8 @@ def test_the_field_is_named(
     here: TypeDescription, there: TypeDescription, expected: tuple[str, dict[str, Any]]
 ) -> None:
     code, parameters = expected
-    assert difference(here, there) == TypeDifference[code](**parameters)
-    assert difference_of_texts(text_of(here), text_of(there)) == difference(here, there)
+    assert difference_of_types(here, there) == TypeDifference[code](**parameters)
+    assert difference_of_texts(text_of(here), text_of(there)) == difference_of_types(here, there)
 
 
 @pytest.mark.parametrize(("end", "half"), [("_Request", "IN_REQUEST"), ("_Response", "IN_RESPONSE")])
@@ -49,12 +58,12 @@ def test_the_half_of_a_service_is_named(end: str, half: str) -> None:
         return TypeDescription(MessageType(f"a_msgs/srv/A{end}", (MessageField("x", kind),)), ())
 
     found = TypeDifference.OTHER_TYPE(field="x", there="int32", here="float32")
-    assert difference(version(FLOAT), version(INT)) == TypeDifference[half](difference=found)
+    assert difference_of_types(version(FLOAT), version(INT)) == TypeDifference[half](difference=found)
 
 
 def test_many_differences_are_counted_and_a_peers_names_are_harmless() -> None:
     there = described(*((f"f{number}\x1b[31m" + "x" * 200, FLOAT) for number in range(50)))
-    text = difference(described(("x", FLOAT)), there)
+    text = difference_of_types(described(("x", FLOAT)), there)
     assert "\x1b" not in text
     assert len(text) < 400
     assert text.endswith("and 48 more")

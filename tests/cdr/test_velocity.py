@@ -7,8 +7,8 @@ from math import inf, isnan, nan
 
 import pytest
 
-from rsb_bridge.cdr.velocity import reduced, speeds_of, velocity_of
-from rsb_bridge.model.velocity_limits import VelocityLimits
+from rsb_bridge.cdr.known_types import reduced, speeds_of, velocity_of
+from rsb_bridge.model.by_hand import VelocityLimits
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 LITTLE, BIG = b"\0\1\0\0", b"\0\0\0\0"

@@ -15,9 +15,9 @@ from tests.console.scripted import LINK, ScriptedEngine
 from tests.support import surroundings
 from tests.support.wording import says
 
-from rsb_bridge.config.client_entries import ClientProblem
 from rsb_bridge.config.decoding import ValueMistake
 from rsb_bridge.config.keys import KeyFileProblem, fingerprint, read_key, write_key
+from rsb_bridge.config.session_changes import ClientProblem
 from rsb_bridge.config.session_file import SavingProblem, dump, load, parse, save
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.history.history_files import EventFile

@@ -22,7 +22,7 @@ from tests.support.wording import says
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import SessionRuns, running_bridges
 from rsb_bridge.control.protocol import RequestProblem
-from rsb_bridge.model.by_hand import OLD_AFTER
+from rsb_bridge.model.by_hand import OLD_AFTER, VelocityLimits
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.commands import AskHolder, KeepArmed
 from rsb_bridge.model.session import Topic
@@ -35,7 +35,6 @@ from rsb_bridge.model.snapshot import (
     RouteSnapshot,
     State,
 )
-from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lease import Standstill
 from rsb_console.command.headless import HeadlessText

@@ -13,8 +13,8 @@ from tests.config.mistakes import BLUETOOTH, CLIENT, FILE, SERVER, has, problems
 from tests.support.wording import says
 
 from rsb_bridge.config.decoding import Hint, ValueMistake
-from rsb_bridge.config.difference import changes, described
 from rsb_bridge.config.file_form import KEYS, as_topic, as_written
+from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.config.session_file import dump, load, load_file, parse, same, save, validate
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake, validate_topic

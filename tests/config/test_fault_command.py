@@ -10,7 +10,7 @@ import pytest
 from tests.config.mistakes import problems
 from tests.console.scripted import SESSION
 
-from rsb_bridge.config.difference import changes
+from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.session_file import dump, load, save, validate
 from rsb_bridge.config.validation import command_words, fault_command_warnings, program_path, program_problem
 

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.config.fleet_file import load_fleet
 from rsb_bridge.config.keys import KeyFileError, write_key
-from rsb_bridge.config.session_file import SessionError
+from rsb_bridge.config.session_file import SessionError, load_fleet
 
 ZENOH = "zenoh: {connect: [tcp/hub:7447], fleet: lab}\n"
 ANNA = "operator: anna\nkey_file: anna.key\n"

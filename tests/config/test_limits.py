@@ -12,6 +12,7 @@ from tests.support.wording import pattern, says
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake, domain_of, validate, validate_topic
 from rsb_bridge.link.proposals import proposal_of, topic_of
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.limits import (
     CHANNEL,
     DEPTH,
@@ -27,7 +28,6 @@ from rsb_bridge.model.limits import (
 from rsb_bridge.model.qos import PROFILES, QosProblem
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.topic_keys import DEADMAN_TIME, STALE_AFTER
-from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.codec import decode, decode_hello, encode
 from rsb_bridge.wire.messages import Hello, Propose

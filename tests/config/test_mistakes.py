@@ -16,10 +16,9 @@ from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import AddressProblem, SessionMistake
 from rsb_bridge.config.yaml_text import FileProblem, YamlMistake
 from rsb_bridge.model.limits import CHANNEL, DEPTH, DOMAIN, PORT, RATE
-from rsb_bridge.model.names import TypeNameProblem
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, TypeNameProblem
 from rsb_bridge.model.qos import QosProblem
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.topic_keys import RangeText
 from rsb_bridge.model.wording import Wording
 

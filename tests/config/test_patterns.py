@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from rsb_bridge.config.difference import changes
 from rsb_bridge.config.rights import listings
+from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.session_file import SessionError, load_file, parse, save
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.model.patterns import EXCEPTIONS_PER_PATTERN, PATTERNS_PER_LINK

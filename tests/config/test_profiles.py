@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from rsb_bridge.channel.channel import Pace
-from rsb_bridge.config.difference import kept
+from rsb_bridge.config.session_changes import kept
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.link.proposals import proposal_of
-from rsb_bridge.model.profiles import PLAIN, PROFILES, profile_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.transports import NO_PROFILE, PROFILES, profile_of
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.rate_limit import RateLimit
 from rsb_bridge.route.sending import Outbox
@@ -49,7 +49,7 @@ def test_what_is_given_wins() -> None:
 def test_a_client_s_profile_is_stronger_than_its_server_s() -> None:
     assert profile_of("wifi", "lte") is PROFILES["wifi"]
     assert profile_of(None, "lte") is PROFILES["lte"]
-    assert profile_of(None, None) is PLAIN is PROFILES["lan"]
+    assert profile_of(None, None) is NO_PROFILE is PROFILES["lan"]
 
 
 @pytest.mark.parametrize("profile", ["lan", "wifi", "lte", "satellite"])
@@ -84,7 +84,7 @@ def test_queues(reliability: str) -> None:
     proposal = proposal_of(topic, transport, client_name="robot1", use_name=False)
     outbox = Outbox(transport, proposal, RouteLedger(), lambda *_: None)
     qos = Qos(reliability="best_effort" if reliability == "best_effort" else "reliable", depth=0)
-    plain, lte = (outbox.limits(qos, 0, Pace.STOPPED, 0.0, each) for each in (PLAIN, PROFILES["lte"]))
+    plain, lte = (outbox.limits(qos, 0, Pace.STOPPED, 0.0, each) for each in (NO_PROFILE, PROFILES["lte"]))
     if reliability == "best_effort":
         assert (plain.older_than, lte.older_than, lte.size) == (1.0, 1.0, 256 * 1024)
     else:

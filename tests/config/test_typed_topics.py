@@ -15,10 +15,10 @@ from rsb_bridge.config.file_form import LISTS
 from rsb_bridge.config.keys import generate
 from rsb_bridge.config.topic_rules import entry_problems
 from rsb_bridge.config.validation import validate
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.session import RANKS, Direction, Problem, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import Protocol
-from rsb_bridge.model.velocity_limits import VelocityLimits
 
 KEY = generate().decode()
 PARTS = ("a", "scan", "_hidden", "_action", "*", "**", "a*", "1a", "", "rsb", "ä", "a b", "\0", "\n", "a" * 250, KEY)

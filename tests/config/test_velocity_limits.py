@@ -9,9 +9,9 @@ import pytest
 from tests.config.mistakes import problems
 
 from rsb_bridge.config.session_file import demand_places, load_file, save
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.demands import Demands, as_armed, kept, lines_of, outliving, sources_of
 from rsb_bridge.model.session import ArmedName, Session, Topic
-from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.command.check import SessionCheckText, summary
 from rsb_console.session.draft import problems_of, topic_of, values_of
 

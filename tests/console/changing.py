@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from tests.console.scripted import ScriptedEngine, refused, route
 
-from rsb_bridge.model.command_origin import is_undo
-from rsb_bridge.model.commands import AddTopic, Command, EditTopic, PauseTopics, R, RemoveTopic
+from rsb_bridge.model.commands import AddTopic, Command, EditTopic, PauseTopics, R, RemoveTopic, is_undo
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 

@@ -24,7 +24,7 @@ from textual.binding import Binding
 from textual.pilot import Pilot
 from textual.screen import Screen
 
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, KEYS_ON_SCREENS, Group
 from rsb_console.app import ConsoleApp

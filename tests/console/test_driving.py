@@ -29,11 +29,10 @@ from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
-from rsb_bridge.model.by_hand import Draft, Published
+from rsb_bridge.model.by_hand import Draft, Published, VelocityLimits
 from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
-from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, limits_on, why_not_driven
 from rsb_console.screens.take_over import HandOverText

@@ -12,7 +12,7 @@ from tests.console.driving import choose, engine_of, notified, on_main, put, scr
 from tests.console.scripted import LINK, route
 from textual import events
 
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_bridge.model.verdict import LinkCause

@@ -12,11 +12,11 @@ from tests.console.scripted import NOW, route
 from tests.support.fleet import ServerEngine
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.cdr.known_types import BATTERY_STATE
 from rsb_bridge.control.summaries import BATTERIES_AT_ONCE, BATTERY_EVERY, Batteries
 from rsb_bridge.model.robot_summary import Battery
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage, State
-from rsb_bridge.ros.known_messages import BATTERY_STATE
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 

@@ -14,9 +14,9 @@ from tests.support.wording import pattern
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.attached_console import RequestRefused
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.wire.connection import RECORD_CONTENT
-from rsb_console.session.attaching import attach, file_here
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -107,4 +107,4 @@ def test_a_file_of_another_machine_is_not_taken_for_one_of_this(machine: Machine
     remote.stop()
     assert remote.read_only
     assert remote.bridge.file == str(here)
-    assert file_here(remote) is None
+    assert remote.file_here is None

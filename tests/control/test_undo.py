@@ -10,7 +10,7 @@ from tests.support.bridge import find, happened, now, route
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import is_undo, undoing
+from rsb_bridge.model.commands import is_undo, undoing
 from rsb_bridge.model.session import Topic
 from rsb_console.session.changes import Added, Removed, patterns_of
 

@@ -10,7 +10,7 @@ from tests.support.waiting import eventually, holds
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.commands import acting
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 

@@ -15,10 +15,10 @@ from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError, Unable
-from rsb_bridge.config.client_entries import ClientProblem
 from rsb_bridge.config.keys import KeyFileProblem, fingerprint, read_key, write_key
+from rsb_bridge.config.session_changes import ClientProblem
 from rsb_bridge.config.session_file import save
-from rsb_bridge.link.errors import Denied
+from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause

@@ -19,9 +19,9 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine.exporters import DriverTopicText
-from rsb_bridge.link.errors import Denied
+from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.commands import acting
 from rsb_bridge.model.session import Client, Topic
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ from tests.support.ports import free_port
 from tests.support.relay import message_number
 from tests.support.waiting import eventually, holds
 
+from rsb_bridge.model.names import node_of_hop
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.sources import node_of
 from rsb_bridge.model.verdict import Cause
 from rsb_console.command.remote import _carries
 
@@ -129,7 +129,7 @@ def brought_by(receiver: Engine, sender: Engine) -> bool:
     node = inside(sender).context.ros.node_name
     routes = [route for link in inside(receiver).links() for route in tuple(link.routes.values())]
     outputs = [output for route in routes for output in tuple(outputs_of(route)._outputs)]  # type: ignore[arg-type]
-    return bool(outputs) and all(node in map(node_of, output.came_by) for output in outputs)
+    return bool(outputs) and all(node in map(node_of_hop, output.came_by) for output in outputs)
 
 
 @pytest.mark.parametrize("count", [25, *long(60)])

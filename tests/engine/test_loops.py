@@ -16,9 +16,9 @@ from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

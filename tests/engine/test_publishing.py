@@ -30,8 +30,16 @@ from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.engine.publishing import AT_ONCE, TOPICS, PublishProblem
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting, on_console
-from rsb_bridge.model.commands import PauseTopics, Publish, ReleaseArmed, RemoveTopic, Restart, ShutDownLinks
+from rsb_bridge.model.commands import (
+    PauseTopics,
+    Publish,
+    ReleaseArmed,
+    RemoveTopic,
+    Restart,
+    ShutDownLinks,
+    acting,
+    on_console,
+)
 from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import ArmedName, Client, Topic
 from rsb_console.session.manual_messages import Landing, LandingText

@@ -17,7 +17,7 @@ from rsb_bridge.api import EngineError, Unable
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.link.reloading import ClientStep
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import OWN_CONSOLE, acting
+from rsb_bridge.model.commands import OWN_CONSOLE, acting
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause

@@ -10,7 +10,7 @@ import pytest
 from tests.support.wording import says
 
 from rsb_bridge.engine.topic_commands import CommandLog, TopicCommands
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.model.commands import PauseTopics
 from rsb_bridge.telemetry.event_log import EventLog
 

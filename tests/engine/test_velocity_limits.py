@@ -15,8 +15,8 @@ from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine.publishing import PublishProblem
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.session import ArmedName, Topic
-from rsb_bridge.model.velocity_limits import VelocityLimits
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

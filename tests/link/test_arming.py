@@ -13,12 +13,11 @@ from tests.route.test_unpacking import OnePublisher
 from tests.support.offline import proposal_for
 
 from rsb_bridge.engine.topic_commands import ArmingCommands
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.link_arming import ArmingProblem
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting, on_console
-from rsb_bridge.model.commands import ArmTopic, AskHolder, DisarmTopic, TakeArming
+from rsb_bridge.model.commands import ArmTopic, AskHolder, DisarmTopic, TakeArming, acting, on_console
 from rsb_bridge.model.demands import DemandSource
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import ArmedName as ArmedEntry

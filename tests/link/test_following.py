@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.link_patterns import PatternEntry, PeerSubscription
 from rsb_bridge.link.proposals import authorized
 from rsb_bridge.model.patterns import NAMES_FOLLOWED

@@ -14,7 +14,7 @@ from tests.link.test_route_table import hear_all, pair_of
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.model.commands import ArmTopic, DraftMessage
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import RosError

@@ -29,10 +29,10 @@ from rsb_bridge.cdr.description import (
     MessageField,
     MessageType,
     TypeDescription,
+    TypeDifference,
     hash_of_text,
     text_of,
 )
-from rsb_bridge.cdr.type_difference import TypeDifference
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos

@@ -14,15 +14,15 @@ from rsb_bridge.config.decoding import read
 from rsb_bridge.config.file_form import as_topic, as_written, foreign
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.config.topic_rules import topic_problems, unreported
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.proposals import amended, amended_topic, amendment, authorized, proposal_of, same_route, topic_of
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.limits import TOPIC_LENGTH
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.session import Client, Problem, Session, Topic, priority_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import Protocol
-from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.route.rate_limit import limits_changed
 from rsb_bridge.route.route import route_weight
 from rsb_bridge.transport.registry import default_transports

@@ -9,7 +9,7 @@ import pytest
 from tests.support.slices import take
 from tests.support.wording import pattern
 
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions, TopicLists
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.wire.codec import pack_topics

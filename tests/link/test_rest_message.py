@@ -11,8 +11,7 @@ import pytest
 from tests.link.test_arming import CONSOLE, arm, let_time_pass, propose, route
 from tests.link.test_route_table import hear_all, pair_of
 
-from rsb_bridge.cdr.resting import resting, stamped
-from rsb_bridge.cdr.velocity import velocity_of
+from rsb_bridge.cdr.known_types import resting, stamped, velocity_of
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import ArmedName, Topic

@@ -18,17 +18,17 @@ from rsb_bridge.cdr.description import (
     MessageField,
     MessageType,
     TypeDescription,
+    TypeVersion,
+    difference_of_texts,
     hash_of_text,
     read_description,
 )
 from rsb_bridge.cdr.description import text_of as text_of_description
-from rsb_bridge.cdr.type_difference import difference_of_texts
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.questions import TypeQuestions, description_in
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
-from rsb_bridge.route.type_versions import TypeVersion as MessageVersion
 from rsb_bridge.wire.messages import AskType, TypeText
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Ros(NoRos):
 class Route:
     id = 3
     type_name, type_hash, local_topic = "a_msgs/msg/B", HASH, "/b"
-    message_types = (MessageVersion("a_msgs/msg/B", HASH),)
+    message_types = (TypeVersion("a_msgs/msg/B", HASH),)
 
 
 class Side:
@@ -185,8 +185,8 @@ def name_in(text: str) -> str:
     return read_description(text, hash_of_text(text)).type_description.type_name
 
 
-def versions(*texts: str) -> tuple[MessageVersion, ...]:
-    return tuple(MessageVersion(name_in(text), hash_of_text(text)) for text in texts)
+def versions(*texts: str) -> tuple[TypeVersion, ...]:
+    return tuple(TypeVersion(name_in(text), hash_of_text(text)) for text in texts)
 
 
 REQUEST, RESPONSE = described("a_msgs/srv/A_Request", "x"), described("a_msgs/srv/A_Response", "y")

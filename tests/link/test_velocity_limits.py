@@ -9,9 +9,9 @@ import pytest
 from tests.link.test_arming import propose, route
 from tests.link.test_route_table import Pair, hear_all, pair_of
 
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.demands import PEER_DEMANDS, OriginText
 from rsb_bridge.model.session import ArmedName, Topic
-from rsb_bridge.model.velocity_limits import VelocityLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable

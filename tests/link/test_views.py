@@ -9,7 +9,7 @@ import pytest
 from tests.support.wording import pattern
 
 from rsb_bridge.link.base_link import BaseLink
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.link_views import PeerView
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.pictures import Wish

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.model.velocity_limits import VelocityLimits, smallest
+from rsb_bridge.model.by_hand import VelocityLimits, smallest_limits
 
 
 def limits(linear: float | None = None, angular: float | None = None) -> VelocityLimits:
@@ -24,7 +24,7 @@ def limits(linear: float | None = None, angular: float | None = None) -> Velocit
 def test_the_smallest_number_of_each_kind_counts(
     several: list[VelocityLimits | None], whole: VelocityLimits | None
 ) -> None:
-    assert smallest(several) == whole
+    assert smallest_limits(several) == whole
 
 
 def test_a_line_counts_if_one_of_its_numbers_does() -> None:

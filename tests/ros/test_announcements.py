@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support.offline import loop
 
+from rsb_bridge.cdr.known_types import serialize_string, string_bytes
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.ros.announcements import LONGEST, Announcements, Origin
-from rsb_bridge.ros.known_messages import serialize_string, string_bytes
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError
 from rsb_bridge.ros.stand_in import NoRos
 

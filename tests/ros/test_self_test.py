@@ -15,10 +15,10 @@ from tests.support import replaced
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
+from rsb_bridge.cdr.known_types import STRING, stamped_string
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import participant, raw_types, self_test
 from rsb_bridge.ros.distribution import described, package_of
-from rsb_bridge.ros.known_messages import STRING, stamped_string
 from rsb_bridge.ros.native import librcl, rclpy_extension
 from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 from rsb_bridge.ros.self_test import Findings, Shortfall, findings

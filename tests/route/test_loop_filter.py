@@ -11,10 +11,10 @@ from tests.support.offline import FakePeer, half_of
 
 from rsb_bridge.channel.channel import Pace
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.names import hop
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.sources import hop
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage

@@ -8,7 +8,7 @@ import pytest
 from tests.route.test_gates import armed
 from tests.route.test_loop_filter import FIRST, World, world
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES
+from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage

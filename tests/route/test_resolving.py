@@ -9,10 +9,10 @@ from typing import Any, cast
 
 import pytest
 
+from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.resolving import Resolver, UnresolvedError, choose_type, left_out
-from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.wire.messages import Propose
 
 A, B = "std_msgs/msg/String", "std_msgs/msg/Int32"

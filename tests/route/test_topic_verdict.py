@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rsb_bridge.model.capacity import Fullness
+from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.limits import REASON_LENGTH
-from rsb_bridge.model.path_fault import PathFault
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, LinkCause, Verdict, about, worse

@@ -15,7 +15,7 @@ from rsb_bridge.context import Context
 from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting, on_console
+from rsb_bridge.model.commands import acting, on_console
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.ros.ros_thread import Receiver, RosToLoopQueue
 from rsb_bridge.telemetry.event_log import EventLog

@@ -13,7 +13,7 @@ from tests.simulation.world import World
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.profiles import ProfileName
+    from rsb_bridge.model.transports import ProfileName
 
 _GAP = 9.0
 

@@ -26,8 +26,17 @@ from tests.support.long import long_cases
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine.topic_commands import ArmingCommands
-from rsb_bridge.model.command_origin import console, operator
-from rsb_bridge.model.commands import AnswerAsker, ArmTopic, AskHolder, DisarmTopic, KeepArmed, Publish, TakeArming
+from rsb_bridge.model.commands import (
+    AnswerAsker,
+    ArmTopic,
+    AskHolder,
+    DisarmTopic,
+    KeepArmed,
+    Publish,
+    TakeArming,
+    console,
+    operator,
+)
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.arming import Arming

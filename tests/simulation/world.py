@@ -34,9 +34,9 @@ from tests.simulation.world_log import WorldLog
 
 from rsb_bridge.config.keys import Key
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 from rsb_bridge.route.outgoing import OutgoingRoute
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from rsb_bridge.context import Context
 from rsb_bridge.link.fullness import LinkFullness
 from rsb_bridge.link.path_watch import PathWatch
 from rsb_bridge.link.proposals import proposal_of
-from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.purposes import TOPIC as ORDINARY
 from rsb_bridge.model.session import Session
+from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.lifecycle import Revisions
@@ -89,7 +89,7 @@ class FakePeer:
         self.revisions = Revisions()
         self.bridges: tuple[str, ...] = ("rsb_robot1_fedcba98",)
         self.budget = PeerBudget(0.0)
-        self.profile = PLAIN
+        self.profile = NO_PROFILE
         self.clock, self.stamps = ClockOffset(), ClockOffset()
         for clock in (self.clock, self.stamps):
             clock.offset, clock.uncertainty = 0.0, 0.001

@@ -12,8 +12,8 @@ from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
 from tests.support.zenoh_router import Router, stranger
 
-from rsb_bridge.config.fleet_file import FleetFile
 from rsb_bridge.config.keys import copy_key
+from rsb_bridge.config.session_file import FleetFile
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.zenoh_fleet import EngineAnnouncement, FleetConnector
 from rsb_bridge.engine.access import Access

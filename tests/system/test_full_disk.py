@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.model.shortage import SHORTAGES, why_not_written
+from rsb_bridge.config.files import SHORTAGES, why_not_written
 
 _ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("rsb-console")
@@ -22,7 +22,7 @@ from rsb_bridge.config.files import new_file, write_whole
 from rsb_bridge.config.keys import KeyFileError, write_key
 from rsb_bridge.config.session_file import UnwritableError, load, save
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.shortage import Shortage, why_not_written
+from rsb_bridge.config.files import Shortage, why_not_written
 
 disk, command = Path(sys.argv[1]), sys.argv[2]
 os.chdir(disk)

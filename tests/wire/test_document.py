@@ -9,14 +9,14 @@ import msgspec
 import pytest
 
 import rsb_bridge
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import LANES, MOST_LANES, Refused
 from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind
 from rsb_bridge.model.topic_keys import STALE_AFTER
-from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.wire import events, headers, messages, preamble, records
-from rsb_bridge.wire.fields import RefuseCode
+from rsb_bridge.wire.records import RefuseCode
 
 DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
 STRUCTS = {

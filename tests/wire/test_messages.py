@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from tests.support.wording import pattern
 from tests.wire.links import HELLO, WELCOME
 
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.wire import messages
 from rsb_bridge.wire.codec import decode, decode_hello, decode_urgent, decode_welcome, encode
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError

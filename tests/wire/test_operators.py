@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests.support.wording import pattern
 from tests.wire.links import KEY, OTHER_KEY, make_client, make_server, the
 
-from rsb_bridge.model.fingerprints import fingerprint_of
+from rsb_bridge.model.names import fingerprint_of
 from rsb_bridge.wire.connection import (
     HOST_BYTES,
     OPERATOR_SUITE,

@@ -1,19 +1,22 @@
-"""Descriptions of message types (REP 2016), as the text whose SHA-256 is the type's hash.
+"""Descriptions of message types (REP 2016), versions of types, and their differences as operators read them.
 
-So a description shows by itself that it is the right one, wherever it came from.
+The text of a description has the type's hash as its SHA-256, so it shows by itself that it is the right one.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from typing import Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
 
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
 
 HASH_PREFIX = "RIHS01_"
 DESCRIPTION_LIMIT = 64 << 10
@@ -107,3 +110,152 @@ def read_description(text: str, type_hash: str) -> TypeDescription:
         return _decoder.decode(text)
     except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
         raise DescriptionError(sanitize_text(InvalidDescription.INVALID(error=error))) from None
+
+
+_PRIMITIVES = {
+    2: "int8", 3: "uint8", 4: "int16", 5: "uint16", 6: "int32", 7: "uint32", 8: "int64", 9: "uint64", 10: "float32",
+    11: "float64", 12: "long double", 13: "char", 14: "wchar", 15: "bool", 16: "byte", 17: "string", 18: "wstring",
+    19: "string", 20: "wstring", 21: "string", 22: "wstring",
+}  # fmt: skip
+_DIFFERENCES_NAMED = 3
+"""Differences that a text names; it counts the others."""
+_SHOWN_LENGTH = 60
+"""Characters of a field's name and type."""
+
+
+class TypeDifference(Wording):
+    """The ways in which a field can differ."""
+
+    ONLY_HERE = "{field} ({type}) only here"
+    ONLY_THERE = "{field} ({type}) only there"
+    OTHER_TYPE = "{field} is {there} there, {here} here"
+    ORDER = "the order of the fields of {type}"
+    NO_FIELD = "the same fields under another name of a type"
+    IN_REQUEST = "request: {difference}"
+    IN_RESPONSE = "response: {difference}"
+
+
+_HALVES = {"_Request": TypeDifference.IN_REQUEST, "_Response": TypeDifference.IN_RESPONSE}
+"""By the end of the type's name. A name of a message has no underscore."""
+
+
+def difference_of_texts(here: str, there: str) -> str:
+    """Return the differences between the texts of two descriptions, or an empty string if one is invalid."""
+    try:
+        return difference_of_types(*(read_description(text, hash_of_text(text)) for text in (here, there)))
+    except DescriptionError:
+        return ""
+
+
+def difference_of_types(here: TypeDescription, there: TypeDescription) -> str:
+    """Return the first differences between a type here and on the other side."""
+    # Types of one name in two packages may differ alike, and are named without their package.
+    found = list(dict.fromkeys(_differences(here, there))) or [TypeDifference.NO_FIELD()]
+    return _in_half(here.type_description.type_name, join_first(found, _DIFFERENCES_NAMED))
+
+
+def _in_half(type_name: str, difference: str) -> str:
+    """Return a difference with the half of a service that has it, if the type is a request or a response."""
+    for half, text in _HALVES.items():
+        if type_name.endswith(half):
+            return text(difference=difference)
+    return difference
+
+
+def _differences(here: TypeDescription, there: TypeDescription) -> Iterator[str]:
+    yield from _message_differences(here.type_description, there.type_description, "")
+    others = {each.type_name: each for each in there.referenced_type_descriptions}
+    for each in here.referenced_type_descriptions:
+        if (other := others.get(each.type_name)) is not None:
+            yield from _message_differences(each, other, f"{each.type_name.rpartition('/')[2]}.")
+
+
+def _message_differences(here: MessageType, there: MessageType, prefix: str) -> Iterator[str]:
+    ours, theirs = ({each.name: each.type for each in message.fields} for message in (here, there))
+    for name, kind in theirs.items():
+        if name not in ours:
+            yield TypeDifference.ONLY_THERE(field=_shown(prefix + name), type=type_text(kind))
+        elif ours[name] != kind:
+            yield TypeDifference.OTHER_TYPE(
+                field=_shown(prefix + name), there=type_text(kind), here=type_text(ours[name])
+            )
+    for name, kind in ours.items():
+        if name not in theirs:
+            yield TypeDifference.ONLY_HERE(field=_shown(prefix + name), type=type_text(kind))
+    if list(ours) != list(theirs) and ours.keys() == theirs.keys():
+        yield TypeDifference.ORDER(type=_shown(here.type_name))
+
+
+def type_text(kind: FieldType) -> str:
+    """Return a field's type as message files write it: ``float32[]``, ``string<=10``."""
+    container, base = divmod(kind.type_id - 1, KINDS)
+    base += 1
+    if (base not in _PRIMITIVES and base != NESTED) or container not in range(4):
+        return "unknown"
+    name = _shown(kind.nested_type_name) if base == NESTED else _PRIMITIVES[base]
+    if kind.string_capacity:
+        name += f"<={kind.string_capacity}"
+    match container:
+        case 1:
+            return f"{name}[{kind.capacity}]"
+        case 2:
+            return f"{name}[<={kind.capacity}]"
+        case 3:
+            return f"{name}[]"
+    return name
+
+
+def _shown(name: str) -> str:
+    """Return a name, which may come from a peer, printable and short."""
+    return sanitize_text(name, _SHOWN_LENGTH)
+
+
+class TypeVersion(NamedTuple):
+    """A message type and its version.
+
+    Attributes:
+        name: ``pkg/msg/Name``, or empty if unknown.
+        type_hash: ``RIHS01_...``, or empty if unknown.
+    """
+
+    name: str = ""
+    type_hash: str = ""
+
+
+class TypeClash(Wording):
+    """The reasons why the type that the other side has can't be published or offered here."""
+
+    NOT_AGREED = "the other side sends {there}, though {agreed} was agreed on: correct the type"
+    VERSIONS = (
+        "{type} differs between the two sides ({difference}): install the same version on both, and restart the bridge "
+        "that had another"
+    )
+    HASHES = "{there} there, {here} here"
+
+
+CompareTypes: TypeAlias = "Callable[[int, Sequence[TypeVersion], Callable[[str], None]], None]"
+"""Tells how the other side's versions of types differ from the installed ones, now or in some seconds: takes the id of
+the route, the types there, and a function to be called with the differences, or with an empty string."""
+
+
+def unknown_difference(_route_id: int, _types: Sequence[TypeVersion], tell: Callable[[str], None]) -> None:
+    """Tell at once that nobody can be asked."""
+    tell("")
+
+
+def messages_of(type_name: str, type_hash: str) -> tuple[TypeVersion, ...]:
+    """Return the request and the response of a service's type, whose hash has both theirs, or a message's type."""
+    request, is_service, response = type_hash.partition("+")
+    if not is_service:
+        return (TypeVersion(type_name, type_hash),)
+    return TypeVersion(f"{type_name}_Request", request), TypeVersion(f"{type_name}_Response", response)
+
+
+def hashes_text(type_name: str, there: str, here: str) -> str:
+    """Return the hashes of two versions of a type, or of its request and response where those differ."""
+    pairs = zip(messages_of(type_name, there), messages_of(type_name, here), strict=False)
+    return "; ".join(
+        _in_half(theirs.name, TypeClash.HASHES(there=theirs.type_hash, here=ours.type_hash))
+        for theirs, ours in pairs
+        if theirs != ours
+    )

@@ -12,11 +12,27 @@ from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.file_form import LISTS, NOUNS, foreign, key_of, locations
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.model import transports
+from rsb_bridge.model.by_hand import (
+    END_CANCEL,
+    END_NONE,
+    END_ZERO,
+    LONGEST_END,
+    TWISTS,
+    VelocityLimits,
+    end_text,
+    is_end_message,
+)
 from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH, TOPIC_LENGTH
-from rsb_bridge.model.names import expand_type_name, is_topic_name, server_topic, well_formed
-from rsb_bridge.model.on_end import CANCEL, LONGEST, NONE, ZERO, is_message, text_of
+from rsb_bridge.model.names import (
+    ANNOUNCEMENT_TOPIC,
+    OWN_NAMES,
+    expand_type_name,
+    is_topic_name,
+    server_topic,
+    well_formed,
+)
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
     PATTERNS_PER_LINK,
@@ -27,9 +43,7 @@ from rsb_bridge.model.patterns import (
 )
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Session, Topic
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, OWN_NAMES
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
-from rsb_bridge.model.velocity_limits import TWISTS, VelocityLimits
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -233,7 +247,7 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
     if topic.on_end is not None and not topic.arm:
         yield Problem(join(location, "on_end"), TopicMistake.ON_END_WITHOUT_ARM(kind=A_KIND[topic.kind]))
     else:
-        yield from on_end_problems(text_of(topic.on_end), join(location, "on_end"), topic.kind)
+        yield from on_end_problems(end_text(topic.on_end), join(location, "on_end"), topic.kind)
     if topic.kind == "topic":  # else it is a key of another kind
         yield from limits_problems(topic.limits, join(location, "limits"), "topic", topic.type, topic.topic)
 
@@ -298,22 +312,22 @@ def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Pro
         text: of the line, or empty.
         kind: of the line, or None for a line of every kind.
     """
-    if text in ("", NONE) or (kind is None and text == CANCEL):
+    if text in ("", END_NONE) or (kind is None and text == END_CANCEL):
         return
     if kind == "action":
-        if text != CANCEL:
+        if text != END_CANCEL:
             yield Problem(location, TopicMistake.ON_END_OF_ACTION(value=show(text)))
         return
     if kind not in (None, "topic"):
         yield Problem(location, TopicMistake.ON_END_OF_CALLED())
         return
-    if text == ZERO:
+    if text == END_ZERO:
         return
-    if len(text) > LONGEST:  # before it is read as YAML
-        yield Problem(location, TopicMistake.ON_END_TOO_LONG(length=len(text), limit=LONGEST))
+    if len(text) > LONGEST_END:  # before it is read as YAML
+        yield Problem(location, TopicMistake.ON_END_TOO_LONG(length=len(text), limit=LONGEST_END))
         return
     try:
-        fields = read_fields(text) if is_message(text) and text.isprintable() else None
+        fields = read_fields(text) if is_end_message(text) and text.isprintable() else None
     except FieldError as error:
         yield Problem(location, conceal(str(error)))
         return

@@ -46,10 +46,10 @@ from rsb_bridge.config.topic_rules import (
     unreported,
 )
 from rsb_bridge.model import transports
+from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.demands import local_name
 from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, PORT, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
-from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import ArmedName, Identity, Problem, Session, Topic
@@ -594,7 +594,7 @@ def armed_problems(armed: Sequence[str | ArmedName]) -> Iterator[Problem]:
         entry = ArmedName(each) if isinstance(each, str) else each
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
         yield from range_problems(entry, here)
-        yield from on_end_problems(text_of(entry.on_end), join(here, "on_end"), entry.kind)
+        yield from on_end_problems(end_text(entry.on_end), join(here, "on_end"), entry.kind)
         yield from limits_problems(entry.limits, join(here, "limits"), entry.kind, entry.type or AUTO, entry.name)
         if known.setdefault(entry, at) != at:
             yield Problem(here, SessionMistake.ARMED_TWICE(name=show(entry.name), number=known[entry] + 1))

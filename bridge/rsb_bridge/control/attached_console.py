@@ -15,8 +15,17 @@ from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.command_origin import acting, on_console, undoing
-from rsb_bridge.model.commands import ArmTopic, AskHolder, ReleaseArmed, Right, Stop, TakeArming
+from rsb_bridge.model.commands import (
+    ArmTopic,
+    AskHolder,
+    ReleaseArmed,
+    Right,
+    Stop,
+    TakeArming,
+    acting,
+    on_console,
+    undoing,
+)
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import Tasks
 

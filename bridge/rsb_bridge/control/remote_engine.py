@@ -30,8 +30,7 @@ from rsb_bridge.control.states import StateReceiver, UntrustedMessages
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import is_undo
-from rsb_bridge.model.commands import Publish, R
+from rsb_bridge.model.commands import Publish, R, is_undo
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.telemetry.event_log import EventLog
@@ -223,6 +222,12 @@ class RemoteEngine(EngineApi):
         asked = self._asked_at
         # A state may take longer over a thin line, but then parts of it come.
         return 0.0 if asked is None else time.monotonic() - max(asked, self._heard_at)
+
+    @property
+    def file_here(self) -> Path | None:
+        """The path of the bridge's session file, or None without a file on this machine."""
+        # A path of another machine may name another file here.
+        return Path(self.bridge.file) if self.bridge.file is not None and self.same_machine else None
 
     def start(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -465,6 +470,17 @@ class RemoteEngine(EngineApi):
         if future.cancelled():
             with contextlib.suppress(RuntimeError):  # detached already
                 self._loop.call_soon_threadsafe(self._send, protocol.CommandWithdrawn(request))
+
+
+def attach(where: Path | Connector, *, read_only: bool) -> RemoteEngine:
+    """Attach to a bridge by its control socket or another connection; may take some seconds.
+
+    Raises:
+        EngineError: the attachment fails.
+    """
+    engine = RemoteEngine(where, read_only=read_only)
+    engine.start()
+    return engine
 
 
 @dataclass(frozen=True, slots=True)

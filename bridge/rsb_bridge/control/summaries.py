@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
+from rsb_bridge.cdr.known_types import BATTERY_STATE
 from rsb_bridge.control import protocol
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError
 from rsb_bridge.control.protocol import ControlProtocolError, UnexpectedMessage
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES, Battery, LossWindow, encode, of_engine
-from rsb_bridge.ros.known_messages import BATTERY_STATE
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.config.fleet_file import FleetFile
+    from rsb_bridge.config.session_file import FleetFile
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.control.remote_engine import Connection
     from rsb_bridge.engine.access import Access

@@ -27,9 +27,9 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from rsb_bridge.config.files import why_not_written
 from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.history.state_folder import state_folder
-from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.tcp import BBR, congestion_control, prefer_bbr

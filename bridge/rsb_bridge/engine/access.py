@@ -9,7 +9,7 @@ from rsb_bridge.config.keys import KeyFileError, key_warnings, unshared_keys
 from rsb_bridge.config.rights import granted_operators, operator_changes, operator_key_problem
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import operator
+from rsb_bridge.model.commands import operator
 from rsb_bridge.model.snapshot import Level
 
 if TYPE_CHECKING:

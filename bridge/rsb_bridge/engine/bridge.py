@@ -16,16 +16,16 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError, Unable
-from rsb_bridge.config.client_entries import client_named, with_changed_client, with_client, without_client
-from rsb_bridge.config.difference import changes
+from rsb_bridge.cdr.known_types import STRING, STRING_HASH, string_bytes
 from rsb_bridge.config.keys import shared_key_problem
+from rsb_bridge.config.session_changes import changes, client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
 from rsb_bridge.engine.viewing import Viewing
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.graph_watch import Follower, GraphWatch, NameWatch
 from rsb_bridge.link.link import link_named, topics_of_peer
 from rsb_bridge.link.reloading import ReloadStep
@@ -36,12 +36,11 @@ from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import operator
+from rsb_bridge.model.commands import operator
 from rsb_bridge.model.demands import DemandText, as_armed, sources_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
 from rsb_bridge.ros.internal_ends import resources
-from rsb_bridge.ros.known_messages import STRING, STRING_HASH, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 import msgspec
 
 from rsb_bridge.api import EngineApi, EngineError, Unable
-from rsb_bridge.config.difference import is_another, kept
+from rsb_bridge.config.session_changes import is_another, kept
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
@@ -28,8 +28,7 @@ from rsb_bridge.history.history_files import Disk
 from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import operator
-from rsb_bridge.model.commands import AddClient, ChangeClient, History, Reload, Stop
+from rsb_bridge.model.commands import AddClient, ChangeClient, History, Reload, Stop, operator
 from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot
 from rsb_bridge.ros.ros_interface import RosError, RosInterface
 from rsb_bridge.ros.ros_thread import RosToLoopQueue

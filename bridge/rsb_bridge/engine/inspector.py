@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.peer_operators import acting_operator, called
 from rsb_bridge.model.calls import SEND_GOAL
 from rsb_bridge.model.codes import EventCode

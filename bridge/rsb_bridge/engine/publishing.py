@@ -12,24 +12,21 @@ import msgspec
 
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
-from rsb_bridge.cdr.resting import stamped
-from rsb_bridge.cdr.velocity import reduced, speeds_of
+from rsb_bridge.cdr.known_types import reduced, speeds_of, stamped
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.link.topic_view import check_names
-from rsb_bridge.model.by_hand import TICKET_LIFE, Draft, Published
+from rsb_bridge.model.by_hand import TICKET_LIFE, TWISTS, Draft, Published, smallest_limits
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import console
-from rsb_bridge.model.commands import DraftMessage, Publish
+from rsb_bridge.model.commands import DraftMessage, Publish, console
 from rsb_bridge.model.demands import NO_DEMAND
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first, sanitize_text
-from rsb_bridge.model.velocity_limits import TWISTS, smallest
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
@@ -341,7 +338,7 @@ class Publishing:
         demand = self._context.demands.of("topic", topic, type_name) or NO_DEMAND
         found = [(route.arming.limits, route.arming.limited_by) for route in routes]
         found.append((demand.limits, tuple(map(self._context.demands.origin, demand.limited_by))))
-        limits = smallest(each for each, _ in found)
+        limits = smallest_limits(each for each, _ in found)
         if limits is None:
             return payloads
         by = dict.fromkeys(line for each, lines in found if each is not None and each.are_in(limits) for line in lines)

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import msgspec
 
-from rsb_bridge.config.difference import changes, described
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.config.session_changes import changes, described
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.model.by_hand import Held
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import console, is_undo, operator
 from rsb_bridge.model.commands import (
     AddTopic,
     AnswerAsker,
@@ -23,6 +22,9 @@ from rsb_bridge.model.commands import (
     ReleaseArmed,
     RemoveTopic,
     TakeArming,
+    console,
+    is_undo,
+    operator,
 )
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
 from rsb_bridge.model.snapshot import Level

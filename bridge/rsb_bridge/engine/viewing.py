@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.topic_view import TopicView, check_names
 from rsb_bridge.model.commands import EndLook, LookAtTopics
 from rsb_bridge.model.pictures import Picture, Viewed, encode_picture

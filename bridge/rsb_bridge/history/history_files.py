@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 import msgspec
 import zstandard
 
-from rsb_bridge.config.files import replace_file
+from rsb_bridge.config.files import replace_file, why_not_written
 from rsb_bridge.history.state_folder import Claim, Files
 from rsb_bridge.history.timeline import FROM_THE_FUTURE, VERSION, Saved, Timeline, is_from_the_future
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.names import file_stem
-from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Event, Level
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from rsb_bridge.link.fullness import FullnessWatch, LinkFullness
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.link_status import LinkFault, LinkStatus
 from rsb_bridge.link.path_watch import STALLED, PathWatch
-from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.transports import profile_of
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.outgoing import OutgoingRoute
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.data_channels import ChannelCarrier
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Kind
+    from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
@@ -255,9 +256,9 @@ class BaseLink(ABC):
         return self.context.session.use_name if self.is_client else self.use_name
 
     @property
-    def profile(self) -> profiles.LinkProfile:
+    def profile(self) -> LinkProfile:
         """The session's profile of the link's network."""
-        return profiles.profile_of(self.context.session.profile)
+        return profile_of(self.context.session.profile)
 
     @property
     @abstractmethod

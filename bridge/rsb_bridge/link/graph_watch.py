@@ -7,9 +7,9 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rsb_bridge.model.calls import LANES
+from rsb_bridge.model.names import OF_EVERY_NODE
 from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.session import Kind
-from rsb_bridge.model.sources import OF_EVERY_NODE
 from rsb_bridge.ros.ros_graph import agreed_type, called_in
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.tasks import SLICE

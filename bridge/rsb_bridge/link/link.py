@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.datagram_channel import datagram_channel
 from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.control_channel import entries_in_slices
-from rsb_bridge.link.errors import Denied, LinkError
-from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.link_bench import LinkBench
 from rsb_bridge.link.link_patterns import LinkPatterns
 from rsb_bridge.link.link_views import LinkViews

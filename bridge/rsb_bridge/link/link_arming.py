@@ -6,9 +6,10 @@ import asyncio
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.budgets import TokenBucket
+from rsb_bridge.model.by_hand import can_end
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import (
     NO_DEMAND,
@@ -19,7 +20,6 @@ from rsb_bridge.model.demands import (
     full_type,
     smallest_max_age,
 )
-from rsb_bridge.model.on_end import suits
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
@@ -513,7 +513,7 @@ class LinkArming:
 
 def _suiting(route: Route, on_end: str) -> str:
     """Return how the peer wants an arming to end, or an empty string if that means nothing for the route."""
-    return on_end if suits(route.spec.kind, on_end) else ""
+    return on_end if can_end(route.spec.kind, on_end) else ""
 
 
 def _reason(cause: str) -> Disarmed:

@@ -9,8 +9,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.extension import Extension, LinkError
 from rsb_bridge.link.proposed_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.benchmark import (

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from rsb_bridge.config.rights import Use, as_if_listed, uses
-from rsb_bridge.link.errors import Denied, LinkError
-from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.commands import acting
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.names import client_topic, expand_type_name, is_topic_name, server_topic
 from rsb_bridge.model.patterns import (

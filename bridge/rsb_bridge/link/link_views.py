@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.config.rights import Use
-from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.extension import Extension, LinkError
 from rsb_bridge.link.proposed_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.link.topic_view import TopicView, check_names

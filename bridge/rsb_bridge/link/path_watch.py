@@ -14,7 +14,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.path_fault import PathFault, PathFaultText
+from rsb_bridge.model.faults import PathFault, PathFaultText
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.telemetry.meters import Shortest

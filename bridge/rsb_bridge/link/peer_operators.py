@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.difference import changes, described
+from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import operator
+from rsb_bridge.model.commands import operator
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text

@@ -10,16 +10,16 @@ from msgspec import UNSET
 from rsb_bridge import __version__
 from rsb_bridge.config.rights import Use, uses
 from rsb_bridge.config.topic_rules import entry_problems, internal_problems, overlap, problems_here
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
+from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
 from rsb_bridge.model.names import server_topic
-from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.profiles import PLAIN, compression_of
 from rsb_bridge.model.purposes import PURPOSES, TOPIC, Purpose
 from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.transports import NO_PROFILE, compression_of
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Kind, Session
+    from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import Transport
 
@@ -55,7 +55,7 @@ def proposal_of(
     *,
     client_name: str,
     use_name: bool,
-    profile: LinkProfile = PLAIN,
+    profile: LinkProfile = NO_PROFILE,
     purpose: Purpose = TOPIC,
 ) -> Propose:
     """Return the proposal of a topic to the peer.
@@ -77,7 +77,7 @@ def proposal_of(
         qos=topic.parsed_qos(),
         compression=compression_of(topic.compression, profile, transport.compression),
         deadman=topic.deadman_seconds if topic.arm else 0.0,
-        on_end=text_of(topic.on_end) if topic.arm else "",
+        on_end=end_text(topic.on_end) if topic.arm else "",
         kind=topic.kind,
         priority=RANKS[topic.priority],
         purpose=purpose.name,

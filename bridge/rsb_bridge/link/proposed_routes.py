@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Generic
 
 from rsb_bridge.config.topic_rules import internal_problems, transport_of
 from rsb_bridge.config.validation import validate_topic
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.proposals import check_driver_topic, proposal_of, same_route, use_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -21,10 +21,9 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.route_table import RouteTable
-    from rsb_bridge.model.profiles import Compression
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Direction, Priority
-    from rsb_bridge.model.transports import Protocol
+    from rsb_bridge.model.transports import Compression, Protocol
     from rsb_bridge.ros.internal_ends import InternalEnds
     from rsb_bridge.ros.ros_interface import Sink
     from rsb_bridge.route.route import Route

@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import msgspec
 import zstandard
 
-from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, hash_of_text
-from rsb_bridge.cdr.type_difference import difference_of_texts
+from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, difference_of_texts, hash_of_text
 from rsb_bridge.link.control_channel import entries_in_slices
-from rsb_bridge.link.errors import Denied, LinkError
-from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
@@ -33,12 +31,12 @@ from rsb_bridge.wire.records import TopicEntry
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterator, Sequence
 
+    from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.ros.type_descriptions import TypeDescriptions
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.type_versions import TypeVersion
     from rsb_bridge.wire.messages import ControlMessage
 
 T = TypeVar("T")
@@ -215,7 +213,7 @@ class TypeQuestions(Extension):
         return text
 
     def compare(self, route_id: int, types: Sequence[TypeVersion], tell: Callable[[str], None]) -> None:
-        """Implement `rsb_bridge.route.type_versions.CompareTypes`."""
+        """Implement `rsb_bridge.cdr.description.CompareTypes`."""
         installed = {each.type_hash: self._known.installed(each.name) for each in types}
         here = {type_hash: text for type_hash, text in installed.items() if text is not None}
         if not here:

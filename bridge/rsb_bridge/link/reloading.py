@@ -10,9 +10,9 @@ from functools import partial
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.difference import changes, described, named
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import rights_of_server
+from rsb_bridge.config.session_changes import changes, described, named
 from rsb_bridge.link.proposals import denied
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.wording import Wording

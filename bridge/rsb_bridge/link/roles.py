@@ -14,7 +14,7 @@ from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.client_link import ClientLink
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.link_server import Server
 from rsb_bridge.link.reloading import ReloadStep, client_steps, server_steps
 from rsb_bridge.link.server_link import ClientEntry

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, TypeAlias, get_args
 import msgspec
 from msgspec import UNSET
 
-from rsb_bridge.link.errors import Denied, LinkError
-from rsb_bridge.link.extension import Extension
+from rsb_bridge.cdr.description import CompareTypes, unknown_difference
+from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.holder_questions import HolderQuestions
 from rsb_bridge.link.link_arming import DROPPED, LinkArming
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
@@ -38,7 +38,6 @@ from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import route_key
-from rsb_bridge.route.type_versions import CompareTypes, unknown_difference
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import (
@@ -73,7 +72,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Identity, Topic
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.fields import RefuseCode
+    from rsb_bridge.wire.records import RefuseCode
 
 _HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
 """The control messages from one half of a route to the other."""

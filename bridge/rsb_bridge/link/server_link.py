@@ -14,12 +14,11 @@ from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, FORGOTTEN_AFTER, LinkShutdown, name_taken
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.fingerprints import format_fingerprint
 from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports, discovery_domain
-from rsb_bridge.model.names import client_topic, server_topic
-from rsb_bridge.model.profiles import profile_of
+from rsb_bridge.model.names import client_topic, format_fingerprint, server_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first
+from rsb_bridge.model.transports import profile_of
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport import descriptors
@@ -37,11 +36,10 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
-    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Client, Kind, Session, Topic
-    from rsb_bridge.model.transports import TransportTraits
+    from rsb_bridge.model.transports import LinkProfile, TransportTraits
     from rsb_bridge.route.route import Route
-    from rsb_bridge.transport.ports import Ports
+    from rsb_bridge.transport.registry import Ports
     from rsb_bridge.transport.streams import Address, Stream
     from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
     from rsb_bridge.wire.events import Attach

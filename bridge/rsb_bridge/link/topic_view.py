@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.config.topic_rules import name_problems
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import LinkError
 from rsb_bridge.model.pictures import MOST_RATE, Picture, Wish
 from rsb_bridge.model.qos import AUTO_DEPTH, Qos
 from rsb_bridge.model.text import sanitize_text

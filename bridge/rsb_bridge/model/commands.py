@@ -1,13 +1,15 @@
-"""Commands to an engine. Consoles make them, and `rsb_bridge.engine.bridge.Bridge.do` executes them.
+"""Commands to an engine, their effects, and the operator and the console of the one that is being executed.
 
-A command names the type of its result as the parameter of `Command`, and declares the right that it needs. The control
-socket sends commands as they are (`rsb_bridge.control.protocol.CommandRequest`), so tags and fields are part of its
-protocol.
+Consoles make commands, and `rsb_bridge.engine.bridge.Bridge.do` executes them. A command names the type of its result
+as the parameter of `Command`, and declares the right that it needs. The control socket sends commands as they are
+(`rsb_bridge.control.protocol.CommandRequest`), so tags and fields are part of its protocol.
 """
 
 from __future__ import annotations
 
+import contextlib
 import enum
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeAlias, TypeVar, Union
 
 import msgspec
@@ -15,11 +17,14 @@ from msgspec import Meta
 
 from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
 from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER, Draft, Held, Published
-from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import TOPICS_AT_ONCE, Viewed, Wish
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, State, TopicInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterator
+    from contextlib import AbstractContextManager
 
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
@@ -37,6 +42,17 @@ class Right(enum.Enum):
     TAKE = enum.auto()
     """To take an arming from its holder at once: whoever has `CHANGE`, but of operators over a network only those with
     `may: take`."""
+
+
+class Effect(enum.Flag):
+    """The effect of a command, or of a Yes, on robots and files: from it follows what must not come late."""
+
+    HARMLESS = 0
+    """It stops something, or changes what can be changed back."""
+    MOVES = enum.auto()
+    """A robot may move, or messages may cross that do not cross now."""
+    LOSES = enum.auto()
+    """Something ends, is removed or is overwritten."""
 
 
 class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_defaults=True):
@@ -483,3 +499,57 @@ if TYPE_CHECKING:
     AnyCommand: TypeAlias = Command[Any]
 else:
     AnyCommand = Union[tuple(Command.__subclasses__())]  # noqa: UP007 -- of those above: the control socket knows each
+
+
+OWN_CONSOLE = "the bridge's own console"
+_operator = ContextVar("operator", default=OWN_CONSOLE)
+_undo = ContextVar("undo", default=False)
+_console: ContextVar[Hashable] = ContextVar("console", default="own")
+
+
+def operator() -> str:
+    """Return the operator of the present command, in words.
+
+    A task has the operator of the code that started it, on another thread, too.
+    """
+    return _operator.get()
+
+
+@contextlib.contextmanager
+def _set(variable: ContextVar[R], value: R) -> Iterator[None]:
+    token = variable.set(value)
+    try:
+        yield
+    finally:
+        variable.reset(token)
+
+
+def acting(who: str) -> AbstractContextManager[None]:
+    """Give commands in the name of an operator.
+
+    Args:
+        who: the operator in words: ``anna on pts/3``.
+    """
+    return _set(_operator, who)
+
+
+def is_undo() -> bool:
+    """Whether the present command undoes an earlier one of the same operator."""
+    return _undo.get()
+
+
+def undoing(undo: bool = True) -> AbstractContextManager[None]:
+    """Mark the commands given inside as undoing earlier commands."""
+    return _set(_undo, undo)
+
+
+def console() -> Hashable:
+    """Return the identity of the present command's console, ``own`` for that of the bridge's own process.
+
+    A task has the console of the code that started it, on another thread, too.
+    """
+    return _console.get()
+
+
+def on_console(which: Hashable) -> AbstractContextManager[None]:
+    return _set(_console, which)

@@ -8,13 +8,12 @@ from functools import lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
+from rsb_bridge.model.by_hand import VelocityLimits, can_end, end_text, more_careful_end, smallest_limits
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.names import expand_type_name, server_topic
-from rsb_bridge.model.on_end import more_careful, suits, text_of
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import DEADMAN, ArmedName, Client, Identity, Kind, Session, Topic
-from rsb_bridge.model.velocity_limits import VelocityLimits, smallest
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ class DemandSource:
         on_client: the name as the client has it, to which `excepts` refers.
         excepts: names and patterns on the client that a pattern leaves out.
         max_age: in seconds, 0 for no limit, or None if it says nothing.
-        on_end: what the robot gets when an arming ends, as of `on_end.text_of`.
+        on_end: what the robot gets when an arming ends, as of `by_hand.end_text`.
         limits: what a hand may ask, or None for any velocity.
     """
 
@@ -143,7 +142,7 @@ def sources_of_entries(
                 topic.excepts,
                 arm=topic.arm,
                 max_age=default_max_age(topic.max_age, armed=topic.arm),
-                on_end=text_of(topic.on_end),
+                on_end=end_text(topic.on_end),
                 limits=topic.limits,
             )
 
@@ -155,7 +154,7 @@ def sources_of_names(armed: Iterable[str | ArmedName]) -> Iterator[DemandSource]
         key = "", f"{entry.kind or ''} {entry.type or ''} {entry.name}".strip()
         max_age = default_max_age(entry.max_age, armed=True)
         type_name = full_type(entry.type or AUTO)
-        on_end = text_of(entry.on_end)
+        on_end = end_text(entry.on_end)
         yield DemandSource(
             key,
             entry.name,
@@ -225,12 +224,12 @@ class Demands:
         )
         if not found:
             return None
-        limits = smallest(each.limits for each in found) if kind == "topic" else None
+        limits = smallest_limits(each.limits for each in found) if kind == "topic" else None
         return Demand(
             min((each.deadman for each in found if each.deadman), default=0.0),
             smallest_max_age(each.max_age for each in found),
             tuple(each for each in found if each.arm),
-            more_careful(each.on_end for each in found if suits(kind, each.on_end)),
+            more_careful_end(each.on_end for each in found if can_end(kind, each.on_end)),
             limits,
             tuple(each for each in found if limits is not None and each.limits and each.limits.are_in(limits)),
         )

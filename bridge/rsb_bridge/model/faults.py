@@ -1,15 +1,15 @@
-"""Finds the faults that last in a series of snapshots: when each begins, changes and is over."""
+"""Faults of links, routes and patterns: which states are any, when they begin and end, and which a path explains."""
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from rsb_bridge.model.path_fault import explained_by_link
 from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, RouteSnapshot, State
-from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -65,6 +65,58 @@ def route_waits(route: RouteSnapshot) -> bool:
     if route.state is State.STALE:
         return route.age is None and not route.spec.stale_after
     return route.state is State.WAITING
+
+
+class PathFaultText(Wording):
+    """Texts about a path, with the remedy."""
+
+    LOSSY = "{share} of packets are lost {way} {peer}: check its Wi-Fi or cable"
+    LARGE_PACKETS = (
+        "large packets are lost {way} {peer}, small ones arrive: "
+        "lower the MTU on both sides (ip link set DEVICE mtu 1280)"
+    )
+    SILENT = "nothing comes from {peer} now: check that it is on, its cable or Wi-Fi, and firewalls"
+    GONE = "the path to {peer} is in order again"
+
+
+_LOST = frozenset(
+    {
+        Cause.NO_PATH, Cause.LOSSY, Cause.LATE, Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.QUEUE_FULL,
+        Cause.SILENT, Cause.UNANSWERED,
+    }
+)  # fmt: skip
+_OF_TOPICS = {
+    LinkCause.LOSSY: (Cause.LOSSY, _LOST),
+    LinkCause.LARGE_PACKETS: (Cause.NO_PATH, frozenset({Cause.NO_PATH, Cause.LOSSY})),
+    LinkCause.SILENT: (Cause.AWAITS_LINK, _LOST | {Cause.AWAITS_LINK}),
+}
+"""By the cause of a link that is up: the cause of topics that suffer from it, and the causes that it replaces."""
+
+
+class PathFault(NamedTuple):
+    """A fault of a link's path while the link is up.
+
+    Attributes:
+        cause: `LinkCause.LOSSY`, `LARGE_PACKETS` or `SILENT`.
+        text: for an operator, with the remedy.
+    """
+
+    cause: LinkCause
+    text: str
+
+    def of_topic(self, cause: str) -> Cause | None:
+        """Return the cause to show instead of a topic's own, or None if the path does not explain that."""
+        shown, explained = _OF_TOPICS[self.cause]
+        return shown if cause in explained else None
+
+
+def explained_by_link(cause: str, link: LinkSnapshot | None) -> bool:
+    """Whether a route's fault of that cause is its link's, so that one report is enough."""
+    if cause == Cause.LINK_DOWN:
+        return True
+    if link is None or link.cause not in _OF_TOPICS:
+        return False
+    return cause == _OF_TOPICS[LinkCause(link.cause)][0]
 
 
 _OF_MESSAGES = frozenset({State.STALE, State.STOPPED, State.LATE, State.SLOW})

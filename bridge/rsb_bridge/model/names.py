@@ -1,12 +1,22 @@
-"""Names: which topics ROS accepts, what a client's topic is called on the server, and what a session's files are."""
+"""Names: of topics, of types, of a session's files, of the hops that messages have crossed, and of keys.
+
+A *hop* is a bridge that took messages, and the topic it took them from: ``rsb_robot1_1a2b3c4d/scan``, the name of its
+ROS node and that of the topic. Messages that crossed the same bridges have the same `Via`: so no message crosses a
+bridge twice.
+"""
 
 from __future__ import annotations
 
 import difflib
+import hashlib
 import re
 from functools import lru_cache
+from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.model.wording import Wording
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 _PART = r"[A-Za-z_][A-Za-z0-9_]*"
 _TOPIC = re.compile(rf"(/{_PART})+")
@@ -155,3 +165,58 @@ def expand_type_name(name: str) -> str:
         name = name.replace("/", "/msg/")
     split_type_name(name)
     return name
+
+
+Via: TypeAlias = tuple[str, ...]
+"""Hops in the order of the way, or empty for the messages of a publisher that is no bridge."""
+
+OWN_NAMES = "/_rsb_bridge/"
+"""Before the names of what bridges themselves publish or serve."""
+ANNOUNCEMENT_TOPIC = f"{OWN_NAMES}published"
+"""What the bridges of a domain tell each other; hidden from ``ros2 topic list``, and never bridged."""
+OF_EVERY_NODE = ("/parameter_events", "/rosout", ANNOUNCEMENT_TOPIC)
+"""The topics that each node has, and each bridge; lists leave them out."""
+
+MOST_HOPS = 16
+"""Of one message; of the protocol (PROTOCOL.md, 3: Source)."""
+MOST_SOURCES = 16
+"""Of one topic that one link carries: its number has four bits on the wire."""
+MOST_BRIDGES = 64
+"""In one domain; of the protocol (PROTOCOL.md, 3: Neighbours)."""
+HOP_LENGTH = 340
+"""Characters: a node's name and a topic's, which alone may have 247."""
+
+
+def hop(node: str, topic: str) -> str:
+    """Return the hop of a bridge's node that takes messages from a topic."""
+    return f"{node}{topic}"
+
+
+def node_of_hop(a_hop: str) -> str:
+    """Return the bridge's node."""
+    return a_hop.partition("/")[0]
+
+
+def topic_place(bridges: Iterable[str], topic: str) -> frozenset[str]:
+    """Return a topic in a domain, as the hops that messages have if they were there before.
+
+    Args:
+        bridges: the names of the domain's bridge nodes.
+        topic: the topic's name in that domain.
+    """
+    return frozenset(hop(node, topic) for node in bridges)
+
+
+FINGERPRINT_LENGTH = 8
+"""Bytes; of the protocol (PROTOCOL.md, 1.1). Two operators compare them by eye or by voice."""
+
+
+def fingerprint_of(secret: bytes) -> bytes:
+    """Return a key's public name, which operators compare on both sides: the beginning of its SHA-256."""
+    return hashlib.sha256(secret).digest()[:FINGERPRINT_LENGTH]
+
+
+def format_fingerprint(fingerprint: bytes) -> str:
+    """Return 16 hexadecimal digits in groups of four, or an empty string for zeros, which mean no key."""
+    digits = fingerprint.hex()
+    return " ".join(digits[at : at + 4] for at in range(0, len(digits), 4)) if any(fingerprint) else ""

@@ -12,13 +12,11 @@ from typing import Any, Final, Literal
 import msgspec
 
 from rsb_bridge.model.benchmark import BenchmarkLimits
-from rsb_bridge.model.on_end import text_of
+from rsb_bridge.model.by_hand import VelocityLimits, end_text
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.profiles import Compression, ProfileName
 from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
-from rsb_bridge.model.transports import ZENOH_HOST, Protocol, is_mac, of_link
-from rsb_bridge.model.velocity_limits import VelocityLimits
+from rsb_bridge.model.transports import ZENOH_HOST, Compression, ProfileName, Protocol, is_mac, of_link
 
 Priority = Literal["low", "normal", "high"]
 
@@ -92,7 +90,7 @@ class Problem:
 def _write_out(entry: Topic | ArmedName) -> None:
     """Have `on_end` as one text, so that entries can be compared and hashed."""
     if isinstance(entry.on_end, dict):
-        msgspec.structs.force_setattr(entry, "on_end", text_of(entry.on_end))
+        msgspec.structs.force_setattr(entry, "on_end", end_text(entry.on_end))
 
 
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -331,7 +329,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         allow: on a client, the server's rights to bridge, as in `Client`. If empty, the server may read all topics, and
             publish, call and serve the entries of `topics`.
         deny: on a client, names that the server may not bridge; stronger than `allow`.
-        profile: the kind of the link's network, for settings that nothing else sets (`rsb_bridge.model.profiles`).
+        profile: the kind of the link's network, for settings that nothing else sets (`transports.PROFILES`).
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
         bench: on a client, the limits within which the server may measure the link, or None if it may not. On a server
             without a list of clients, the limits of its client.

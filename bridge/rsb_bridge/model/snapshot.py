@@ -7,11 +7,11 @@ from enum import StrEnum
 
 import msgspec
 
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.capacity import Capacity, Fullness
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind, Topic
-from rsb_bridge.model.velocity_limits import VelocityLimits
 
 # These types must be known where a snapshot is decoded
 

@@ -1,21 +1,19 @@
-"""The name and the facts of each transport. `rsb_bridge.transport` has the sockets.
+"""The name and the facts of each transport, and the settings of links by the kind of their network.
 
-Session files, the wire, rules, rights, forms, benchmarks and the command line read these facts, so that a session is
-checked without loading a socket or an event loop.
+`rsb_bridge.transport` has the sockets. Session files, the wire, rules, rights, forms, benchmarks and the command line
+read these facts, so that a session is checked without loading a socket or an event loop.
 """
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Final, Literal, NamedTuple
 
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, PORT, TOPIC_PORT, Range
 
-if TYPE_CHECKING:
-    from rsb_bridge.model.profiles import Compression
-
 Protocol = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
 """The names of the classes below."""
+Compression = Literal["none", "zstd"]
 
 ZENOH_HOST = "zenoh"
 """The `rsb_bridge.model.session.Session.server_ip` of a link over Zenoh."""
@@ -183,3 +181,70 @@ def named(name: str) -> type[TransportTraits]:
 def of_link(host: str) -> type[TransportTraits]:
     """Return the transport of a link whose session has that `server_ip`."""
     return next(traits for traits in _BY_NAME.values() if traits.carries_links_to(host))
+
+
+ProfileName = Literal["lan", "wifi", "lte", "bluetooth"]
+
+
+class LinkProfile(NamedTuple):
+    """The settings of one profile.
+
+    Attributes:
+        compression: of topics, services and actions that name none, or None for the transport's.
+        queue_bytes: of a best-effort topic that wait; one message always may. None for the transport's.
+        max_rate: Hz of a best-effort topic that names none, or None for any rate.
+        patience: s without a byte until the link is given up, and for which a reliable topic's messages are kept
+            meanwhile, or None for 5.
+    """
+
+    compression: Compression | None = None
+    queue_bytes: int | None = None
+    max_rate: float | None = None
+    patience: float | None = None
+
+
+NO_PROFILE: Final = LinkProfile()
+"""The settings of a link without a profile."""
+
+PROFILES: Final[dict[ProfileName, LinkProfile]] = {
+    "lan": NO_PROFILE,
+    "wifi": LinkProfile(queue_bytes=1024 * 1024),
+    "lte": LinkProfile("zstd", queue_bytes=256 * 1024, max_rate=10.0, patience=15.0),
+    "bluetooth": LinkProfile("zstd", queue_bytes=64 * 1024, max_rate=5.0),
+}
+"""Settings of links by the kind of their network, for what session files leave out.
+
+On a ``lan``, and without a profile, they are as if there were none.
+
+- ``wifi`` stalls for some tenths of a second, again and again. A best-effort message that has waited behind 1 MiB
+  (0.2 s at 5 MB/s) is better replaced by a newer one.
+- ``lte`` is slow upwards (some 500 kB/s), is paid for by the byte, and has gaps of up to some 10 s between cells. So
+  messages are compressed, half a second of them waits (256 KiB), and sensors cross at 10 Hz. The link
+  is given up after 15 s of silence instead of 5, so that a gap costs no new connection.
+- ``bluetooth`` is what RFCOMM links are set to anyway (50 kB/s: zstd, and 64 KiB of best effort), and sensors cross at
+  5 Hz, which leaves a message 10 kB.
+"""
+
+
+def profile_of(*names: ProfileName | None) -> LinkProfile:
+    """Return the first profile that is given: a client's before its server's."""
+    return next((PROFILES[name] for name in names if name is not None), NO_PROFILE)
+
+
+def compression_of(own: Compression | None, profile: LinkProfile, transport: Compression) -> Compression:
+    """Return a topic's own compression, or that of its link's profile or transport."""
+    if own is not None:
+        return own
+    return "zstd" if "zstd" in (profile.compression, transport) else "none"
+
+
+def profile_text(profile: LinkProfile) -> str:
+    """Describe a profile in a line."""
+    rate = f"{profile.max_rate:g} Hz" if profile.max_rate else "any rate"
+    size = f", {profile.queue_bytes // 1024:,} KiB wait" if profile.queue_bytes else ""
+    parts = [
+        f"{profile.compression or 'no'} compression",
+        f"best effort: {rate}{size}",
+        f"given up after {profile.patience or 5:g} s of silence",
+    ]
+    return "; ".join(parts)

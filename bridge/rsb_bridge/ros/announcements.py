@@ -15,19 +15,19 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 import msgspec
 from msgspec import Meta
 
+from rsb_bridge.cdr.known_types import STRING, STRING_HASH, serialize_string, string_bytes
 from rsb_bridge.model.budgets import TokenBucket
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
-from rsb_bridge.ros.known_messages import STRING, STRING_HASH, serialize_string, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
-from rsb_bridge.wire.fields import Hops, Name
+from rsb_bridge.wire.records import Hops, Name
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Hashable, Sequence
 
-    from rsb_bridge.model.sources import Via
+    from rsb_bridge.model.names import Via
     from rsb_bridge.ros.ros_interface import OnFailure, Publisher, RawMessage, RosInterface, Subscription
 
 LONGEST = 4 << 20

@@ -29,8 +29,8 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
+from rsb_bridge.cdr.known_types import made_at, stamped_string
 from rsb_bridge.ros.internal_ends import percentiles
-from rsb_bridge.ros.known_messages import made_at, stamped_string
 from rsb_bridge.ros.native.rclpy_extension import wait_set
 
 if TYPE_CHECKING:

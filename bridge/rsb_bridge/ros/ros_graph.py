@@ -7,10 +7,10 @@ import difflib
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from rsb_bridge.model.calls import LANES
+from rsb_bridge.model.names import OF_EVERY_NODE
 from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.snapshot import TopicInfo
-from rsb_bridge.model.sources import OF_EVERY_NODE
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rclpy.context import Context
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from rsb_bridge.cdr.known_types import STRING
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.distribution import described, package_of
-from rsb_bridge.ros.known_messages import STRING
 from rsb_bridge.ros.native.cyclone_dds import CYCLONE_DDS
 from rsb_bridge.ros.native.fast_cdr import copies_calls
 from rsb_bridge.ros.native.librcl import (

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.known_messages import (
+from rsb_bridge.cdr.known_types import (
     BATTERY_STATE,
     BATTERY_STATE_HASH,
     STRING,
@@ -25,6 +24,7 @@ from rsb_bridge.ros.known_messages import (
     battery_state,
     stamped_string,
 )
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import RosTurns
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.model.by_hand import smallest_limits
 from rsb_bridge.model.demands import NO_DEMAND, Demand
 from rsb_bridge.model.snapshot import ArmingSnapshot
-from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.route.lease import SLOW
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import with_number
@@ -24,8 +24,8 @@ from rsb_bridge.wire.headers import with_number
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
+    from rsb_bridge.model.by_hand import VelocityLimits
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.model.velocity_limits import VelocityLimits
     from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.wire.framing import Message
 
@@ -199,7 +199,7 @@ class Arming:
     @property
     def limits(self) -> VelocityLimits | None:
         """The limits of messages by hand in both sides' sessions, armed or not, or None for any velocity."""
-        return smallest((self.own.limits, self.peer_limits))
+        return smallest_limits((self.own.limits, self.peer_limits))
 
     # --- state
 

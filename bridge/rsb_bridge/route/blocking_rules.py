@@ -11,7 +11,7 @@ from rsb_bridge.model.verdict import FINE, Cause, LinkCause, Verdict
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from rsb_bridge.model.path_fault import PathFault
+    from rsb_bridge.model.faults import PathFault
 
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""

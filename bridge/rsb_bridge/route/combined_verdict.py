@@ -16,7 +16,7 @@ from rsb_bridge.wire.records import VerdictRecord
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_bridge.model.path_fault import PathFault
+    from rsb_bridge.model.faults import PathFault
     from rsb_bridge.ros.ros_interface import Endpoint
 
 _SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.AWAITS_LINK, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED})

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES
+from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.verdict import Cause

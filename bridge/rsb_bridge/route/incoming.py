@@ -10,6 +10,7 @@ import msgspec
 import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
+from rsb_bridge.cdr.description import CompareTypes, TypeClash, TypeVersion, unknown_difference
 from rsb_bridge.channel.channel import ReceivingChannel
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
@@ -32,7 +33,6 @@ from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
 from rsb_bridge.route.source_publishers import SlowSubscriberError, SourcePublishers, bounded
 from rsb_bridge.route.topic_route import Signs, TopicRoute
 from rsb_bridge.route.topic_verdict import TopicProgress
-from rsb_bridge.route.type_versions import CompareTypes, TypeClash, TypeVersion, unknown_difference
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
@@ -42,7 +42,7 @@ from rsb_bridge.wire.records import ReceivedReport, SentReport
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    from rsb_bridge.cdr.velocity import Velocity
+    from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic

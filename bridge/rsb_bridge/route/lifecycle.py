@@ -157,7 +157,7 @@ class Reopening:
 
 
 _LAST = 2**53
-"""The largest number in a control message (`wire.fields.Count`): an absurd one of the peer's must not end the link."""
+"""The largest number in a control message (`wire.records.Count`): an absurd one of the peer's must not end the link."""
 
 
 class Revisions:

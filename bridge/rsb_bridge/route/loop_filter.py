@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.names import MOST_HOPS, MOST_SOURCES, Via, hop, node_of_hop, topic_place
 from rsb_bridge.model.qos import QUEUE_BYTES
-from rsb_bridge.model.sources import MOST_HOPS, MOST_SOURCES, Via, hop, node_of, place
 from rsb_bridge.model.text import join_first
 from rsb_bridge.wire.framing import SOURCE_SHIFT
 from rsb_bridge.wire.records import Source
@@ -194,7 +194,7 @@ class SourceTable:
 
     def culprits(self) -> list[str]:
         """Return the nodes of the bridges that the echoes crossed, nearest to the peer first."""
-        return list(dict.fromkeys(node_of(hop) for each in self.echoes for hop in each.via or ()))
+        return list(dict.fromkeys(node_of_hop(hop) for each in self.echoes for hop in each.via or ()))
 
 
 def _nearest_first(publication: Publication) -> tuple[bool, int, Via]:
@@ -239,8 +239,8 @@ class LoopFilter:
         self.table.update(
             publications,
             hop(ros.node_name, topic),
-            place(announcements.bridges, topic),
-            place(self._peer.bridges, remote_topic),
+            topic_place(announcements.bridges, topic),
+            topic_place(self._peer.bridges, remote_topic),
             self._context.now(),
         )
         self._wait()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 
+from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level
@@ -27,18 +28,16 @@ from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_route import MEASURED_FOR, Signs, TopicRoute
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import TopicProgress
-from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
 from rsb_bridge.transport.transport import DatagramTransport
-from rsb_bridge.wire.fields import MOST_PUBLISHERS
 from rsb_bridge.wire.headers import publisher_id
 from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
-from rsb_bridge.wire.records import ReceivedReport, SentReport
+from rsb_bridge.wire.records import MOST_PUBLISHERS, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from rsb_bridge.cdr.velocity import Velocity
+    from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic

@@ -15,8 +15,8 @@ from rsb_bridge.wire.framing import UNFINISHED_LIMIT, Budget
 
 if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
-    from rsb_bridge.model.path_fault import PathFault
-    from rsb_bridge.model.profiles import LinkProfile
+    from rsb_bridge.model.faults import PathFault
+    from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.lifecycle import Revisions
     from rsb_bridge.telemetry.meters import ClockOffset

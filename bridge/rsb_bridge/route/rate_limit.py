@@ -27,7 +27,7 @@ _TOPICS = 2 * ROUTES_PER_LINK
 """That have lately had messages, of routes that are there or were."""
 _CLOCKS_DIFFER = 1.01
 """The sender keeps to the rate by its own clock, which may be faster: none of its messages is left out for that."""
-_MOST_PUBLISHERS = 4096  # of a latched topic, as in one control message (`wire.fields`)
+_MOST_PUBLISHERS = 4096  # of a latched topic, as in one control message (`wire.records`)
 
 
 class AllowedRates:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
+from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.topic_verdict import no_publisher, nodes_by
-from rsb_bridge.route.type_versions import TypeVersion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

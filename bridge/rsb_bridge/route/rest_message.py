@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped
-from rsb_bridge.cdr.velocity import velocity_of
+from rsb_bridge.cdr.known_types import DRIVING_TYPES, resting, stamped, velocity_of
 from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.model.by_hand import END_NONE, END_ZERO
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.demands import PEER_DEMANDS
-from rsb_bridge.model.on_end import NONE, ZERO
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.lease import LASTS
@@ -27,7 +26,7 @@ from rsb_bridge.route.lease import LASTS
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.cdr.velocity import Velocity
+    from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.ros.ros_interface import TopicSpec
@@ -79,7 +78,7 @@ class RestMessage:
         self._fields: Fields | None = None
         self._body_at = _BODY
         # The zero of a type that does not drive is a message of defaults.
-        if on_end != ZERO or spec.type_name not in DRIVING_TYPES:
+        if on_end != END_ZERO or spec.type_name not in DRIVING_TYPES:
             self._read_fields()
         self._failed = failed
         self._overdue = overdue
@@ -188,7 +187,7 @@ class RestMessage:
                 return
 
     def _read_fields(self) -> None:
-        fields = read_fields("" if self.on_end == ZERO else self.on_end)
+        fields = read_fields("" if self.on_end == END_ZERO else self.on_end)
         assert isinstance(fields, dict)
         try:
             self._fields = {"header": "auto", **fields}
@@ -272,10 +271,10 @@ class RestAfterArming:
         Raises:
             RosError: there can be none.
         """
-        before, on_end = self.message, self._on_end_of(spec.type_name) if self._arming.required else NONE
+        before, on_end = self.message, self._on_end_of(spec.type_name) if self._arming.required else END_NONE
         if before is not None and before.fits(spec, on_end):
             return
-        if on_end == NONE:
+        if on_end == END_NONE:
             self.close()
             return
         try:

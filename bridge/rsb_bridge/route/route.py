@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Unpack
 
 import msgspec
 
+from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.purposes import PURPOSES
 from rsb_bridge.model.session import HIGHEST, weight_of
@@ -26,14 +27,13 @@ from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEv
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
 from rsb_bridge.route.peer import Peer
 from rsb_bridge.route.rate_limit import RateLimit, limits_changed
-from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from rsb_bridge.cdr.velocity import Velocity
+    from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness

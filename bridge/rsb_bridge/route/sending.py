@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import zstandard
 
 from rsb_bridge.channel.channel import Pace
+from rsb_bridge.model.by_hand import END_NONE
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.on_end import NONE
-from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
+from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
 from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.gates import Sift
     from rsb_bridge.route.history_depth import Histories, Sample
@@ -303,7 +303,14 @@ class Outbox:
         return QueueLimits(1, 0.0, QUEUE_BYTES + self.largest)
 
     def limits(
-        self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = PLAIN, *, behind: bool = False
+        self,
+        qos: Qos | None,
+        depth: int,
+        pace: Pace,
+        now: float,
+        profile: LinkProfile = NO_PROFILE,
+        *,
+        behind: bool = False,
     ) -> QueueLimits:
         """Return the queue's limits at `now` (s). While the channel takes messages, the queue only passes them on.
 
@@ -518,7 +525,7 @@ class OutgoingPath:
         traffic.bytes += size
         if outbox.pass_on(messages, size, channel):
             return
-        if route.arming.required and route.on_end not in ("", NONE):
+        if route.arming.required and route.on_end not in ("", END_NONE):
             # It is a state: after a stall, a robot would follow all the old ones before the present one.
             limits = outbox.newest_only
         else:

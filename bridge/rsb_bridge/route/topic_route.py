@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES
+from rsb_bridge.cdr.description import TypeVersion
+from rsb_bridge.cdr.known_types import DRIVING_TYPES
+from rsb_bridge.model.by_hand import END_NONE, END_ZERO, more_careful_end
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.on_end import NONE, ZERO, more_careful
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import EXPIRES, Cause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
-from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.telemetry.meters import HISTORY, LatencyMeter, Smoothed, StaleWatch
 
 if TYPE_CHECKING:
@@ -253,10 +253,10 @@ class TopicRoute(Route, Generic[ChannelT]):
     def on_end_of(self, type_name: str) -> str:
         """Return what it publishes for a type, or an empty string for an unknown one; its own session's of two."""
         own, peer = self.arming.own.on_end, self.arming.peer_on_end
-        wanted = more_careful((peer, own) if self.outgoing else (own, peer))
+        wanted = more_careful_end((peer, own) if self.outgoing else (own, peer))
         if wanted or not type_name:
             return wanted
-        return ZERO if type_name in DRIVING_TYPES else NONE
+        return END_ZERO if type_name in DRIVING_TYPES else END_NONE
 
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""

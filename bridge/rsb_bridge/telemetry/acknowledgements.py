@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
-from rsb_bridge.model.path_fault import explained_by_link
+from rsb_bridge.model.faults import explained_by_link
 from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, PatternSnapshot, RouteSnapshot, State
 from rsb_bridge.model.verdict import Cause
 

@@ -9,11 +9,18 @@ import zstandard
 from msgspec import Meta, Raw
 
 from rsb_bridge.model.limits import ROUTES_PER_LINK
-from rsb_bridge.wire.fields import PRINTABLE
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import ControlMessage, Hello, Report, UrgentMessage, Welcome
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
-from rsb_bridge.wire.records import CallsReport, FullRecord, PathRecord, ReceivedReport, SentReport, TopicEntry
+from rsb_bridge.wire.records import (
+    PRINTABLE,
+    CallsReport,
+    FullRecord,
+    PathRecord,
+    ReceivedReport,
+    SentReport,
+    TopicEntry,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

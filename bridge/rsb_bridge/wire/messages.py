@@ -8,46 +8,43 @@ import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from rsb_bridge.model.benchmark import MOST_SIZE
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import MOST_LANES
+from rsb_bridge.model.names import MOST_SOURCES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.pictures import Wish
-from rsb_bridge.model.profiles import Compression
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.sources import MOST_SOURCES
-from rsb_bridge.model.transports import Protocol
-from rsb_bridge.model.velocity_limits import VelocityLimits
-from rsb_bridge.wire.fields import (
+from rsb_bridge.model.transports import Compression, Protocol
+from rsb_bridge.wire.framing import CONTROL_LIMIT
+from rsb_bridge.wire.headers import LeaseNumber
+from rsb_bridge.wire.records import (
     Bridges,
+    CallsReport,
     Count,
     DescriptionText,
+    FullRecord,
     Hertz,
     HistoryDepths,
+    LaneEntry,
     LinkId,
     MaybeHops,
     Name,
     Nanoseconds,
     NewestNumbers,
     NodeNames,
+    PathRecord,
     Port,
     Rank,
     Reason,
+    ReceivedReport,
     RefuseCode,
     RouteId,
     Seconds,
+    SentReport,
     Shift,
+    Source,
     ViewedTopics,
     check_limits,
-)
-from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.headers import LeaseNumber
-from rsb_bridge.wire.records import (
-    CallsReport,
-    FullRecord,
-    LaneEntry,
-    PathRecord,
-    ReceivedReport,
-    SentReport,
-    Source,
     check_qos,
 )
 

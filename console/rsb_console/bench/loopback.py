@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.snapshot import State
 from rsb_console.bench.results import BenchError, Many, Run, Side, Way
 from rsb_console.child import ChildProcess
-from rsb_console.session.attaching import attach
 from rsb_console.session.demo_session import free_port
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rsb_bridge.cdr.known_types import BATTERY_STATE, STRING
 from rsb_bridge.config import session_file
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.model.session import Client, Operator, Session, Topic, ZenohSettings
 from rsb_bridge.model.transports import ZENOH_HOST
-from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.loopback import Process

@@ -12,11 +12,11 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Self, TextIO
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import write_whole
+from rsb_bridge.config.files import why_not_written, write_whole
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.names import file_stem
-from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import one_line
 from rsb_console.bench.loopback import Loopback, machine, ros_problem
@@ -25,7 +25,6 @@ from rsb_console.bench.results import BenchError, BenchReport, as_json
 from rsb_console.bench.suite import FULL, QUICK, OverLink, Plan, Suite, loads_of, loads_of_all, ways_of
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, check_link, failed
-from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from argparse import Namespace

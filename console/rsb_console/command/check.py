@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES
+from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.config.advice import advise, guarded_here_alone, uninstalled_types, without_max_age
 from rsb_bridge.config.file_form import LISTS, NOUNS
 from rsb_bridge.config.keys import (
@@ -29,12 +29,12 @@ from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import command_words, domain_of, fault_command_warnings
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.by_hand import END_CANCEL
 from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
-from rsb_bridge.model.on_end import CANCEL
-from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.transports import PROFILES, compression_of, profile_of, profile_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.shell import NO_KEY, OK, USAGE, print_error, print_line
 
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.model.demands import Demand, DemandSource, SourceKey
-    from rsb_bridge.model.profiles import Compression, LinkProfile
     from rsb_bridge.model.session import Client, Session, Topic
+    from rsb_bridge.model.transports import Compression, LinkProfile
 
 _NAMED = 6
 """Names in a line; the others are counted. A round figure."""
@@ -88,7 +88,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     yield f"{session.role} {session.name} {_where(session)}, {_domain(session)}"
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
     if session.profile is not None:
-        yield f"profile {session.profile}: {described(PROFILES[session.profile])}"
+        yield f"profile {session.profile}: {profile_text(PROFILES[session.profile])}"
     if session.on_fault is not None:
         yield f"on a fault, {shlex.join(command_words(session.on_fault))} is run"
     for topic in session.topics:
@@ -99,7 +99,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
         prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
         yield f"  accepts {client.name}: {allowed}{', not ' if denied else ''}{denied}{prefix}"
         if client.profile is not None:
-            yield f"    profile {client.profile}: {described(PROFILES[client.profile])}"
+            yield f"    profile {client.profile}: {profile_text(PROFILES[client.profile])}"
         for topic in client.topics:
             demanded = _demands_on(topic, session, client, demands, places or {})
             yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}{demanded}"
@@ -137,7 +137,7 @@ def _end_of(demand: Demand, topic: Topic, places: Mapping[SourceKey, str]) -> st
     line = next((each for each in demand.sources if demand.on_end and each.on_end == demand.on_end), None)
     if line is not None:
         place = describe(line, places)
-        if demand.on_end == CANCEL:
+        if demand.on_end == END_CANCEL:
             return SessionCheckText.CANCELS(line=place)
         return SessionCheckText.ENDS_WITH(message=demand.on_end, line=place) if topic.kind == "topic" else ""
     if topic.kind == "action":
@@ -154,7 +154,7 @@ def _demanded(source: DemandSource, places: Mapping[SourceKey, str]) -> str:
     limits = "" if source.limits is None else f", {SessionCheckText.LIMITED_PATTERN(limits=source.limits)}"
     if source.on_end:
         line = describe(source, places)
-        ends = SessionCheckText.CANCELS if source.on_end == CANCEL else SessionCheckText.ENDS_WITH
+        ends = SessionCheckText.CANCELS if source.on_end == END_CANCEL else SessionCheckText.ENDS_WITH
         return f"{kind}{source.name}{excepts}{limits}{ends(message=source.on_end, line=line)}"
     place = f" ({places[source.key]})" if source.key in places else ""
     return f"{kind}{source.name}{excepts}{limits}{place}"

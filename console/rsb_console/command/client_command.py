@@ -9,20 +9,19 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.client_entries import ClientError, client_named
-from rsb_bridge.config.files import is_there, write_whole
+from rsb_bridge.config.files import is_there, why_not_written, write_whole
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
+from rsb_bridge.config.session_changes import ClientError, client_named
 from rsb_bridge.control.bridges import ask, running_bridges
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.session import Client, Grant
-from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import clock, json_line
 from rsb_console.command.shell import OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, Asking, NoBridgeError, UsageError, agreed, chosen_bridge
 from rsb_console.session import client_files
-from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from argparse import Namespace

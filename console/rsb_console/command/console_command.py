@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.config.session_file import load
 from rsb_bridge.control.control_sockets import identify
-from rsb_bridge.model.command_origin import acting
-from rsb_bridge.model.commands import ReleaseArmed
+from rsb_bridge.model.commands import ReleaseArmed, acting
 from rsb_console.app import ConsoleApp
 from rsb_console.command.shell import FAILURE, HUNG_UP, OK, prefers_ascii, print_error
 from rsb_console.terminal.driver import terminal_to_itself

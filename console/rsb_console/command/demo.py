@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.fleet_file import load_fleet
+from rsb_bridge.config.session_file import load_fleet
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState

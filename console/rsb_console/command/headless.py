@@ -18,7 +18,7 @@ from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.engine import Engine
 from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.commands import acting
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import keep_output_clean, one_line, plural
 from rsb_bridge.model.wording import Wording

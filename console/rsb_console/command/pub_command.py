@@ -6,9 +6,8 @@ import time
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.by_hand import LONGEST_REST, OLD_AFTER, REST_AFTER
+from rsb_bridge.model.by_hand import END_NONE, END_ZERO, LONGEST_REST, OLD_AFTER, REST_AFTER
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.on_end import NONE, ZERO
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
@@ -121,10 +120,10 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
 def _end(snapshot: Snapshot, topic: str, pause: float) -> _End:
     """Return what ends a motion by messages at an interval (s), if the topic is armed and they are not too rare."""
     routes = [each for each in snapshot.routes if each.topic == topic and each.arming is not None]
-    on_end = next((each.arming.on_end for each in routes if each.arming is not None and each.arming.armed), NONE)
-    if on_end in ("", NONE) or 2 * pause > LONGEST_REST or not all(each.max_age for each in routes):
+    on_end = next((each.arming.on_end for each in routes if each.arming is not None and each.arming.armed), END_NONE)
+    if on_end in ("", END_NONE) or 2 * pause > LONGEST_REST or not all(each.max_age for each in routes):
         return _NO_END
-    return _End("{}" if on_end == ZERO else on_end, max(REST_AFTER, 2 * pause))
+    return _End("{}" if on_end == END_ZERO else on_end, max(REST_AFTER, 2 * pause))
 
 
 def publish(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.difference import changes, described
+from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.by_hand import ASKED_FOR

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.files import replace_file
+from rsb_bridge.config.files import replace_file, why_not_written
 from rsb_bridge.config.session_file import SessionError, load
-from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.faults import (
     link_is_wrong,
     link_needs_attention,
@@ -38,7 +39,6 @@ from rsb_console.command.formatting import (
 )
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_line
 from rsb_console.command.target import attached
-from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -11,9 +11,9 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from rsb_bridge.api import EngineError, InvalidRequestError
-from rsb_bridge.config.client_entries import ClientError
 from rsb_bridge.config.keys import KeyFileError
-from rsb_bridge.config.session_file import SessionError, UnwritableError
+from rsb_bridge.config.session_changes import ClientError
+from rsb_bridge.config.session_file import SessionError, UnwritableError, load_fleet
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.control_sockets import (
@@ -24,6 +24,7 @@ from rsb_bridge.control.control_sockets import (
     run_as,
     user_name,
 )
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.names import other_side as other_side_of
@@ -33,7 +34,6 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
-from rsb_console.session.attaching import attach
 from rsb_console.session.draft import suggestion
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-    from rsb_bridge.config.fleet_file import FleetFile
+    from rsb_bridge.config.session_file import FleetFile
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.session import Kind
@@ -210,8 +210,6 @@ def fleet_file(arguments: Namespace) -> FleetFile:
     Raises:
         UsageError: it has mistakes.
     """
-    from rsb_bridge.config.fleet_file import load_fleet  # noqa: PLC0415 -- not needed elsewhere
-
     try:
         return load_fleet(arguments.fleet)
     except (SessionError, KeyFileError) as error:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError, NoAnswerError
-from rsb_bridge.config.difference import changes
+from rsb_bridge.config.session_changes import changes
 from rsb_console.session.draft import TypedError, suggestion, typed_topic, values_of
 
 if TYPE_CHECKING:

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.control.summaries import watch
 from rsb_bridge.control.zenoh_fleet import FleetConnector, FleetPresence
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
 from rsb_bridge.model.text import sanitize_text
 from rsb_console.fleet.fleet import LEFT
-from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
-    from rsb_bridge.config.fleet_file import FleetFile
+    from rsb_bridge.config.session_file import FleetFile
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.control.zenoh_fleet import Member
 

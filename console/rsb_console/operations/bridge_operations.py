@@ -10,7 +10,7 @@ from weakref import WeakSet
 from textual.events import Key
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.formats import PatternRow

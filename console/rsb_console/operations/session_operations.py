@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import SUFFIX
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

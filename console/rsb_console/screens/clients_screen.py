@@ -14,13 +14,12 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.client_entries import ClientError, client_named, with_client
 from rsb_bridge.config.files import is_there
 from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
+from rsb_bridge.config.session_changes import ClientError, client_named, with_client
 from rsb_bridge.config.session_file import SessionError, validate
-from rsb_bridge.model.command_origin import undoing
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect, undoing
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen

@@ -13,7 +13,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_console.actions import BY_ID
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED

@@ -22,10 +22,10 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.by_hand import smallest_limits
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.text import escape_text, join_first
-from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ArmScreen, ConfirmScreen
 from rsb_console.screens.take_over import AskHolderScreen
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from textual.events import Key
 
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.by_hand import VelocityLimits
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-    from rsb_bridge.model.velocity_limits import VelocityLimits
     from rsb_console.console_api import Console
 
 _KEY_LASTS = 0.6
@@ -67,7 +67,7 @@ _TICKETS = 3
 _SPEED, _TURN = 0.2, 0.5
 """m/s and rad/s to begin with. Round figures: nothing was measured."""
 _LEAST_SPEED, _MOST_SPEED = 0.02, 2.0
-"""m/s. Round figures; limits of a robot are its own (`rsb_bridge.model.velocity_limits`)."""
+"""m/s. Round figures; limits of a robot are its own (`rsb_bridge.model.by_hand.VelocityLimits`)."""
 _FASTER = 1.25  # times, at a key: 21 of them lead from the least speed to the most
 _WAYS = {
     "up": (1, 0), "down": (-1, 0), "left": (0, 1), "right": (0, -1),
@@ -159,7 +159,7 @@ def in_hand(route: RouteSnapshot, snapshot: Snapshot) -> str:
 def limits_on(route: RouteSnapshot, snapshot: Snapshot) -> tuple[VelocityLimits | None, list[str]]:
     """Return the limits of messages by hand for all robots on a route's topic, and the lines that set them."""
     routes = [each for each in snapshot.routes if each.topic == route.topic and each.calls is None]
-    limits = smallest(each.limits for each in routes)
+    limits = smallest_limits(each.limits for each in routes)
     found = (each.limited_by for each in routes if limits and each.limits and each.limits.are_in(limits))
     return limits, list(dict.fromkeys(chain.from_iterable(found)))
 

@@ -11,7 +11,7 @@ from textual.binding import Binding
 from textual.screen import ModalScreen
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.shortage import why_not_written
+from rsb_bridge.config.files import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats

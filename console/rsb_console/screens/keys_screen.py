@@ -23,7 +23,7 @@ from rsb_bridge.config.keys import (
     write_key,
     written,
 )
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen, Dialog

@@ -13,7 +13,7 @@ from textual.containers import Horizontal
 from textual.screen import ModalScreen, Screen
 from textual.widgets import Static
 
-from rsb_bridge.model.shortage import why_not_written
+from rsb_bridge.config.files import why_not_written
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, Group, bindings

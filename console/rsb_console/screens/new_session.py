@@ -12,7 +12,7 @@ from rsb_bridge.config.files import is_there, typed_path
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, validate
 from rsb_bridge.config.thesis import import_bringup
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.limits import CHANNEL, DEFAULT_PORT, SAFE_DOMAIN
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.wording import Wording

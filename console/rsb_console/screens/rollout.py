@@ -18,7 +18,7 @@ from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.file_form import KEYS
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.text import join_first, plural
 from rsb_console.fleet.rolling import Rollout, bridged_by, report, said, way_back
 from rsb_console.look import formats

@@ -16,7 +16,7 @@ from textual.widgets import Button, Static
 from rsb_bridge.config.files import is_there, replace_file, typed_path
 from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, load, save
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import BY_ID
 from rsb_console.screens.dialog import ConfirmScreen, Dialog

@@ -8,7 +8,7 @@ from textual.binding import Binding
 from textual.widgets import Button, Static
 
 from rsb_bridge.model.by_hand import ASKED_FOR
-from rsb_bridge.model.effect import Effect
+from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
 
-from rsb_bridge.config.difference import changes, described
+from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import undoing
+from rsb_bridge.model.commands import undoing
 from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.patterns import Pattern
 from rsb_console.look.formats import PatternRow, Row, pattern_rows, rows_of

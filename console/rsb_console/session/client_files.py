@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import msgspec
 
-from rsb_bridge.config.client_entries import ClientError, client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.files import give_owner, is_there
 from rsb_bridge.config.keys import (
     Key,
@@ -22,6 +21,13 @@ from rsb_bridge.config.keys import (
     read_key,
     shared_key_problem,
     write_key,
+)
+from rsb_bridge.config.session_changes import (
+    ClientError,
+    client_named,
+    with_changed_client,
+    with_client,
+    without_client,
 )
 from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
 from rsb_bridge.config.validation import validate

@@ -14,10 +14,10 @@ from rsb_bridge.config.file_form import DIRECTIONS, KEYS, field_of, hints_of, ke
 from rsb_bridge.config.session_file import SessionError, validate, validate_topic
 from rsb_bridge.config.topic_rules import overlaps
 from rsb_bridge.config.yaml_text import read_yaml
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.topic_keys import keys_of_value
-from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.on_end import CANCEL, NONE
+from rsb_bridge.model.by_hand import END_CANCEL, END_NONE
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import Group, bindings
 from rsb_console.look import formats
@@ -301,8 +301,8 @@ def acknowledged_by(record: Acknowledgement) -> str:
 
 def _ends(on_end: str, route: RouteSnapshot) -> str:
     if route.calls is not None:
-        return "its goals are cancelled" if on_end == CANCEL else "its goals go on"
-    return f"the robot gets {'nothing' if on_end == NONE else on_end}"
+        return "its goals are cancelled" if on_end == END_CANCEL else "its goals go on"
+    return f"the robot gets {'nothing' if on_end == END_NONE else on_end}"
 
 
 def _until(arming: ArmingSnapshot) -> str:

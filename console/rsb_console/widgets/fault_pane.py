@@ -7,7 +7,7 @@ import textwrap
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.path_fault import explained_by_link
+from rsb_bridge.model.faults import explained_by_link
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause, LinkCause

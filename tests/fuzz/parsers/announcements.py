@@ -5,8 +5,8 @@ from __future__ import annotations
 from tests.fuzz.editing import edit_json
 from tests.fuzz.parser import Parser
 
+from rsb_bridge.cdr.known_types import serialize_string, string_bytes
 from rsb_bridge.ros.announcements import AnnouncementError, read_announcement
-from rsb_bridge.ros.known_messages import serialize_string, string_bytes
 
 
 def _read(payload: bytes) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from rsb_bridge.model.calls import Refused
-from rsb_bridge.model.path_fault import PathFault
+from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
 from rsb_bridge.route.blocking_rules import RouteStatus

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import ServiceMember
-    from rsb_bridge.model.sources import Via
+    from rsb_bridge.model.names import Via
     from rsb_bridge.ros.ros_interface import (
         OnFailure,
         RawMessage,

@@ -11,12 +11,12 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.sources import MOST_HOPS, Via, hop, node_of, place
+from rsb_bridge.cdr.description import TypeClash, hashes_text
+from rsb_bridge.model.names import MOST_HOPS, Via, hop, node_of_hop, topic_place
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of, type_of
 from rsb_bridge.route.calls.calls_verdict import Trouble
 from rsb_bridge.route.topic_verdict import named, nodes_by
-from rsb_bridge.route.type_versions import TypeClash, hashes_text
 from rsb_bridge.wire.records import LaneEntry
 
 if TYPE_CHECKING:
@@ -248,8 +248,8 @@ class CallLoopGuard:
             UnavailableError: there are some, but none may.
         """
         announcements, ros, now = self._context.announcements, self._context.ros, self._context.now()
-        here = place(announcements.bridges, service)
-        there = place(self._peer.bridges, remote_service)
+        here = topic_place(announcements.bridges, service)
+        there = topic_place(self._peer.bridges, remote_service)
         own = hop(ros.node_name, service)
         usable: list[Endpoint] = []
         circular: list[Endpoint] = []
@@ -368,7 +368,7 @@ class LocalServers:
             return not yields
         if origin is None or not origin.via:  # its announcements may be gone before its servers
             return None
-        return not yields and (not bridges or node_of(origin.via[-1]) != bridges[0])
+        return not yields and (not bridges or node_of_hop(origin.via[-1]) != bridges[0])
 
     def _trouble(self, service: str, others: list[Endpoint]) -> Trouble | None:
         if others:

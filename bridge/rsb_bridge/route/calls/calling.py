@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
+from rsb_bridge.cdr.description import CompareTypes, unknown_difference
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -29,7 +30,6 @@ from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.gates import CallRateGate, calling_gates, chained, compose_when_switched
 from rsb_bridge.route.source_publishers import SlowSubscriberError
 from rsb_bridge.route.topic_verdict import named
-from rsb_bridge.route.type_versions import CompareTypes, unknown_difference
 from rsb_bridge.wire.headers import CallFrame, What, frame_size
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.protocol_error import ProtocolError

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.by_hand import END_NONE, more_careful_end
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
-from rsb_bridge.model.on_end import NONE, more_careful
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
 from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
@@ -89,7 +89,7 @@ class CallingActionRoute(CallingRoute):
 
     @property
     def on_end(self) -> str:
-        return more_careful((self.arming.own.on_end, self.arming.peer_on_end, NONE))
+        return more_careful_end((self.arming.own.on_end, self.arming.peer_on_end, END_NONE))
 
     # --- offering
 

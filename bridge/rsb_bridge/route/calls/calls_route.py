@@ -42,6 +42,7 @@ from rsb_bridge.wire.records import CallsReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.channel.channel import DuplexChannel, SendingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import ServiceMember
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
     from rsb_bridge.route.route import Owner
-    from rsb_bridge.route.type_versions import TypeVersion
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry

@@ -5,19 +5,19 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.cdr.description import hashes_text, messages_of
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import route_type_of
 from rsb_bridge.route.message_check import MessageCheck
-from rsb_bridge.route.type_versions import hashes_text, messages_of
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Sequence
 
+    from rsb_bridge.cdr.description import CompareTypes, TypeVersion
     from rsb_bridge.context import Context
     from rsb_bridge.model.budgets import TokenBucket
     from rsb_bridge.model.calls import ServiceMember
-    from rsb_bridge.route.type_versions import CompareTypes, TypeVersion
     from rsb_bridge.wire.records import LaneEntry
 
 

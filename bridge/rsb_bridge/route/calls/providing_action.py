@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
+from rsb_bridge.model.by_hand import END_CANCEL, END_NONE, more_careful_end
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS, Refused
-from rsb_bridge.model.on_end import CANCEL, NONE, more_careful
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.goals import Goals, accepted_by, cancel_request, refuses_cancel
 from rsb_bridge.route.calls.kept_calls import (
@@ -141,7 +141,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     @property
     def on_end(self) -> str:
-        return more_careful((self.arming.own.on_end, self.arming.peer_on_end, NONE))
+        return more_careful_end((self.arming.own.on_end, self.arming.peer_on_end, END_NONE))
 
     # --- setting up
 
@@ -188,7 +188,7 @@ class ProvidingActionRoute(ProvidingRoute):
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
         # First: what follows may close the clients.
-        if self.on_end == CANCEL:
+        if self.on_end == END_CANCEL:
             self._cancels.cancel(self.action.goals.end())
         super().disarm(why, reason)
 
