@@ -92,6 +92,9 @@ class Channel:
     def __init__(self) -> None:
         self.sent: list[tuple[bytes, int]] = []
 
+    def takes(self, size: int) -> bool:
+        return not self.congested and size <= self.batch_bytes
+
     def send(self, batch: Sequence[Message]) -> None:
         self.sent += [(payload, flags) for payload, _, flags in batch]
 

@@ -96,6 +96,9 @@ class SendingChannel(DataChannel, Protocol):
     def ask(self) -> None:
         """Have `RouteSink.flush` called once messages may be sent. Calling it again while they wait changes nothing."""
 
+    def takes(self, size: int) -> bool:
+        """Whether messages of `size` bytes together may be sent now, past the queue."""
+
     @property
     def batch_bytes(self) -> int:
         """Bytes to send at once; a single message may be longer."""

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.scheduler import Scheduler
     from rsb_bridge.wire.framing import Message
 
+_OF_ROUTES = (DATA, MOVED)
 _KIND_AND_ROUTE = struct.Struct(">BxI")
 """The part of `HEADER` that tells a frame's route."""
 LARGE = 16 * 1024
@@ -127,13 +128,18 @@ class DataStream(StreamHandler):
             ProtocolError: they break the format.
             SealError: a seal is invalid.
         """
-        at, count = 0, len(frames)
+        at, count, ends = 0, len(frames), self._pair.ends
         while at < count:
             kind, route_id = key = _key_of(frames[at])
             end = at + 1
             while end < count and _key_of(frames[end]) == key:
                 end += 1
-            if not self._pair.pass_on(self, kind, route_id, frames[at:end]):
+            route_end = ends.get(route_id)
+            if route_end is not None and kind in _OF_ROUTES:
+                passed = route_end.received(self, kind, frames[at:end])
+            else:
+                passed = self._pair.is_unneeded(kind, route_id)
+            if not passed:
                 self._held = frames[at:]
                 self.stream.pause_reading()
                 return
@@ -212,7 +218,7 @@ class StreamPair:
         self.book = book
         self.keys = keys
         self._routes = routes
-        self._ends: dict[int, StreamSender | StreamReceiver] = {}
+        self.ends: dict[int, StreamSender | StreamReceiver] = {}
 
     @property
     def ready(self) -> bool:
@@ -236,29 +242,25 @@ class StreamPair:
 
     def carry(self, route_id: int, end: StreamSender | StreamReceiver) -> None:
         """Add a route. Its first frames may have come already: call `resume` once its channel takes them."""
-        self._ends[route_id] = end
+        self.ends[route_id] = end
 
     def forget(self, route_id: int) -> None:
         """Forget a route, which is closed; the last one closes streams that are not the link's own."""
-        self._ends.pop(route_id, None)
+        self.ends.pop(route_id, None)
         self.end_unused()
 
     def end_unused(self) -> None:
         """Close streams that no route uses and that are not the link's own; maybe only one of them is open."""
-        if not self._ends and not self.kept and not self.over:
+        if not self.ends and not self.kept and not self.over:
             self.end("no topic uses it any more")
 
-    def pass_on(self, stream: DataStream, kind: int, route_id: int, frames: Sequence[memoryview]) -> bool:
-        """Hand frames to their route; return False if they have to wait.
+    def is_unneeded(self, kind: int, route_id: int) -> bool:
+        """Whether frames without an end of a route are not needed any more; otherwise they have to wait for it.
 
         Raises:
-            ProtocolError: they break the format.
-            SealError: a seal is invalid.
+            ProtocolError: nothing of that kind or route is to be expected.
         """
-        end = self._ends.get(route_id)
-        known = kind in (DATA, MOVED)
-        if known and end is not None:
-            return end.received(stream, kind, frames)
+        known = kind in _OF_ROUTES
         if known and self._routes.awaits_channel(route_id):
             return False  # the control message that opens its channel comes by another stream
         if not known or not self._routes.is_closed_id(route_id):
@@ -279,7 +281,7 @@ class StreamPair:
         else:
             self.large = None
             self._end(stream, reason)
-        for end in tuple(self._ends.values()):  # each one that is lost leaves
+        for end in tuple(self.ends.values()):  # each one that is lost leaves
             if self.over or end.uses(stream):
                 end.lost(reason)
 

@@ -417,6 +417,10 @@ class SendingEnd:
             return bool(self._messages)
         return self.queued or bool(self._messages) or not self._scheduler.is_free(self.via)
 
+    def takes(self, size: int) -> bool:
+        scheduler = self._scheduler
+        return size <= scheduler.chunk and not self.queued and not self._messages and scheduler.is_free(self.via)
+
     @property
     def batch_bytes(self) -> int:
         """Bytes to send at once."""

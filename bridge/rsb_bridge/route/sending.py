@@ -246,7 +246,7 @@ class Outbox:
     def pass_on(self, messages: Sequence[Message], size: int, channel: SendingChannel) -> bool:
         """Send messages of `size` bytes together past the empty queue, or return False: they have to wait in it."""
         # Only if nothing waits, or it would overtake that; and no more than one turn of the scheduler.
-        if self._queue.waiting or channel.congested or len(messages) > _BATCH or size > channel.batch_bytes:
+        if self._queue.waiting or len(messages) > _BATCH or not channel.takes(size):
             return False
         if self.leaving is not None:
             messages = self.leaving(messages)

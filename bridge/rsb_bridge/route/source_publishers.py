@@ -134,27 +134,29 @@ class VolatileTopic:
             else:
                 self._free.pop()
         else:
-            self._make_room(size)
+            self._make_room(size, memory)
         if look is not None and (why := look()) is not None:
             self._free.append(self._waiting.pop())  # for the next message
             return why
         self._publisher.publish(content)
         return None
 
-    def _make_room(self, size: int) -> None:
+    def _make_room(self, size: int, memory: int) -> None:
         """Take memory for the next message: ask DDS what is acknowledged, or have another publisher, if needed."""
-        growth, deep = size - self._memory(), self._depth > self._lasting_depth
+        growth, deep = size - memory, self._depth > self._lasting_depth
         # Ten large messages would be kept by the other publisher, too.
         full = deep and growth > 0 and self._held + growth > max(_BURST_BYTES, self._lasting_depth * size)
         if full or self._held + growth > self._held_when_asked + FREE:
             self._recycle()
+            memory = self._memory()
         since = self._unacknowledged_since
         if self._successor is not None:
             self._look_at_successor()
+            memory = self._memory()
         elif full and since is not None and self._renew is not None and self._now() - since >= _BURST_TIME:
             self._successor, self._successor_since = self._renew(self._lasting_depth), self._now()
         try:
-            self._reserve(size, self._memory())
+            self._reserve(size, memory)
         except SlowSubscriberError:
             # DDS may have enough free memory, but in pieces that are too small, or a kept burst fills the budget.
             if self._renew is None or (not deep and (self._waiting or not self._free)):

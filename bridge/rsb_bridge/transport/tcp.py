@@ -49,6 +49,22 @@ _NAME_SIZE = 16
 """Bytes of the name of a congestion control, TCP_CA_NAME_MAX of Linux."""
 
 
+class _Discarding(StreamHandler):
+    """Reads on from a stream that ends here, for its former handler, which wants to know the end only."""
+
+    def __init__(self, stream: Stream, former: StreamHandler) -> None:
+        self._stream, self._former = stream, former
+        self._discarded = 0
+
+    def received(self, data: bytes) -> None:
+        self._discarded += len(data)
+        if self._discarded > _MOST_DISCARDED:
+            self._stream.abort("the peer does not stop sending")
+
+    def closed(self, reason: str) -> None:
+        self._former.closed(reason)
+
+
 class TcpStream(Stream):
     """A TCP connection. What waits, waits in this process, where old messages can be dropped, not in the kernel.
 
@@ -62,7 +78,6 @@ class TcpStream(Stream):
     def __init__(self, handler: StreamHandler, ending: set[TcpStream]) -> None:
         super().__init__(handler)
         self._ending = ending
-        self._discarded = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         set_options(transport.get_extra_info("socket"))
@@ -70,6 +85,7 @@ class TcpStream(Stream):
 
     def _end(self) -> None:
         self._ending.add(self)
+        self.handler = _Discarding(self, self.handler)
         # While bytes wait, asyncio would end the direction later, and an error of that would be an internal one.
         if not self.congested:
             self._end_sending()
@@ -85,14 +101,6 @@ class TcpStream(Stream):
             self._transport.write_eof()
         except OSError as error:  # the peer has reset the connection
             self.abort(os_error_message(error))
-
-    def data_received(self, data: bytes) -> None:
-        if not self._closing:
-            super().data_received(data)
-            return
-        self._discarded += len(data)
-        if self._discarded > _MOST_DISCARDED:
-            self.abort("the peer does not stop sending")
 
     def connection_lost(self, error: Exception | None) -> None:
         self._ending.discard(self)
