@@ -129,21 +129,26 @@ class DataStream(StreamHandler):
             SealError: a seal is invalid.
         """
         at, count, ends = 0, len(frames), self._pair.ends
-        while at < count:
-            kind, route_id = key = _key_of(frames[at])
-            end = at + 1
-            while end < count and _key_of(frames[end]) == key:
-                end += 1
-            route_end = ends.get(route_id)
-            if route_end is not None and kind in _OF_ROUTES:
-                passed = route_end.received(self, kind, frames[at:end])
-            else:
-                passed = self._pair.is_unneeded(kind, route_id)
-            if not passed:
-                self._held = frames[at:]
-                self.stream.pause_reading()
-                return
-            at = end
+        key_of = _KIND_AND_ROUTE.unpack_from
+        try:
+            while at < count:
+                kind, route_id = key = key_of(frames[at])
+                end = at + 1
+                while end < count and key_of(frames[end]) == key:
+                    end += 1
+                route_end = ends.get(route_id)
+                if route_end is not None and kind in _OF_ROUTES:
+                    passed = route_end.received(self, kind, frames[at:end])
+                else:
+                    passed = self._pair.is_unneeded(kind, route_id)
+                if not passed:
+                    self._held = frames[at:]
+                    self.stream.pause_reading()
+                    return
+                at = end
+        except struct.error:
+            length = min(map(len, frames[at:]))
+            raise ProtocolError(Broken.DATA_FRAME_TOO_SHORT(length=length, header=HEADER.size)) from None
 
     def resume(self) -> None:
         """Go on with the held frames: what they waited for may have come."""
@@ -183,18 +188,6 @@ class DataStream(StreamHandler):
         if every >= 2 * self._asked or 2 * every <= self._asked:
             self._asked = every
             self._pair.book.ask(self.number, every)
-
-
-def _key_of(frame: memoryview) -> tuple[int, int]:
-    """Return the kind of a data frame and its route's id.
-
-    Raises:
-        ProtocolError: it is too short for a header.
-    """
-    if len(frame) < HEADER.size:
-        raise ProtocolError(Broken.DATA_FRAME_TOO_SHORT(length=len(frame), header=HEADER.size))
-    kind, route_id = _KIND_AND_ROUTE.unpack_from(frame)
-    return kind, route_id
 
 
 class StreamPair:
