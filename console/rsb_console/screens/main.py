@@ -46,7 +46,6 @@ class EmptyTable(Wording):
 
     NO_MATCH = "Nothing here matches. {back} shows all topics."
     NO_SESSION = "No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
-    NOT_RUNNING = "The bridge does not run. {way_on}"
     NO_SESSION_READ_ONLY = "No session. Start the console with one: rsb-console --readonly SESSION"
 
 
@@ -100,7 +99,7 @@ class Explanations:
             opens, new, welcome = (self.key(action) for action in ("sessions", "new_session", "welcome"))
             return EmptyTable.NO_SESSION(opens=opens, new=new, welcome=welcome)
         if not snapshot.running:
-            return "" if console.note else EmptyTable.NOT_RUNNING(way_on=self._way_on()).rstrip()
+            return "" if console.note else f"The bridge does not run. {self._way_on()}".rstrip()
         if console.readonly:
             return "No topics yet."
         theirs = "They come with the clients; " if snapshot.role == "server" else ""
