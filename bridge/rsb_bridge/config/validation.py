@@ -192,7 +192,6 @@ class ZenohMistake(Wording):
     MISSING = "missing: server_ip is zenoh; give the routers' endpoints, {{connect: [tls/hub:7447]}}"
     FLEET_INVALID = "{name} is not a fleet's name: letters, digits, _, . and -, a letter or digit first, at most 64"
     PROTOCOL_UNKNOWN = "{protocol} is not one of {protocols}{hint}"
-    PORT_INVALID = "{port} is not a port: 1 to 65535"
 
 
 class ProgramProblem(Wording):
@@ -644,4 +643,4 @@ def _zenoh_endpoint(endpoint: str, location: str) -> Iterator[Problem]:
         )
         yield Problem(location, message)
     elif not 0 < int(match["port"]) < 65536:
-        yield Problem(location, ZenohMistake.PORT_INVALID(port=match["port"]))
+        yield Problem(location, f"{match['port']} is not a port: 1 to 65535")

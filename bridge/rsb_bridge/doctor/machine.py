@@ -67,14 +67,10 @@ _EXTRAS = {"zenoh": "zenoh", "metrics": "prometheus_client"}
 class MachineText(Wording):
     """Findings about a machine, and remedies."""
 
-    PROGRAM = "rsb-console {version}, Python {python}, {system}"
     CONFINED_BUT_NETWORK = "the process that draws reads only the program's files, but has TCP (Landlock {landlock})"
     NOT_CONFINED = "the process that draws can read what its user can, and has a network: this kernel has no Landlock"
     CONFINED_REMEDY = "Linux 6.7 or newer with Landlock (boot parameter lsm=landlock,...)"
     BLUETOOTH_REMEDY = "for Bluetooth links, run it with the distribution's own Python (/usr/bin/python3)"
-    ADAPTERS = "adapters {names}"
-    EXTRAS = "{installed} installed"
-    EXTRAS_MISSING = "{missing} not installed"
     EXTRAS_REMEDY = "pip install 'rsb-console[{missing}]'"
     SHARED_MEMORY = "{free} of {size} MB are free in {folder}"
     SHARED_MEMORY_LITTLE = "only {free} of {size} MB are free in {folder}: messages between nodes may get lost"
@@ -99,11 +95,7 @@ class MachineText(Wording):
     )
     CLOCK_NOT_SYNCHRONIZED = "not synchronized: figures that compare two machines' clocks in logs are off"
     CLOCK_REMEDY = "sudo timedatectl set-ntp true, or install chrony"
-    MULTICAST = "works on {interfaces}"
     NO_INTERFACE = "no network interface is up but loopback: only nodes of this machine discover each other"
-    NO_MULTICAST = "does not work on {interfaces}: nodes of other machines do not discover this one's there"
-    MULTICAST_REMEDY = "sudo ip link set {interface} multicast on; a bridge's own link needs none"
-    FIREWALL = "rules drop packets to this machine: {chains}"
     FIREWALL_REMEDY = (
         "open the bridge's port, and for ROS between machines the domain's UDP ports; "
         "sudo nft list ruleset shows the rules"
@@ -145,7 +137,7 @@ def _program() -> Iterator[Finding]:
         "program",
         Grade.OK,
         "program",
-        MachineText.PROGRAM(version=facts["version"], python=facts["python"], system=system),
+        f"rsb-console {facts['version']}, Python {facts['python']}, {system}",
         facts=facts | {"system": system},
     )
 
@@ -154,13 +146,10 @@ def _extras() -> Iterator[Finding]:
     found = {name: importlib.util.find_spec(module) is not None for name, module in _EXTRAS.items()}
     missing = [name for name, is_there in found.items() if not is_there]
     if missing:
-        text, remedy = (
-            MachineText.EXTRAS_MISSING(missing=" and ".join(missing)),
-            MachineText.EXTRAS_REMEDY(missing=",".join(missing)),
-        )
+        text, remedy = f"{' and '.join(missing)} not installed", MachineText.EXTRAS_REMEDY(missing=",".join(missing))
         yield Finding("extras", Grade.NOTE, "extras", text, remedy, found)
     else:
-        yield Finding("extras", Grade.OK, "extras", MachineText.EXTRAS(installed=" and ".join(found)), facts=found)
+        yield Finding("extras", Grade.OK, "extras", f"{' and '.join(found)} installed", facts=found)
 
 
 def _pictures() -> Iterator[Finding]:
@@ -299,13 +288,10 @@ def _multicast() -> Iterator[Finding]:
     if not outward:
         yield Finding("multicast", Grade.NOTE, "multicast", MachineText.NO_INTERFACE(), facts=works)
     if good:
-        text = MachineText.MULTICAST(interfaces=", ".join(good))
-        yield Finding("multicast", Grade.OK, "multicast", text, facts=works)
+        yield Finding("multicast", Grade.OK, "multicast", f"works on {', '.join(good)}", facts=works)
     if bad:
-        text, remedy = (
-            MachineText.NO_MULTICAST(interfaces=", ".join(bad)),
-            MachineText.MULTICAST_REMEDY(interface=bad[0]),
-        )
+        text = f"does not work on {', '.join(bad)}: nodes of other machines do not discover this one's there"
+        remedy = f"sudo ip link set {bad[0]} multicast on; a bridge's own link needs none"
         yield Finding("multicast", Grade.WARNING, "multicast", text, remedy, works)
 
 
@@ -363,7 +349,7 @@ def _firewall() -> Iterator[Finding]:
     chains = dropping_chains(json.loads(listed).get("nftables", []))
     facts = {"drops": bool(chains), "chains": chains}
     if chains:
-        text, remedy = MachineText.FIREWALL(chains=", ".join(chains)), MachineText.FIREWALL_REMEDY()
+        text, remedy = f"rules drop packets to this machine: {', '.join(chains)}", MachineText.FIREWALL_REMEDY()
         yield Finding("firewall", Grade.NOTE, "firewall", text, remedy, facts)
     else:
         yield Finding("firewall", Grade.OK, "firewall", "no rule drops packets to this machine", facts=facts)
@@ -457,7 +443,7 @@ def _bluetooth(root: Path) -> Iterator[Finding]:
         yield Finding("bluetooth", Grade.NOTE, "Bluetooth", text, remedy, {"sockets": False})
         return
     names = bluetooth_adapters(root)
-    text = MachineText.ADAPTERS(names=", ".join(names)) if names else "no adapter: links over Bluetooth need one"
+    text = f"adapters {', '.join(names)}" if names else "no adapter: links over Bluetooth need one"
     yield Finding(
         "bluetooth", Grade.OK if names else Grade.NOTE, "Bluetooth", text, facts={"sockets": True, "adapters": names}
     )

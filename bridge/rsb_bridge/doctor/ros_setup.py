@@ -54,7 +54,6 @@ class RosText(Wording):
     DOMAIN_COLLIDES = (
         "domain {domain} uses UDP ports {ports}, which Linux gives to other programs, too; {range} does not"
     )
-    RANGE_INVALID = "ROS_AUTOMATIC_DISCOVERY_RANGE is {value!r}: ROS knows {known}"
     LOCALHOST_ONLY = (
         "ROS_LOCALHOST_ONLY=1 overrides ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_STATIC_PEERS, and is obsolete"
     )
@@ -175,7 +174,7 @@ def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator
     elif reach.upper() in _RANGES:
         yield finding(grade=Grade.OK, text=RosText.DOMAIN(domain=value, range=_RANGES[reach.upper()]))
     if reach.upper() not in _RANGES:
-        text = RosText.RANGE_INVALID(value=reach, known=", ".join(_RANGES))
+        text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is {reach!r}: ROS knows {', '.join(_RANGES)}"
         yield finding(grade=Grade.WARNING, text=text, remedy="unset ROS_AUTOMATIC_DISCOVERY_RANGE")
     if environ.get("ROS_LOCALHOST_ONLY", "0") == "1":
         text, remedy = RosText.LOCALHOST_ONLY(), RosText.LOCALHOST_ONLY_REMEDY()

@@ -45,9 +45,7 @@ class NeedText(Wording):
     """Findings about a session's needs, and remedies."""
 
     PORT_OWN = "this session's bridge runs, and has port {port} (pid {pid})"
-    PORT_TAKEN = "port {port} is taken ({protocols}): another program has it"
     NAME = "port {port} was not tried: {address} is a name, and to look it up could ask the network"
-    KEYS = "{files} have safe modes"
     NO_BLUETOOTH_SOCKETS = "the session uses Bluetooth, and this Python has no Bluetooth sockets"
     ADAPTER_REMEDY = "plug one in, or load its driver: rfkill list, and sudo dmesg | grep -i bluetooth"
     BASE_GOES_ON = "{node} has no parameter that stops it when {topic} is silent: it may go on if this bridge is killed"
@@ -188,7 +186,7 @@ def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator
     if taken and (bridge := _own_bridge(path, environ)) is not None:
         yield finding(grade=Grade.OK, text=NeedText.PORT_OWN(port=port, pid=bridge.pid))
     elif taken:
-        text = NeedText.PORT_TAKEN(port=port, protocols=", ".join(taken))
+        text = f"port {port} is taken ({', '.join(taken)}): another program has it"
         yield finding(grade=Grade.WARNING, text=text, remedy=f"ss -lntup 'sport = :{port}' shows the program")
     else:
         yield finding(grade=Grade.OK, text=f"port {port} is free for TCP and UDP")
@@ -229,7 +227,7 @@ def _keys(session: Session, path: Path) -> Iterator[Finding]:
     for warning in warnings:
         yield finding(grade=Grade.WARNING, text=warning)
     if read and not warnings:
-        yield finding(grade=Grade.OK, text=NeedText.KEYS(files=", ".join(read)))
+        yield finding(grade=Grade.OK, text=f"{', '.join(read)} have safe modes")
 
 
 def _transports(session: Session, root: Path) -> Iterator[Finding]:

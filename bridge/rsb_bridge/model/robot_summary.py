@@ -53,7 +53,6 @@ _FIGURE = 1e15
 class SummaryText(Wording):
     """Reasons for a robot's state."""
 
-    MORE_CLIENTS = "{count} more {clients}"
     ROUTE = "{topic} {state}: {reason}"
     MORE_FAULTS = " (and {count} more {faults})"
 
@@ -303,9 +302,7 @@ def _drop_repeated_faults(summary: RobotSummary, wrong: Collection[str]) -> Robo
         return msgspec.structs.replace(summary, state=RobotState.OK, why="")
     if len(left) == len(summary.wrong_clients):
         return summary
-    names = (
-        join_first(left, _NAMED) if left else SummaryText.MORE_CLIENTS(count=others, clients=plural(others, "client"))
-    )
+    names = join_first(left, _NAMED) if left else f"{others} more {plural(others, 'client')}"
     return msgspec.structs.replace(summary, why=sanitize_text(f"something is wrong with {names}", WHY_LENGTH))
 
 

@@ -59,7 +59,6 @@ class OperationText(Wording):
     RESUME_MEANS = "The key may have come late, so it is asked for. Messages cross again at once{arming}."
     IS_ALREADY = "{topic} was paused or resumed meanwhile: look, and press the key again"
     AFTER_ALL = "{topic}: done after its form was left (u undoes it)"
-    SEVERAL_ARMED = "go to the topic to disarm: {topics}"
 
 
 _RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose links were shut down may come back"
@@ -167,7 +166,7 @@ class BridgeOperations:
             if len(names) == 1:
                 await self._disarm(engine, held[0])
             elif names:
-                text = OperationText.SEVERAL_ARMED(topics=", ".join(names))
+                text = f"go to the topic to disarm: {', '.join(names)}"
                 self._console.notify(text, title="Not done", severity="warning", markup=False)
         elif is_armed(now := self._now(route)) or is_armed(route):
             # This key stops a robot: it asks nobody, even if another operator holds the topic.

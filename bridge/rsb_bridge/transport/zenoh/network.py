@@ -48,7 +48,6 @@ _EXPIRED, _NOT_YET_VALID, _WRONG_NAMES = 10, 9, (62, 64)
 class Unreachable(Wording):
     """The reasons why Zenoh reaches no router at an endpoint, each with its remedy."""
 
-    NO_ROUTER = "no Zenoh router answers: {endpoints}"
     ERROR = "Zenoh: {error}"
     NO_ANSWER_WITHIN = "no answer within {seconds:g} s: is it on, and does no firewall drop it?"
     NOBODY_LISTENS = "nothing listens there: is the router running?"
@@ -91,7 +90,7 @@ def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -
     found = [f"{endpoint}: {_why(endpoint, config)}" for endpoint in endpoints[:_MOST]]
     if len(endpoints) > _MOST:
         found.append(f"and {len(endpoints) - _MOST} more")
-    return Unreachable.NO_ROUTER(endpoints="; ".join(found))
+    return f"no Zenoh router answers: {'; '.join(found)}"
 
 
 def first_sentence(text: str) -> str:
