@@ -46,7 +46,6 @@ class NoBluetooth(Wording):
         "(/usr/bin/python3), or build with libbluetooth-dev installed"
     )
     REFUSED = "no Bluetooth: {reason}"
-    CHANNEL_REFUSED = "channel {channel} on {address}: {reason}"
 
 
 _REASONS = {

@@ -14,7 +14,7 @@ from dbus_fast import BusType, DBusFastError, Message, MessageType, unpack_varia
 from dbus_fast.aio import MessageBus
 
 from rsb_bridge.bluetooth import hci
-from rsb_bridge.bluetooth.hci import ANY_ADAPTER, CHANNELS, Adapter, NoBluetooth, NoBluetoothError
+from rsb_bridge.bluetooth.hci import ANY_ADAPTER, CHANNELS, Adapter, NoBluetoothError
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 
@@ -38,20 +38,15 @@ _NOT_THERE = {
 class ScanProblem(Wording):
     """The reasons why a scan is incomplete, each with its remedy."""
 
-    BLUEZ_UNREADABLE = "BlueZ's answer is not as documented: {problem}"
     BLUEZ_SILENT = "BlueZ does not answer: systemctl restart bluetooth"
     BLUEZ_STOPPED = "BlueZ is not running: systemctl start bluetooth (Debian, Ubuntu: apt install bluez)"
     BLUEZ_FORBIDDEN = "this user has no access to BlueZ: usermod -aG bluetooth USER, then log in again ({reason})"
-    BLUEZ_REFUSED = "BlueZ refused: {reason}"
     NO_DBUS = (
         "can't connect to the D-Bus system bus, which BlueZ needs ({error}): is dbus installed and running? "
         "In a container, mount /run/dbus"
     )
-    WITHOUT_BLUEZ = "{problem}. Names and paired devices are unknown"
-    WITHOUT_CHANNELS = "{problem}. Channels can't be tried"
     NO_ADAPTER = "no Bluetooth adapter: plug one in; in a virtual machine, pass it through (see lsusb)"
     ADAPTER_UNKNOWN = "no adapter {adapter}; this machine has {known}"
-    HARD_BLOCKED = "{adapter} is off: by the machine's radio switch or in its firmware's setup"
     SOFT_BLOCKED = "{adapter} is off: rfkill unblock bluetooth"
     SWITCHED_OFF = "{adapter} is off: bluetoothctl power on (without BlueZ: hciconfig {adapter} up)"
 
@@ -118,7 +113,7 @@ def read_objects(objects: object) -> tuple[list[Adapter], list[Device]]:
     try:
         found = msgspec.convert(objects, dict[str, _Interfaces])
     except msgspec.ValidationError as error:
-        raise BluezError(sanitize_text(ScanProblem.BLUEZ_UNREADABLE(problem=error))) from None
+        raise BluezError(sanitize_text(f"BlueZ's answer is not as documented: {error}")) from None
     adapters = [
         Adapter(_last(path), sanitize_text(one.address), one.powered, sanitize_text(one.alias))
         for path, each in found.items()
@@ -169,7 +164,7 @@ def _refusal(reply: Message) -> str:
     reason = reply.body[0] if reply.body else reply.error_name
     if reply.error_name == "org.freedesktop.DBus.Error.AccessDenied":
         return ScanProblem.BLUEZ_FORBIDDEN(reason=reason)
-    return ScanProblem.BLUEZ_REFUSED(reason=reason)
+    return f"BlueZ refused: {reason}"
 
 
 __all__ = ["ANY_ADAPTER", "CHANNELS", "Adapter", "ChannelUse", "Device", "Scan", "held_channels", "scan"]
@@ -229,7 +224,7 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
         known, devices = await read_bluez()
         found |= {one.name: one for one in known}  # BlueZ knows their aliases, too
     except BluezError as error:
-        problems.append(ScanProblem.WITHOUT_BLUEZ(problem=error))
+        problems.append(f"{error}. Names and paired devices are unknown")
     chosen = [one for one in found.values() if adapter is None or adapter.casefold() in _names(one)]
     if not chosen:
         here = ", ".join(f"{one.name} ({one.address})" for one in found.values())
@@ -244,7 +239,7 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
                 number: ChannelUse.OWN if number in own else _try(address, number) for number in CHANNELS
             }
     except NoBluetoothError as error:
-        problems.append(ScanProblem.WITHOUT_CHANNELS(problem=error))
+        problems.append(f"{error}. Channels can't be tried")
     names = {one.name for one in chosen}
     return Scan(tuple(chosen), channels, tuple(one for one in devices if one.adapter in names), tuple(problems))
 
@@ -266,7 +261,7 @@ def _names(adapter: Adapter) -> tuple[str, str]:
 def _why_off(adapter: Adapter) -> str:
     """Return a remedy for an adapter that is off (Documentation/driver-api/rfkill.rst)."""
     if _blocked(adapter.name, "hard"):
-        return ScanProblem.HARD_BLOCKED(adapter=adapter.name)
+        return f"{adapter.name} is off: by the machine's radio switch or in its firmware's setup"
     if _blocked(adapter.name, "soft"):
         return ScanProblem.SOFT_BLOCKED(adapter=adapter.name)
     return ScanProblem.SWITCHED_OFF(adapter=adapter.name)
@@ -283,7 +278,5 @@ def _try(address: str, number: int) -> ChannelUse:
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
                 return ChannelUse.BUSY
-            raise NoBluetoothError(
-                NoBluetooth.CHANNEL_REFUSED(channel=number, address=address, reason=error.strerror)
-            ) from None
+            raise NoBluetoothError(f"channel {number} on {address}: {error.strerror}") from None
     return ChannelUse.FREE

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.scheduler import SendingEnd
 from rsb_bridge.channel.window import ReceiptBook, ReceiptCounter
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, MOVED, FrameReader
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
@@ -290,12 +289,6 @@ class StreamPair:
         self.scheduler.remove(stream)
 
 
-class StreamTrouble(Wording):
-    """Troubles of the data streams."""
-
-    STUCK = "nothing gets through its data connection now: check the network and firewalls between the two sides"
-
-
 class _StreamEnd:
     """The base of both ends.
 
@@ -313,8 +306,9 @@ class _StreamEnd:
         self._route_id = route.id
 
     def trouble(self) -> str:
-        stuck = any(each.stream.stuck for each in self._pair.streams() if self.uses(each))
-        return StreamTrouble.STUCK() if stuck else ""
+        if not any(each.stream.stuck for each in self._pair.streams() if self.uses(each)):
+            return ""
+        return "nothing gets through its data connection now: check the network and firewalls between the two sides"
 
     def close(self, reason: str) -> None:
         self._pair.forget(self._route_id)

@@ -62,7 +62,6 @@ class Silence(Wording):
     """Silences of a UDP channel, by what may cause them."""
 
     NO_ANSWER = "no answer from UDP port {port} of {host}: does a firewall drop it?"
-    NOTHING_FROM_CLIENT = "no UDP from the client: does a firewall drop it?"
     NOTHING_MORE = "nothing more from UDP port {port} of {host}"
     NOTHING_OVER_ZENOH = (
         "no datagram comes through the Zenoh network: is it congested, or does its access control forbid them?"
@@ -406,7 +405,7 @@ class ServerUdpChannel(UdpChannel):
         if not self.socket.port:
             return Silence.NOTHING_OVER_ZENOH()
         if self._peer is None:
-            return Silence.NOTHING_FROM_CLIENT()
+            return "no UDP from the client: does a firewall drop it?"
         return Silence.NOTHING_MORE(port=self._peer[1], host=self._peer[0])
 
 

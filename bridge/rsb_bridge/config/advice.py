@@ -73,7 +73,6 @@ class Advice(Wording):
     NO_BLUETOOTH = "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)"
     METRICS_NOT_INSTALLED = "not served, because prometheus-client is not installed: pip install 'rsb-console[metrics]'"
     METRICS_OPEN = "no password protects them: everyone who reaches this address can read all names and figures"
-    DOMAIN_INVALID = "{problem}; with that value the bridge does not start"
     PORT_OF_DOMAIN = "{port} belongs to ROS domain {domain} ({ports}): its nodes may fail to discover each other"
     PORT_OF_DISCOVERY = "{port} is reserved for discovery in ROS domain {domain}: give another port"
     DOMAIN_COLLIDES = "domain {domain} can collide with other programs' ports; {range} cannot"
@@ -145,7 +144,7 @@ def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
     try:
         domain = domain_of(session, variable)
     except ValueError as error:
-        yield Problem("domain_id", Advice.DOMAIN_INVALID(problem=error))
+        yield Problem("domain_id", f"{error}; with that value the bridge does not start")
         return
     taken = dds_ports(domain)
     mine = [

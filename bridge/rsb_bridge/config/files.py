@@ -35,7 +35,6 @@ class FileRefused(Wording):
     """The reason why a file is not written."""
 
     NOT_A_FILE = "is {kind}, not a file"
-    LINK_OF_ANOTHER_USER = "is a symbolic link of another user"
 
 
 def typed_path(text: str) -> Path:
@@ -125,7 +124,7 @@ def _check_link(path: Path) -> None:
     The kernel's own check (proc_sys_fs(5), protected_symlinks) misses files that are put in place by a rename.
     """
     if path.is_symlink() and path.lstat().st_uid not in (0, os.geteuid()):
-        raise OSError(errno.EPERM, FileRefused.LINK_OF_ANOTHER_USER(), str(path))
+        raise OSError(errno.EPERM, "is a symbolic link of another user", str(path))
 
 
 def write_whole(path: Path, text: str) -> None:

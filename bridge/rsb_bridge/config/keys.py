@@ -48,7 +48,6 @@ class KeyFileProblem(Wording):
     NOT_WRITTEN = "{path}: cannot be written: {problem}"
     NOT_A_FILE = "{path}: is {kind}, not a key file"
     NO_SUCH_FILE = "{path}: no such key file: copy it from the other side, or make one with `rsb-console keygen {path}`"
-    NOT_READ = "{path}: cannot be read: {problem}"
     TOO_LARGE = "{path}: too large for a key file"
     EMPTY = "{path}: is empty: make a key with `rsb-console keygen`"
     NO_KEY = (
@@ -211,7 +210,7 @@ def read_key(path: Path) -> Key:
     except FileNotFoundError:
         raise KeyFileError(KeyFileProblem.NO_SUCH_FILE(path=path)) from None
     except OSError as error:
-        raise KeyFileError(KeyFileProblem.NOT_READ(path=path, problem=error.strerror)) from None
+        raise KeyFileError(f"{path}: cannot be read: {error.strerror}") from None
     if len(content) > _MAX_FILE:
         raise KeyFileError(KeyFileProblem.TOO_LARGE(path=path))
     key = _parse(content.decode("ascii", errors="replace"), path)

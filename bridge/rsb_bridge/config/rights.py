@@ -76,7 +76,6 @@ _KINDS: dict[Kind, str] = {"action": " (action)", "parameters": " (parameters)"}
 class RightsMistake(Wording):
     """A mistake in an entry of `allow` or `deny`, or in the limits of a benchmark."""
 
-    TYPED = "{entry}: {problem}"
     NO_PROTOCOLS = "the list is empty: leave protocol out, or name one"
     RATE_OF_DENIED = "belongs under allow: what is denied has no rate"
     NO_PATTERN = "missing: give a pattern as topics, or as services"
@@ -91,23 +90,11 @@ class RightsMistake(Wording):
 class OperatorMistake(Wording):
     """A mistake in a session's operators."""
 
-    TOO_MANY = "{count} are too many: at most {limit}"
-    TWICE = "{name} is the name of operator number {number} already"
     KEY_FILE_INVALID = "{file} is not a file name: give the file of the operator's key"
-    NAME_UNPRINTABLE = "{name} is not a name: give printable characters"
-    NAME_TOO_LONG = "has {length} bytes in UTF-8; at most {limit}"
     SHARED_KEY = (
         "operator {name} has the key of {other}, so that either can pass for the other: make a key of its own "
         "with `rsb-console keygen`"
     )
-
-
-class OperatorChange(Wording):
-    """The effect of a changed session on its operators."""
-
-    REMOVED = "operator {name}: removed, and detached"
-    ADDED = "operator {name}: added, {right}"
-    CHANGED = "operator {name}: {before} → {after}; detached, and has to attach again"
 
 
 class Place(Wording):
@@ -123,8 +110,6 @@ class DeniedText(Wording):
     DENIED = "{owner} denies {use} to {peer}"
     OTHER_PROTOCOL = "{owner} allows {use} to {peer} over {protocols} only"
     NOT_ALLOWED = "{owner} does not let {peer} {may} {use}"
-    NO_BENCHMARK = "{owner} does not let {peer} measure this link"
-    NO_LOOK = "{owner} does not let {peer} look at any topic"
     NO_SENDING = "{owner} takes no {purpose} from {peer}: the right {right} lets it receive only"
 
 
@@ -133,10 +118,8 @@ class DeniedRemedy(Wording):
 
     CHANGE_DENY = "change {entry} in deny {place}"
     CHANGE_ALLOW = "change {entry} in allow {place}"
-    ADD_BENCH = "add bench: {{}} {place}"
     ADD_LOOK = "add {{topics: PATTERN, may: look}} to allow {place}"
     NARROW_DENY = "narrow {entry} in deny {place}, which includes look"
-    RECEIVE = "propose it from the side that receives"
     ADD_ALLOW = "add {entry} to allow {place}"
     LIST = "list it under {list} {place}, with {direction}"
     LIST_OR_ALLOW = "list it under {list} {place}, with {direction}, or add {entry} to allow there"
@@ -167,7 +150,7 @@ def _typed(entry: str) -> str | Grant:
     try:
         data = read_yaml(entry, Path()).data
     except SessionError as error:
-        raise GrantError(RightsMistake.TYPED(entry=show(entry), problem=error.problems[0].message)) from None
+        raise GrantError(f"{show(entry)}: {error.problems[0].message}") from None
     grant = read(data, Grant, problems)
     if problems:
         raise GrantError("; ".join(map(str, problems)))
@@ -331,14 +314,14 @@ class Rights:
         """
         if sends and not purpose.peer_sends:
             text = DeniedText.NO_SENDING(owner=self.owner, peer=self.peer, purpose=purpose.name, right=purpose.right)
-            return DeniedUse(text, DeniedRemedy.RECEIVE())
+            return DeniedUse(text, "propose it from the side that receives")
         if purpose.right == "bench":
             return None if self.bench is not None else self._no_benchmark()
         return self._no_look()
 
     def _no_look(self) -> DeniedUse | None:
         """Return the reason why the peer may look at no topic at all, or None. Each topic is checked when it looks."""
-        reason = DeniedText.NO_LOOK(owner=self.owner, peer=self.peer)
+        reason = f"{self.owner} does not let {self.peer} look at any topic"
         for grant in self.deny:
             # Only what every name matches: /*/* leaves /scan.
             is_any = grant.topics is not None and not grant.topics.removeprefix("/").strip("*")
@@ -349,9 +332,9 @@ class Rights:
         return None
 
     def _no_benchmark(self) -> DeniedUse:
-        reason = DeniedText.NO_BENCHMARK(owner=self.owner, peer=self.peer)
+        reason = f"{self.owner} does not let {self.peer} measure this link"
         where = f"to {self.place.removeprefix('of ')}" if self.place.startswith("of ") else self.place
-        return DeniedUse(reason, DeniedRemedy.ADD_BENCH(place=where))
+        return DeniedUse(reason, f"add bench: {{}} {where}")
 
     def max_rate(self, use: Use) -> float:
         """Return the limit of messages or calls in Hz, or 0 for none. Requests of either side share it."""
@@ -630,7 +613,7 @@ class Granted:
 def operator_problems(session: Session) -> Iterator[Problem]:
     """Yield all mistakes in a session's operators, without those in their keys."""
     if len(session.operators) > OPERATORS:
-        yield Problem("operators", OperatorMistake.TOO_MANY(count=len(session.operators), limit=OPERATORS))
+        yield Problem("operators", f"{len(session.operators)} are too many: at most {OPERATORS}")
     firsts: dict[str, int] = {}
     for at, operator in enumerate(session.operators):
         location = join("operators", at)
@@ -638,8 +621,7 @@ def operator_problems(session: Session) -> Iterator[Problem]:
         if problem := operator_name_problem(name):
             yield Problem(join(location, "name"), problem)
         elif (first := firsts.setdefault(name, at)) != at:
-            text = OperatorMistake.TWICE(name=show(name), number=first + 1)
-            yield Problem(join(location, "name"), text)
+            yield Problem(join(location, "name"), f"{show(name)} is the name of operator number {first + 1} already")
         if not (file.strip() and file.isprintable()):
             yield Problem(join(location, "key_file"), OperatorMistake.KEY_FILE_INVALID(file=show(file)))
 
@@ -647,9 +629,9 @@ def operator_problems(session: Session) -> Iterator[Problem]:
 def operator_name_problem(name: str) -> str:
     """Return the mistake in an operator's name, or an empty string."""
     if not name.strip() or not (name.isprintable() and is_clean(name)):
-        return OperatorMistake.NAME_UNPRINTABLE(name=show(name))
+        return f"{show(name)} is not a name: give printable characters"
     if len(name.encode()) > NAME_BYTES:
-        return OperatorMistake.NAME_TOO_LONG(length=len(name.encode()), limit=NAME_BYTES)
+        return f"has {len(name.encode())} bytes in UTF-8; at most {NAME_BYTES}"
     return ""
 
 
@@ -686,11 +668,11 @@ def operator_key_problem(own: Mapping[str, Hashable], of_links: Mapping[str, Col
 
 def operator_changes(old: Mapping[str, Granted], new: Mapping[str, Granted]) -> list[str]:
     """Describe the changes of operators, and name detached operators."""
-    texts = [OperatorChange.REMOVED(name=name) for name in old if name not in new]
+    texts = [f"operator {name}: removed, and detached" for name in old if name not in new]
     for name, granted in new.items():
         before = old.get(name)
         if before is None:
-            texts.append(OperatorChange.ADDED(name=name, right=granted))
+            texts.append(f"operator {name}: added, {granted}")
         elif before != granted:
-            texts.append(OperatorChange.CHANGED(name=name, before=before, after=granted))
+            texts.append(f"operator {name}: {before} → {granted}; detached, and has to attach again")
     return texts

@@ -22,7 +22,6 @@ class ChangeRefused(Wording):
     """The reason why a running bridge keeps something of its session."""
 
     OTHER_SESSION = "{differences}: that is another session; {restart}"
-    FIXED = "{change}: cannot change while the bridge runs; {restart}"
     RESTART = "restart the bridge's process for that (systemctl restart, or rsb-console stop and start it again)"
 
 
@@ -45,7 +44,7 @@ def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
     """Return the session that a running bridge can change to, and in words what it leaves as it is."""
     fixed = _FIXED_ON_CLIENT if old.role == "client" else _FIXED
     restart = ChangeRefused.RESTART()
-    left = [ChangeRefused.FIXED(change=change, restart=restart) for change in changes(old, new, only=fixed)]
+    left = [f"{change}: cannot change while the bridge runs; {restart}" for change in changes(old, new, only=fixed)]
     return msgspec.structs.replace(new, **{name: getattr(old, name) for name in fixed}), left
 
 

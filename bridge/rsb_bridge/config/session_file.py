@@ -33,7 +33,6 @@ class SavingProblem(Wording):
     THESIS = "this is a configuration of ros2_socket_bridge: convert it with `rsb-console import {path} --name NAME`"
     NOT_WRITTEN = "cannot be written: {problem}"
     READ_ONLY = "it is read-only: run `chmod u+w {path}` to save it"
-    WOULD_DIFFER = "not saved: the file would not load again as this session"
     LAYOUT = "its layout cannot be edited in place: save under another name, or rewrite the whole file"
 
 
@@ -215,7 +214,7 @@ def edited_text(session: Session, path: Path, opened: SessionFile | None = None)
         return _merged(opened, session)
     text = dump(session)
     if not _says(text, session, path):
-        raise SessionError(path, [Problem("", SavingProblem.WOULD_DIFFER())])
+        raise SessionError(path, [Problem("", "not saved: the file would not load again as this session")])
     return text
 
 

@@ -80,29 +80,19 @@ _PART = r"[A-Za-z][A-Za-z0-9_]*"
 class TopicMistake(Wording):
     """A mistake in an entry for a topic, a service, an action or a node's parameters."""
 
-    NO_PORTS = "a link over {medium} has no ports: leave it out"
     INVALID_PORT = "{port} is not a valid {kind}: {range}"
     DEADMAN_WITHOUT_ARM = "only {kind} with arm: true has a deadman: set arm: true, or leave it out"
     ON_END_WITHOUT_ARM = "only {kind} with arm: true has it: set arm: true, or leave it out"
-    ON_END_OF_ACTION = "{value} is neither cancel nor none"
-    ON_END_OF_CALLED = "only topics and actions have it: leave it out"
-    ON_END = "{value} is neither zero, none nor a message: {{linear: {{x: 0.1}}}}"
     ON_END_TOO_LONG = "the message has {length} characters, and at most {limit} are allowed: leave out what is 0"
-    LIMITS_EMPTY = "has no number: give linear (m/s), angular (rad/s) or both"
     LIMITS_OF_TYPE = "only Twist and TwistStamped have a velocity, and the type is {name}: leave limits out"
-    LIMITS_OF_PATTERN = "a pattern with limits needs type: Twist or type: TwistStamped"
-    LIMITS_OF_CALLED = "only topics have it: leave it out"
-    SPEED_OUT_OF_RANGE = "{value} is out of range: {range} {unit}, or leave it out"
     OUT_OF_RANGE = "{value} is out of range: {range}"
     NO_NAME = "the {noun}'s name is empty: give an absolute one, /part/part"
-    IS_A_PATTERN = "{name} is a pattern: give the name of one {noun}"
     NOT_ABSOLUTE = "{name} is not an absolute {noun} name: /part/part, of letters, digits and _, no digit first{hint}"
     ANNOUNCEMENT = "{name} carries the bridges' own announcements and is never bridged: name another topic"
     NAME_TOO_LONG = "{name} has {length} characters, and ROS allows at most {limit}: shorten it"
     NAME_TOO_LONG_WITH_PREFIX = (
         "{name} has {length} characters with its prefix, and ROS allows at most {limit}: shorten it"
     )
-    TYPE_TOO_LONG = "{name} has {length} characters, and at most {limit} are allowed"
     CALL_NEEDS_RELIABLE = "{protocol} may lose messages, and calls must not be lost: leave protocol out"
     NOT_CROSSING = (
         "{protocol} needs a link over {needed} ({chosen_by}), and this one is over {medium}: give {crossing}, or leave "
@@ -117,9 +107,6 @@ class TopicMistake(Wording):
         "{remote} has {remote_wildcards}, and {name} has {wildcards}: give both the same wildcards in the same order"
     )
     PORT_OF_PATTERN = "each name that matches would need its own {kind}: leave port out, so that they share the link's"
-    EXCEPT_OF_NAME = "{name} is a single name, not a pattern: leave except out"
-    TOO_MANY_EXCEPTIONS = "{count} entries, and at most {limit} are allowed: use patterns in it"
-    TOO_MANY_PATTERNS = "{count} patterns, and at most {limit} are allowed: use fewer, wider ones"
     NOT_A_PATTERN = (
         "{name} is not a pattern of names: /part/part, where * matches characters of one part, and a part ** "
         "matches any number of parts"
@@ -139,8 +126,6 @@ class TopicMistake(Wording):
         "the side whose node answers"
     )
     OTHER_NAME = "{name} does not name a route for {purpose}: both sides have to call it {purpose}/NAME"
-    OTHER_TYPE = "a route for {purpose} carries {type_name} only"
-    ONLY_TOPICS = "a route for {purpose} has nothing else here: leave it out"
     BRIDGED_ALREADY = "{service} is bridged already, with {noun} {name}: keep one of the two"
 
 
@@ -161,7 +146,7 @@ def range_problems(holder: msgspec.Struct, location: str) -> Iterator[Problem]:
 def port_problems(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
     """Whether there is such a port."""
     if port and transport.ports is NO_PORT:
-        yield Problem(location, TopicMistake.NO_PORTS(medium=transport.medium))
+        yield Problem(location, f"a link over {transport.medium} has no ports: leave it out")
     elif port not in transport.ports:
         yield Problem(location, TopicMistake.INVALID_PORT(port=port, kind=transport.port_kind, range=transport.ports))
 
@@ -261,10 +246,10 @@ def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -
     if not purpose.has_name(entry.topic) or entry.remote_topic not in (None, entry.topic):
         yield Problem("topic", TopicMistake.OTHER_NAME(name=show(entry.topic), purpose=purpose.name))
     if entry.type != purpose.type_name:
-        yield Problem("type", TopicMistake.OTHER_TYPE(purpose=purpose.name, type_name=purpose.type_name))
+        yield Problem("type", f"a route for {purpose.name} carries {purpose.type_name} only")
     for key, default in _OF_TOPICS.items():
         if getattr(entry, key) != default:
-            yield Problem(key, TopicMistake.ONLY_TOPICS(purpose=purpose.name))
+            yield Problem(key, f"a route for {purpose.name} has nothing else here: leave it out")
     yield from _transport(entry, "", session)
     yield from _qos(entry.qos, "qos")
     yield from range_problems(entry, "")
@@ -316,10 +301,10 @@ def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Pro
         return
     if kind == "action":
         if text != END_CANCEL:
-            yield Problem(location, TopicMistake.ON_END_OF_ACTION(value=show(text)))
+            yield Problem(location, f"{show(text)} is neither cancel nor none")
         return
     if kind not in (None, "topic"):
-        yield Problem(location, TopicMistake.ON_END_OF_CALLED())
+        yield Problem(location, "only topics and actions have it: leave it out")
         return
     if text == END_ZERO:
         return
@@ -332,7 +317,7 @@ def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Pro
         yield Problem(location, conceal(str(error)))
         return
     if not isinstance(fields, dict):
-        yield Problem(location, TopicMistake.ON_END(value=show(text)))
+        yield Problem(location, f"{show(text)} is neither zero, none nor a message: {{linear: {{x: 0.1}}}}")
 
 
 def limits_problems(
@@ -348,16 +333,15 @@ def limits_problems(
     if limits is None:
         return
     if kind not in (None, "topic"):
-        yield Problem(location, TopicMistake.LIMITS_OF_CALLED())
+        yield Problem(location, "only topics have it: leave it out")
         return
     if limits == VelocityLimits():
-        yield Problem(location, TopicMistake.LIMITS_EMPTY())
+        yield Problem(location, "has no number: give linear (m/s), angular (rad/s) or both")
     for key, value, allowed, unit in limits.out_of_range:
-        message = TopicMistake.SPEED_OUT_OF_RANGE(value=show(value), range=allowed, unit=unit)
-        yield Problem(join(location, key), message)
+        yield Problem(join(location, key), f"{show(value)} is out of range: {allowed} {unit}, or leave it out")
     if type_name == AUTO:
         if is_pattern(name):
-            yield Problem(location, TopicMistake.LIMITS_OF_PATTERN())
+            yield Problem(location, "a pattern with limits needs type: Twist or type: TwistStamped")
     elif full_type(type_name) not in TWISTS:
         yield Problem(location, TopicMistake.LIMITS_OF_TYPE(name=show(type_name)))
 
@@ -367,7 +351,7 @@ def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Pr
     if not name:
         yield Problem(location, TopicMistake.NO_NAME(noun=_NAMED[kind]))
     elif is_pattern(name):
-        yield Problem(location, TopicMistake.IS_A_PATTERN(name=show(name), noun=_NAMED[kind]))
+        yield Problem(location, f"{show(name)} is a pattern: give the name of one {_NAMED[kind]}")
     elif not is_topic_name(name):
         better = well_formed(name)
         hint = Hint.DID_YOU_MEAN(name=f"/{better}") if better else ""
@@ -395,7 +379,7 @@ def _type(name: str, location: str) -> Iterator[Problem]:
         yield Problem(location, str(error))
         return
     if len(full) > TEXT_LENGTH:
-        yield Problem(location, TopicMistake.TYPE_TOO_LONG(name=show(full), length=len(full), limit=TEXT_LENGTH))
+        yield Problem(location, f"{show(full)} has {len(full)} characters, and at most {TEXT_LENGTH} are allowed")
 
 
 def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
@@ -468,9 +452,9 @@ def exception_problems(topic: Topic, location: str) -> Iterator[Problem]:
     """Yield the mistakes in a pattern's exceptions."""
     location = join(location, "except")
     if topic.excepts and not topic.is_pattern:
-        yield Problem(location, TopicMistake.EXCEPT_OF_NAME(name=show(topic.topic)))
+        yield Problem(location, f"{show(topic.topic)} is a single name, not a pattern: leave except out")
     elif len(topic.excepts) > EXCEPTIONS_PER_PATTERN:
-        message = TopicMistake.TOO_MANY_EXCEPTIONS(count=len(topic.excepts), limit=EXCEPTIONS_PER_PATTERN)
+        message = f"{len(topic.excepts)} entries, and at most {EXCEPTIONS_PER_PATTERN} are allowed: use patterns in it"
         yield Problem(location, message)
     else:
         for at, name in enumerate(topic.excepts):
@@ -485,7 +469,7 @@ def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
     """
     patterns = [here for topic, here in zip(topics, locations(topics), strict=True) if topic.is_pattern]
     for here in patterns[PATTERNS_PER_LINK:]:
-        message = TopicMistake.TOO_MANY_PATTERNS(count=len(patterns), limit=PATTERNS_PER_LINK)
+        message = f"{len(patterns)} patterns, and at most {PATTERNS_PER_LINK} are allowed: use fewer, wider ones"
         yield Problem(join(where, here) if where else here, message)
 
 

@@ -79,13 +79,13 @@ def command_words(command: str | Sequence[str]) -> tuple[str, ...]:
     try:
         words = tuple(shlex.split(command)) if isinstance(command, str) else tuple(command)
     except ValueError as error:
-        raise ValueError(CommandMistake.NOT_SPLIT(problem=str(error).lower())) from None
+        raise ValueError(f"cannot be split into words ({str(error).lower()}): give a list of words instead") from None
     if not words or not words[0]:
-        raise ValueError(CommandMistake.NO_PROGRAM())
+        raise ValueError("has no program: give a command, or leave on_fault out")
     if any("\0" in word for word in words):
-        raise ValueError(CommandMistake.NUL())
+        raise ValueError("has a NUL character: remove it")
     if sum(map(len, words)) > _LONGEST:
-        raise ValueError(CommandMistake.TOO_LONG(limit=_LONGEST))
+        raise ValueError(f"is longer than {_LONGEST} characters: put it into a script")
     return words
 
 
@@ -112,16 +112,16 @@ def program_problem(program: str, folder: Path) -> str:
         path = program_path(program, folder)
         if path is None:
             if "/" in program:
-                return ProgramProblem.NO_SUCH_FILE(program=program, folder=folder.absolute())
+                return f"{program}: no such file (a path is relative to {folder.absolute()})"
             is_here = is_there(folder / program)
             return (ProgramProblem.NOT_IN_PATH_BUT_HERE if is_here else ProgramProblem.NOT_IN_PATH)(program=program)
         mode = path.stat().st_mode
     except OSError as error:
-        return ProgramProblem.NOT_REACHED(program=program, problem=error.strerror)
+        return f"{program} cannot be looked at: {error.strerror}"
     if not stat.S_ISREG(mode):
-        return ProgramProblem.NOT_A_PROGRAM(path=path, kind=kind_of_file(mode))
+        return f"{path} is {kind_of_file(mode)}, not a program"
     if not os.access(path, os.X_OK):
-        return ProgramProblem.NOT_EXECUTABLE(path=path)
+        return f"{path} is not executable: chmod +x {path}"
     return ""
 
 
@@ -135,15 +135,15 @@ def fault_command_warnings(session: Session, file: Path) -> Iterator[str]:
         return
     words = command_words(session.on_fault)
     if problem := program_problem(words[0], file.parent):
-        yield FaultCommandWarning.CANNOT_RUN(problem=problem)
+        yield f"on_fault: {problem}; until this is corrected, the bridge runs no command on a fault"
     if marks := [word for word in words if word in _OF_A_SHELL or word.startswith("$")]:
-        yield FaultCommandWarning.SHELL_SYNTAX(word=marks[0])
+        yield f"on_fault: no shell runs it, so {marks[0]} is a plain argument: put the command into a script"
     with suppress(OSError):  # named above
         program = program_path(words[0], file.parent)
         for path in filter(None, (file, program)):
             status = stat_of(path)
             if status is not None and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-                yield FaultCommandWarning.OTHERS_MAY_CHANGE(path=path)
+                yield f"on_fault: other users can change {path}, which runs as this user: chmod go-w {path}"
 
 
 class SessionMistake(Wording):
@@ -163,7 +163,6 @@ class SessionMistake(Wording):
     ADDRESS_INVALID = "{address} is not an IPv4 or IPv6 address, a host name, or a Bluetooth MAC"
     ADAPTER_TWICE = "server_ip is a Bluetooth MAC already: leave bluetooth_address out"
     ADAPTER_INVALID = "{address} is not a Bluetooth MAC: six hexadecimal pairs, 5C:F3:70:9A:1B:2E"
-    ADAPTER_OVER_ZENOH = "a link over Zenoh cannot have topics over Bluetooth: leave it out"
     TOPIC_TWICE = "{name} ({end}) is listed already, as number {number}"
     SOURCE_TWICE = "{name} comes from the server's {remote}, too: bridge it once, under one name"
     PORT_OF_LINK = "{port} is the server_port: leave port out to share it"
@@ -176,7 +175,6 @@ class SessionMistake(Wording):
     TOPIC_PORT_INVALID = "{port} is no port for a topic: {range}"
     KEY_OF_ITS_CLIENT = "belongs under the client that it is for, in clients"
     CLIENT_TWICE = "{name} is the name of client number {number} already"
-    ARMED_TWICE = "{name} is listed already, as number {number}: keep one"
     KEY_FILE_MISSING = "missing: encryption needs a key; make one with `rsb-console keygen` and give its file's name"
     KEY_FILE_INVALID = "{name} is not a file name: give the key file's"
     NEXT_KEY_ON_CLIENT = (
@@ -192,40 +190,15 @@ class ZenohMistake(Wording):
     """A mistake in the settings of a Zenoh network."""
 
     MISSING = "missing: server_ip is zenoh; give the routers' endpoints, {{connect: [tls/hub:7447]}}"
-    NO_ENDPOINT = "has no endpoint: give connect: [tls/hub:7447], or a config that does"
-    TOO_MANY_ENDPOINTS = "has {count} endpoints, and at most {limit} are allowed"
     FLEET_INVALID = "{name} is not a fleet's name: letters, digits, _, . and -, a letter or digit first, at most 64"
-    ENDPOINT_INVALID = "{endpoint} is not an endpoint: PROTOCOL/HOST:PORT, as in tls/hub:7447"
     PROTOCOL_UNKNOWN = "{protocol} is not one of {protocols}{hint}"
-    PORT_INVALID = "{port} is not a port: 1 to 65535"
-
-
-class CommandMistake(Wording):
-    """A mistake in a command line."""
-
-    NOT_SPLIT = "cannot be split into words ({problem}): give a list of words instead"
-    NO_PROGRAM = "has no program: give a command, or leave on_fault out"
-    NUL = "has a NUL character: remove it"
-    TOO_LONG = "is longer than {limit} characters: put it into a script"
 
 
 class ProgramProblem(Wording):
     """The reason why a program cannot be run."""
 
-    NO_SUCH_FILE = "{program}: no such file (a path is relative to {folder})"
-    NOT_REACHED = "{program} cannot be looked at: {problem}"
     NOT_IN_PATH = "no program {program} in PATH"
     NOT_IN_PATH_BUT_HERE = "no program {program} in PATH: write ./{program}"
-    NOT_A_PROGRAM = "{path} is {kind}, not a program"
-    NOT_EXECUTABLE = "{path} is not executable: chmod +x {path}"
-
-
-class FaultCommandWarning(Wording):
-    """A warning about the command of `on_fault`."""
-
-    CANNOT_RUN = "on_fault: {problem}; until this is corrected, the bridge runs no command on a fault"
-    SHELL_SYNTAX = "on_fault: no shell runs it, so {word} is a plain argument: put the command into a script"
-    OTHERS_MAY_CHANGE = "on_fault: other users can change {path}, which runs as this user: chmod go-w {path}"
 
 
 class AddressProblem(Wording):
@@ -597,7 +570,7 @@ def armed_problems(armed: Sequence[str | ArmedName]) -> Iterator[Problem]:
         yield from on_end_problems(end_text(entry.on_end), join(here, "on_end"), entry.kind)
         yield from limits_problems(entry.limits, join(here, "limits"), entry.kind, entry.type or AUTO, entry.name)
         if known.setdefault(entry, at) != at:
-            yield Problem(here, SessionMistake.ARMED_TWICE(name=show(entry.name), number=known[entry] + 1))
+            yield Problem(here, f"{show(entry.name)} is listed already, as number {known[entry] + 1}: keep one")
 
 
 def key_file_problems(session: Session) -> Iterator[Problem]:
@@ -637,7 +610,7 @@ def _replaces(following: str | None, current: str | None, location: str) -> Iter
 def zenoh_problems(session: Session) -> Iterator[Problem]:
     """Mistakes in a session's `Session.zenoh`, and where it is missing."""
     if session.is_zenoh and session.bluetooth_address is not None:
-        yield Problem("bluetooth_address", SessionMistake.ADAPTER_OVER_ZENOH())
+        yield Problem("bluetooth_address", "a link over Zenoh cannot have topics over Bluetooth: leave it out")
     if session.zenoh is None:
         if session.is_zenoh:
             yield Problem("zenoh", ZenohMistake.MISSING())
@@ -648,10 +621,10 @@ def zenoh_problems(session: Session) -> Iterator[Problem]:
 def settings_problems(settings: ZenohSettings, location: str) -> Iterator[Problem]:
     """Mistakes in how a network is reached."""
     if not (settings.connect or settings.listen or settings.config):
-        yield Problem(location, ZenohMistake.NO_ENDPOINT())
+        yield Problem(location, "has no endpoint: give connect: [tls/hub:7447], or a config that does")
     for key, endpoints in (("connect", settings.connect), ("listen", settings.listen)):
         if len(endpoints) > _MOST_ENDPOINTS:
-            message = ZenohMistake.TOO_MANY_ENDPOINTS(count=len(endpoints), limit=_MOST_ENDPOINTS)
+            message = f"has {len(endpoints)} endpoints, and at most {_MOST_ENDPOINTS} are allowed"
             yield Problem(join(location, key), message)
         for at, endpoint in enumerate(endpoints):
             yield from _zenoh_endpoint(endpoint, join(join(location, key), at))
@@ -662,7 +635,7 @@ def settings_problems(settings: ZenohSettings, location: str) -> Iterator[Proble
 def _zenoh_endpoint(endpoint: str, location: str) -> Iterator[Problem]:
     match = _ZENOH_ENDPOINT.fullmatch(endpoint)
     if match is None:
-        yield Problem(location, ZenohMistake.ENDPOINT_INVALID(endpoint=show(endpoint)))
+        yield Problem(location, f"{show(endpoint)} is not an endpoint: PROTOCOL/HOST:PORT, as in tls/hub:7447")
     elif match["protocol"] not in _ZENOH_PROTOCOLS:
         hint = did_you_mean(match["protocol"], list(_ZENOH_PROTOCOLS))
         message = ZenohMistake.PROTOCOL_UNKNOWN(
@@ -670,4 +643,4 @@ def _zenoh_endpoint(endpoint: str, location: str) -> Iterator[Problem]:
         )
         yield Problem(location, message)
     elif not 0 < int(match["port"]) < 65536:
-        yield Problem(location, ZenohMistake.PORT_INVALID(port=match["port"]))
+        yield Problem(location, f"{match['port']} is not a port: 1 to 65535")

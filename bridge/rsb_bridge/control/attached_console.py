@@ -56,9 +56,7 @@ class RequestRefused(Wording):
 
     READ_ONLY = "{reason}: nothing can be changed"
     ASKS_FIRST = "{reason}: ask the holder"
-    ATTACHED_READ_ONLY = "attached read-only"
     LATE = "the command came too late: its way to the bridge, or this program, was held up; give it again"
-    WITHDRAWN = "this console has withdrawn it"
     TOO_MANY_WAITING = "{count} requests already wait for an answer: try again later"
 
 
@@ -262,7 +260,7 @@ class AttachedConsole:
         self._welcomed = True
         self._operator = self._connection.operator
         read_only = self._connection.read_only_reason
-        attached_read_only = RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else ""
+        attached_read_only = "attached read-only" if hello.read_only else ""
         changes = read_only or attached_read_only
         takes = changes or self._connection.never_takes_reason
         self._denied = {Right.MEASURE: read_only, Right.CHANGE: changes, Right.TAKE: takes}
@@ -311,7 +309,7 @@ class AttachedConsole:
         except EngineError as error:
             reply = protocol.CommandFailed(request.id, str(error), isinstance(error, InvalidRequestError))
         except asyncio.CancelledError:
-            reply = protocol.CommandFailed(request.id, RequestRefused.WITHDRAWN())
+            reply = protocol.CommandFailed(request.id, "this console has withdrawn it")
         except Exception as error:  # noqa: BLE001 -- the end of the connection would disarm what this console holds
             self._loop.call_exception_handler({"message": "a command failed", "exception": error})
             reply = protocol.CommandFailed(request.id, f"internal error, please report it: {error}")

@@ -101,7 +101,7 @@ def ask(path: Path) -> RunningBridge:
         except (OSError, ControlProtocolError) as error:
             problem = AttachProblem.SILENT() if isinstance(error, TimeoutError) else str(error)
             return RunningBridge(path, pid, None, problem)
-    return RunningBridge(path, pid, None, AttachProblem.CLOSED_EARLY())
+    return RunningBridge(path, pid, None, "it closed the connection")
 
 
 def running_bridges(environ: Mapping[str, str] = os.environ) -> list[RunningBridge]:

@@ -181,7 +181,7 @@ class ControlServer:
 def _not_yours() -> str:
     """Return why a console of another user is refused."""
     uid = os.geteuid()
-    return AttachProblem.OTHER_USER(user=user_name(uid), remedy=run_as(uid))
+    return f"this bridge runs as {user_name(uid)}; only that user and root may control it: {run_as(uid)}"
 
 
 class _OfThisMachine:

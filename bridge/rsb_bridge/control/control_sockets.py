@@ -38,15 +38,9 @@ _PEER = struct.Struct("iII")  # pid, uid, gid: struct ucred of unix(7)
 class SocketProblem(Wording):
     """Reasons why a control socket, or its folder, cannot be used."""
 
-    STRANGER = "{path}: served by {user}, not by this user: {remedy}"
-    TAKEN = "{path}: another process serves this socket"
-    NOT_SERVED = "{path}: no bridge serves this socket"
-    NO_FOLDER = "{path}: no bridge serves a socket here"
-    BUSY = "{path}: its process does not answer"
     OTHER = "{path}: {problem}"
     NOT_A_SOCKET = "{path}: exists, and is not a socket; name another path with --control"
     FOLDER_LOCKED = "another process holds the lock on the folder of the control socket: try again"
-    FOLDER_OF_ANOTHER = "this folder is another user's; remove it, or set XDG_RUNTIME_DIR"
     FOLDER_OF_USER = "this folder is another user's (uid {uid}); remove it, or set XDG_RUNTIME_DIR"
     FOLDER_WRITABLE = "others may write to this folder (mode {mode:04o}); chmod 700 it"
 
@@ -57,10 +51,8 @@ class AttachProblem(Wording):
     SILENT = "the bridge does not answer"
     SILENT_FOR = "the bridge has not answered for {seconds:.0f} s"
     ENDED = "the bridge's process has ended, or has closed the connection"
-    CLOSED_EARLY = "it closed the connection"
     DETACHED = "detached from the bridge"
     OTHER_CONSOLES = "{count} consoles are attached already; close one of them"
-    OTHER_USER = "this bridge runs as {user}; only that user and root may control it: {remedy}"
     ON_SOCKET = "{where}: {problem}"
 
 
@@ -173,7 +165,7 @@ class ControlSocket:
             _lock(folder)  # nobody else probes, replaces or makes a socket here meanwhile
             if _is_socket(folder, path):
                 if _listens(folder, path.name):
-                    raise TakenError(SocketProblem.TAKEN(path=path))
+                    raise TakenError(f"{path}: another process serves this socket")
                 os.unlink(path.name, dir_fd=folder)
             self.socket = socket.socket(socket.AF_UNIX)
             try:
@@ -232,7 +224,7 @@ def _connect(path: Path, timeout: float) -> socket.socket:
             # in a folder of /tmp that bears root's number, or under a path that somebody gives root.
             service = path.parent == SERVICES and uid == os.fstat(folder).st_uid and os.geteuid() == 0
             if not (may_control(uid) or service):
-                raise StrangerError(SocketProblem.STRANGER(path=path, user=user_name(uid), remedy=run_as(uid)))
+                raise StrangerError(f"{path}: served by {user_name(uid)}, not by this user: {run_as(uid)}")
         except BaseException:
             connection.close()
             raise
@@ -256,10 +248,10 @@ def _reported(path: Path) -> Iterator[None]:
     try:
         yield
     except TimeoutError:
-        raise ControlError(SocketProblem.BUSY(path=path)) from None
+        raise ControlError(f"{path}: its process does not answer") from None
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ECONNREFUSED):
-            raise NotServedError(SocketProblem.NOT_SERVED(path=path)) from None
+            raise NotServedError(f"{path}: no bridge serves this socket") from None
         raise ControlError(SocketProblem.OTHER(path=path, problem=error.strerror or error)) from None
 
 
@@ -278,7 +270,7 @@ def _folder(path: Path, *, make: bool) -> Iterator[int]:
         # Anybody may put a link of a default folder's name into /tmp.
         handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | (os.O_NOFOLLOW if make else 0))
     except FileNotFoundError:
-        raise NotServedError(SocketProblem.NO_FOLDER(path=path)) from None
+        raise NotServedError(f"{path}: no bridge serves a socket here") from None
     except OSError as error:
         raise ControlError(SocketProblem.OTHER(path=path, problem=error.strerror)) from None
     try:
@@ -306,7 +298,7 @@ def _lock(folder: int) -> None:
 def _folder_problem(status: os.stat_result, *, strict: bool) -> str:
     others = stat.S_IMODE(status.st_mode) & 0o022
     if status.st_uid not in (0, os.geteuid()) and os.geteuid() != 0:
-        return SocketProblem.FOLDER_OF_ANOTHER()
+        return "this folder is another user's; remove it, or set XDG_RUNTIME_DIR"
     if strict and status.st_uid != os.geteuid():
         return SocketProblem.FOLDER_OF_USER(uid=status.st_uid)
     # With the sticky bit, as /tmp has it, others can add files, but replace none.

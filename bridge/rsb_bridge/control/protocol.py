@@ -80,22 +80,15 @@ class VersionProblem(Wording):
 class RequestProblem(Wording):
     """Reasons why a command does not reach the bridge, or why its reply is useless."""
 
-    TOO_LONG = "this command is too long: {length:,} bytes"
     NOT_UNICODE = "this command has bytes that are no Unicode text: write it in UTF-8"
     TOO_LATE = "not done: the bridge answers too slowly, or this program stood still; give the command again"
-    UNEXPECTED_REPLY = "unexpected reply to this command"
     INVALID_PICTURE = "the bridge sent no valid picture: {error}"
 
 
 class UnexpectedMessage(Wording):
     """Messages that break this protocol."""
 
-    TOO_MANY_EVENTS = "more events than any bridge reports"
     UNASKED = "an answer without a request"
-    UNASKED_SUMMARY = "a summary that nobody has asked for"
-    STATE_BEFORE_WELCOME = "a state before the welcome"
-    STATE_WITHOUT_ROUTE = "a state without the route {key}"
-    STATE_WITHOUT_SESSION = "a state without a session"
     ROUTES_NOT_AS_LISTED = "a state that lists a route twice, or has one that it does not list"
 
 
@@ -359,7 +352,7 @@ def result_of(command: Command[R], reply: Reply) -> R:
     value = next((each for name in _FIELD_OF.values() if (each := getattr(reply, name)) is not None), reply.value)
     # A bridge on another machine may answer anything.
     if not isinstance(value, get_origin(kind) if get_origin(kind) is tuple else kind):
-        raise EngineError(RequestProblem.UNEXPECTED_REPLY())
+        raise EngineError("unexpected reply to this command")
     if isinstance(value, Viewed):
         try:
             value = msgspec.structs.replace(value, picture=check_picture(value.picture))

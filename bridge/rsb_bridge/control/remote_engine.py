@@ -360,7 +360,7 @@ class RemoteEngine(EngineApi):
                 self._welcome(message.bridge)
             case protocol.StateChange():
                 if self._receiver is None:
-                    raise ControlProtocolError(UnexpectedMessage.STATE_BEFORE_WELCOME())
+                    raise ControlProtocolError("a state before the welcome")
                 if self._receiver.receive(message):
                     self._ticket = message.ticket
                     self._show(self._receiver)
@@ -379,7 +379,7 @@ class RemoteEngine(EngineApi):
             case protocol.RestartStep():
                 self._requests.receive(message)
             case protocol.Summary():
-                raise ControlProtocolError(UnexpectedMessage.UNASKED_SUMMARY())
+                raise ControlProtocolError("a summary that nobody has asked for")
             case protocol.HelloRefused() | protocol.Goodbye():
                 raise AssertionError("ends the connection")
         return False
@@ -460,7 +460,7 @@ class RemoteEngine(EngineApi):
             self._requests.receive(CommandFailed(request.id, RequestProblem.NOT_UNICODE(), invalid=True))
             return
         if size > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
-            self._requests.receive(CommandFailed(request.id, RequestProblem.TOO_LONG(length=size)))
+            self._requests.receive(CommandFailed(request.id, f"this command is too long: {size:,} bytes"))
         else:
             self._send(request)
             waiting.future.add_done_callback(partial(self._given_up, request.id))

@@ -78,11 +78,9 @@ class OperatorRefused(Wording):
     READ_ONLY = "{name} has read-only access (may: {may} in the bridge's operators)"
     ASKS_HOLDERS = "{name} may not take over at once (may: {may}, not take, in the bridge's operators)"
     REMOVED = "{name} may no longer attach: removed from the bridge's operators"
-    RIGHTS_CHANGED = "the rights or the key of {name} were changed on the bridge"
     BY_ENGINE = "{engine} refuses: {message}"
     BY_ENGINE_WITH_REMEDY = "{engine} refuses: {message}: {remedy}"
     FAILED = "{engine}: {problem}"
-    CLOSED = "{engine} closed the connection without an answer"
 
 
 class SealedAcceptor:
@@ -246,7 +244,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         elif granted is None:
             self._console.end(OperatorRefused.REMOVED(name=self.name))
         elif granted != self._granted:
-            self._console.end(OperatorRefused.RIGHTS_CHANGED(name=self.name))
+            self._console.end(f"the rights or the key of {self.name} were changed on the bridge")
 
     def _admit(self, admitted: Admitted) -> None:
         self._granted = self._acceptor.access.granted.get(self.name)
@@ -495,7 +493,7 @@ class _OperatorConnection(asyncio.Protocol):
         if exc is not None:
             self._end(OperatorRefused.FAILED(engine=self._engine, problem=getattr(exc, "strerror", None) or exc))
         elif not self.admitted.done():
-            self._end(OperatorRefused.CLOSED(engine=self._engine))
+            self._end(f"{self._engine} closed the connection without an answer")
         else:
             self._ended = True
             self._reader.feed_eof()

@@ -167,9 +167,9 @@ class StateReceiver:
         try:
             routes = tuple([self._routes[key] for key in self._keys])
         except KeyError as error:
-            raise ControlProtocolError(UnexpectedMessage.STATE_WITHOUT_ROUTE(key=error)) from None
+            raise ControlProtocolError(f"a state without the route {error}") from None
         if self.session is None:
-            raise ControlProtocolError(UnexpectedMessage.STATE_WITHOUT_SESSION())
+            raise ControlProtocolError("a state without a session")
         if len(self._routes) != len(self._keys):
             raise ControlProtocolError(UnexpectedMessage.ROUTES_NOT_AS_LISTED())
         self.waits_for_operator = state.waits_for_operator
@@ -205,7 +205,7 @@ class UntrustedMessages:
             ProtocolError: it is more than any engine sends.
         """
         if isinstance(message, Events) and not self._events.take(len(message.events), now):
-            raise ControlProtocolError(UnexpectedMessage.TOO_MANY_EVENTS())
+            raise ControlProtocolError("more events than any bridge reports")
         return clean(message)
 
 

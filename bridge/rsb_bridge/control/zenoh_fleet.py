@@ -43,20 +43,11 @@ _NAMES = 20
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 
 
-class FleetNetworkText(Wording):
-    """Reports on the network of a fleet."""
-
-    NOT_ANNOUNCED = "not announced to the fleet {fleet}: {problem}; trying again"
-    ANNOUNCED = "announced to the fleet {fleet}"
-    ROUTER_LOST = "{place}: {problem}; trying again"
-
-
 class EngineChoice(Wording):
     """Reasons why a console finds no engine of a fleet, or not one alone."""
 
     NONE = "no engine is in the fleet {fleet}"
     UNKNOWN = "no engine {engine!r} is in the fleet {fleet}{known}"
-    SEVERAL = "several engines are in the fleet {fleet}: name one{known}"
     SAME_NAME = "{count} engines of the fleet {fleet} are named {engine!r}: give each its own name"
     NONE_PROVEN = (
         "none of {count} engines named {engine!r} has proven the key: "
@@ -126,11 +117,11 @@ class EngineAnnouncement:
                 self._endpoint = await self._network.endpoint(ENGINE, self._label, (CONSOLE,))
             except OSError as error:
                 if told != (told := str(error)):
-                    self._tell(Level.WARNING, FleetNetworkText.NOT_ANNOUNCED(fleet=fleet, problem=told))
+                    self._tell(Level.WARNING, f"not announced to the fleet {fleet}: {told}; trying again")
                 await asyncio.sleep(self._backoff.next())
         self._endpoint.on_stream = self._accept
         if told:
-            self._tell(Level.INFO, FleetNetworkText.ANNOUNCED(fleet=fleet))
+            self._tell(Level.INFO, f"announced to the fleet {fleet}")
 
     def _tell(self, level: Level, text: str) -> None:
         if self._says_so:
@@ -181,11 +172,7 @@ class FleetPresence:
     @property
     def problem(self) -> str:
         """The reason the network is not reached, or an empty string."""
-        return (
-            ""
-            if self._network.connected
-            else FleetNetworkText.ROUTER_LOST(place=self._network.place, problem=ROUTER_LOST)
-        )
+        return "" if self._network.connected else f"{self._network.place}: {ROUTER_LOST}; trying again"
 
     def sealed(self, member: Member) -> OperatorConnector:
         """Return a connector to an engine, with the operator's key; usable until this leaves the network."""
@@ -278,7 +265,7 @@ class FleetConnector:
             problem = EngineChoice.UNKNOWN if engine else EngineChoice.NONE
             raise ControlError(problem(engine=engine, fleet=fleet, known=known))
         if len({member.name for member in found}) > 1 and not engine:
-            raise UnclearError(EngineChoice.SEVERAL(fleet=fleet, known=known))
+            raise UnclearError(f"several engines are in the fleet {fleet}: name one{known}")
         return found
 
     async def _proven(self, presence: FleetPresence, members: list[Member], within: float) -> Connection:

@@ -6,7 +6,6 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -60,13 +59,6 @@ class Check(NamedTuple):
     run: Callable[[], Iterable[Finding]]
 
 
-class CheckText(Wording):
-    """Findings about a check itself."""
-
-    INTERNAL_ERROR = "internal error of this check: {error}"
-    INTERNAL_ERROR_REMEDY = "report it as an issue, with this output"
-
-
 def examine(checks: Iterable[Check]) -> Iterator[Finding]:
     """Run checks. One that cannot find out or has a defect is a finding, too, and the others still run."""
     for check in checks:
@@ -76,7 +68,7 @@ def examine(checks: Iterable[Check]) -> Iterator[Finding]:
             yield Finding(check.code, Grade.UNKNOWN, check.subject, sanitize_text(str(error)))
         except Exception as error:  # noqa: BLE001 -- the operator needs the other findings
             problem = sanitize_text(f"{type(error).__name__}: {error}")
-            text, remedy = CheckText.INTERNAL_ERROR(error=problem), CheckText.INTERNAL_ERROR_REMEDY()
+            text, remedy = f"internal error of this check: {problem}", "report it as an issue, with this output"
             yield Finding(check.code, Grade.UNKNOWN, check.subject, text, remedy, {"internal_error": True})
 
 

@@ -67,25 +67,14 @@ _EXTRAS = {"zenoh": "zenoh", "metrics": "prometheus_client"}
 class MachineText(Wording):
     """Findings about a machine, and remedies."""
 
-    PROGRAM = "rsb-console {version}, Python {python}, {system}"
-    CONFINED = "the process that draws reads only the program's files, and has no TCP (Landlock {landlock})"
     CONFINED_BUT_NETWORK = "the process that draws reads only the program's files, but has TCP (Landlock {landlock})"
     NOT_CONFINED = "the process that draws can read what its user can, and has a network: this kernel has no Landlock"
-    HAS_RIGHTS = "the process that draws keeps root's rights, or can gain some"
     CONFINED_REMEDY = "Linux 6.7 or newer with Landlock (boot parameter lsm=landlock,...)"
-    RIGHTS_REMEDY = "run the bridge as a user of its own, not as root"
-    NO_BLUETOOTH_SOCKETS = "this Python has no Bluetooth sockets"
     BLUETOOTH_REMEDY = "for Bluetooth links, run it with the distribution's own Python (/usr/bin/python3)"
-    NO_ADAPTER = "no adapter: links over Bluetooth need one"
-    ADAPTERS = "adapters {names}"
-    EXTRAS = "{installed} installed"
-    EXTRAS_MISSING = "{missing} not installed"
     EXTRAS_REMEDY = "pip install 'rsb-console[{missing}]'"
     SHARED_MEMORY = "{free} of {size} MB are free in {folder}"
     SHARED_MEMORY_LITTLE = "only {free} of {size} MB are free in {folder}: messages between nodes may get lost"
     SHARED_MEMORY_REMEDY = "make room, or in a container give more (docker run --shm-size=512m)"
-    LEFT_OVER = "killed programs have left {count} files of Fast DDS ({megabytes} MB) in {folder}"
-    LEFT_OVER_REMEDY = "stop all ROS nodes of this machine, then run: rm {folder}/fast*"
     SEVERAL_USERS = (
         "Fast DDS's shared memory is used by several users ({users}): their nodes may see each other's topics, but get "
         "no message of them"
@@ -93,28 +82,20 @@ class MachineText(Wording):
     SEVERAL_USERS_REMEDY = (
         "start all nodes of this machine as one user, or set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 for those of the others"
     )
-    BUFFERS = "{given:,} bytes may wait in a UDP socket"
     BUFFERS_SMALL = "only {given:,} bytes may wait in a UDP socket: large messages over UDP come late or get lost"
     BUFFERS_REMEDY = (
         "echo net.core.rmem_max={wanted} | sudo tee /etc/sysctl.d/60-rsb.conf && "
         "sudo sysctl -p /etc/sysctl.d/60-rsb.conf"
     )
-    TCP = "uses {used}"
     TCP_NO_BBR = "uses {used}, which takes each lost packet for a full link: on a radio link, BBR carries more"
     BBR_REMEDY = (
         "echo tcp_bbr | sudo tee /etc/modules-load.d/rsb.conf && sudo modprobe tcp_bbr && "
         "echo 'net.ipv4.tcp_allowed_congestion_control=reno cubic bbr' | sudo tee /etc/sysctl.d/61-rsb.conf && "
         "sudo sysctl -p /etc/sysctl.d/61-rsb.conf"
     )
-    CLOCK = "synchronized, within {milliseconds:.0f} ms"
     CLOCK_NOT_SYNCHRONIZED = "not synchronized: figures that compare two machines' clocks in logs are off"
     CLOCK_REMEDY = "sudo timedatectl set-ntp true, or install chrony"
-    MULTICAST = "works on {interfaces}"
     NO_INTERFACE = "no network interface is up but loopback: only nodes of this machine discover each other"
-    NO_MULTICAST = "does not work on {interfaces}: nodes of other machines do not discover this one's there"
-    MULTICAST_REMEDY = "sudo ip link set {interface} multicast on; a bridge's own link needs none"
-    NO_FIREWALL = "no rule drops packets to this machine"
-    FIREWALL = "rules drop packets to this machine: {chains}"
     FIREWALL_REMEDY = (
         "open the bridge's port, and for ROS between machines the domain's UDP ports; "
         "sudo nft list ruleset shows the rules"
@@ -122,14 +103,9 @@ class MachineText(Wording):
     RULES_REMEDY = "sudo nft list ruleset shows them"
     FIREWALL_UNREADABLE = "only root may read the rules"
     NO_NFT = "the program nft is not installed, so the rules cannot be read"
-    DESCRIPTORS = "{limit:,} open files at most"
     DESCRIPTORS_FEW = "only {limit:,} open files at most: each TCP link takes three on either side"
     DESCRIPTORS_REMEDY = "raise the hard limit: LimitNOFILE=65536 under systemd, ulimit -Hn in a shell"
     DISK = "{free:,} MB are free for the history and events in {folder}"
-    DISK_LITTLE = "only {free:,} MB are free for the history and events in {folder}"
-    DISK_REMEDY = "make room, or set XDG_STATE_HOME to another folder"
-    FOLDER_NOT_WRITABLE = "{folder} is not writable: there will be no history after a restart"
-    FOLDER_REMEDY = "sudo install -d -m 700 -o $(id -un) {folder}  # or set XDG_STATE_HOME to another folder"
 
 
 def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, ...]:
@@ -161,7 +137,7 @@ def _program() -> Iterator[Finding]:
         "program",
         Grade.OK,
         "program",
-        MachineText.PROGRAM(version=facts["version"], python=facts["python"], system=system),
+        f"rsb-console {facts['version']}, Python {facts['python']}, {system}",
         facts=facts | {"system": system},
     )
 
@@ -170,13 +146,10 @@ def _extras() -> Iterator[Finding]:
     found = {name: importlib.util.find_spec(module) is not None for name, module in _EXTRAS.items()}
     missing = [name for name, is_there in found.items() if not is_there]
     if missing:
-        text, remedy = (
-            MachineText.EXTRAS_MISSING(missing=" and ".join(missing)),
-            MachineText.EXTRAS_REMEDY(missing=",".join(missing)),
-        )
+        text, remedy = f"{' and '.join(missing)} not installed", MachineText.EXTRAS_REMEDY(missing=",".join(missing))
         yield Finding("extras", Grade.NOTE, "extras", text, remedy, found)
     else:
-        yield Finding("extras", Grade.OK, "extras", MachineText.EXTRAS(installed=" and ".join(found)), facts=found)
+        yield Finding("extras", Grade.OK, "extras", f"{' and '.join(found)} installed", facts=found)
 
 
 def _pictures() -> Iterator[Finding]:
@@ -190,13 +163,14 @@ def _pictures() -> Iterator[Finding]:
     facts = json.loads(ran.stdout)
     landlock, remedy = facts["landlock"], ""
     if not (facts["no_new_privileges"] and facts["no_capabilities"]):
-        text, remedy = MachineText.HAS_RIGHTS(), MachineText.RIGHTS_REMEDY()
+        text = "the process that draws keeps root's rights, or can gain some"
+        remedy = "run the bridge as a user of its own, not as root"
     elif landlock == 0:
         text, remedy = MachineText.NOT_CONFINED(), MachineText.CONFINED_REMEDY()
     elif landlock < _LANDLOCK_OF_TCP:
         text, remedy = MachineText.CONFINED_BUT_NETWORK(landlock=landlock), MachineText.CONFINED_REMEDY()
     else:
-        text = MachineText.CONFINED(landlock=landlock)
+        text = f"the process that draws reads only the program's files, and has no TCP (Landlock {landlock})"
     yield Finding("pictures", Grade.NOTE if remedy else Grade.OK, "pictures", text, remedy, facts)
 
 
@@ -230,8 +204,8 @@ def _shared_memory(folder: Path) -> Iterator[Finding]:
             "shared_memory_left",
             Grade.NOTE,
             "shared memory",
-            MachineText.LEFT_OVER(count=len(left), megabytes=taken // _MEGABYTE, folder=folder),
-            MachineText.LEFT_OVER_REMEDY(folder=folder),
+            f"killed programs have left {len(left)} files of Fast DDS ({taken // _MEGABYTE} MB) in {folder}",
+            f"stop all ROS nodes of this machine, then run: rm {folder}/fast*",
             {"files": len(left), "bytes": taken},
         )
 
@@ -274,7 +248,7 @@ def _udp_buffers() -> Iterator[Finding]:
         text, remedy = MachineText.BUFFERS_SMALL(given=given), MachineText.BUFFERS_REMEDY(wanted=RECEIVE_BUFFER)
         yield Finding("udp_buffers", Grade.WARNING, "UDP buffers", text, remedy, facts)
     else:
-        yield Finding("udp_buffers", Grade.OK, "UDP buffers", MachineText.BUFFERS(given=given), facts=facts)
+        yield Finding("udp_buffers", Grade.OK, "UDP buffers", f"{given:,} bytes may wait in a UDP socket", facts=facts)
 
 
 def _congestion_control() -> Iterator[Finding]:
@@ -284,7 +258,7 @@ def _congestion_control() -> Iterator[Finding]:
         used = congestion_control(asking)
     facts = {"used": used}
     if used == BBR:
-        yield Finding("congestion_control", Grade.OK, "TCP", MachineText.TCP(used=used), facts=facts)
+        yield Finding("congestion_control", Grade.OK, "TCP", f"uses {used}", facts=facts)
     else:
         text, remedy = MachineText.TCP_NO_BBR(used=used), MachineText.BBR_REMEDY()
         yield Finding("congestion_control", Grade.NOTE, "TCP", text, remedy, facts)
@@ -303,7 +277,7 @@ def _clock() -> Iterator[Finding]:
         text, remedy = MachineText.CLOCK_NOT_SYNCHRONIZED(), MachineText.CLOCK_REMEDY()
         yield Finding("clock", Grade.WARNING, "clock", text, remedy, facts)
     else:
-        yield Finding("clock", Grade.OK, "clock", MachineText.CLOCK(milliseconds=error / 1e3), facts=facts)
+        yield Finding("clock", Grade.OK, "clock", f"synchronized, within {error / 1e3:.0f} ms", facts=facts)
 
 
 def _multicast() -> Iterator[Finding]:
@@ -314,13 +288,10 @@ def _multicast() -> Iterator[Finding]:
     if not outward:
         yield Finding("multicast", Grade.NOTE, "multicast", MachineText.NO_INTERFACE(), facts=works)
     if good:
-        text = MachineText.MULTICAST(interfaces=", ".join(good))
-        yield Finding("multicast", Grade.OK, "multicast", text, facts=works)
+        yield Finding("multicast", Grade.OK, "multicast", f"works on {', '.join(good)}", facts=works)
     if bad:
-        text, remedy = (
-            MachineText.NO_MULTICAST(interfaces=", ".join(bad)),
-            MachineText.MULTICAST_REMEDY(interface=bad[0]),
-        )
+        text = f"does not work on {', '.join(bad)}: nodes of other machines do not discover this one's there"
+        remedy = f"sudo ip link set {bad[0]} multicast on; a bridge's own link needs none"
         yield Finding("multicast", Grade.WARNING, "multicast", text, remedy, works)
 
 
@@ -378,10 +349,10 @@ def _firewall() -> Iterator[Finding]:
     chains = dropping_chains(json.loads(listed).get("nftables", []))
     facts = {"drops": bool(chains), "chains": chains}
     if chains:
-        text, remedy = MachineText.FIREWALL(chains=", ".join(chains)), MachineText.FIREWALL_REMEDY()
+        text, remedy = f"rules drop packets to this machine: {', '.join(chains)}", MachineText.FIREWALL_REMEDY()
         yield Finding("firewall", Grade.NOTE, "firewall", text, remedy, facts)
     else:
-        yield Finding("firewall", Grade.OK, "firewall", MachineText.NO_FIREWALL(), facts=facts)
+        yield Finding("firewall", Grade.OK, "firewall", "no rule drops packets to this machine", facts=facts)
 
 
 def dropping_chains(listed: list[dict[str, Any]]) -> list[str]:
@@ -435,8 +406,7 @@ def _descriptors() -> Iterator[Finding]:
         text, remedy = MachineText.DESCRIPTORS_FEW(limit=limit), MachineText.DESCRIPTORS_REMEDY()
         yield Finding("descriptors", Grade.WARNING, "open files", text, remedy, {"limit": limit})
     else:
-        text = MachineText.DESCRIPTORS(limit=limit)
-        yield Finding("descriptors", Grade.OK, "open files", text, facts={"limit": limit})
+        yield Finding("descriptors", Grade.OK, "open files", f"{limit:,} open files at most", facts={"limit": limit})
 
 
 def _disk(folder: Path) -> Iterator[Finding]:
@@ -450,13 +420,13 @@ def _disk(folder: Path) -> Iterator[Finding]:
         text = why_not_written(OSError(lacks, os.strerror(lacks)), existing)
         yield Finding("disk", Grade.WARNING, "disk", text, facts=facts)
     elif not os.access(existing, os.W_OK):
-        text = MachineText.FOLDER_NOT_WRITABLE(folder=existing)
+        text = f"{existing} is not writable: there will be no history after a restart"
         # Not the nearest folder that exists, which may be /: the remedy gives the folder to the user.
-        remedy = MachineText.FOLDER_REMEDY(folder=quote(str(folder)))
+        remedy = f"sudo install -d -m 700 -o $(id -un) {quote(str(folder))}  # or set XDG_STATE_HOME to another folder"
         yield Finding("disk", Grade.WARNING, "disk", text, remedy, facts)
     elif free < _LITTLE_DISK:
-        text = MachineText.DISK_LITTLE(free=megabytes, folder=folder)
-        yield Finding("disk", Grade.WARNING, "disk", text, MachineText.DISK_REMEDY(), facts)
+        text = f"only {megabytes:,} MB are free for the history and events in {folder}"
+        yield Finding("disk", Grade.WARNING, "disk", text, "make room, or set XDG_STATE_HOME to another folder", facts)
     else:
         yield Finding("disk", Grade.OK, "disk", MachineText.DISK(free=megabytes, folder=folder), facts=facts)
 
@@ -469,11 +439,11 @@ def bluetooth_adapters(root: Path = Path("/")) -> list[str]:
 
 def _bluetooth(root: Path) -> Iterator[Finding]:
     if not hasattr(socket, "AF_BLUETOOTH"):
-        text, remedy = MachineText.NO_BLUETOOTH_SOCKETS(), MachineText.BLUETOOTH_REMEDY()
+        text, remedy = "this Python has no Bluetooth sockets", MachineText.BLUETOOTH_REMEDY()
         yield Finding("bluetooth", Grade.NOTE, "Bluetooth", text, remedy, {"sockets": False})
         return
     names = bluetooth_adapters(root)
-    text = MachineText.ADAPTERS(names=", ".join(names)) if names else MachineText.NO_ADAPTER()
+    text = f"adapters {', '.join(names)}" if names else "no adapter: links over Bluetooth need one"
     yield Finding(
         "bluetooth", Grade.OK if names else Grade.NOTE, "Bluetooth", text, facts={"sockets": True, "adapters": names}
     )

@@ -36,39 +36,28 @@ _RANGES = {
 class RosText(Wording):
     """Findings about ROS, and remedies."""
 
-    NOT_INSTALLED = "ROS 2 is not installed for this Python ({executable})"
     NOT_INSTALLED_REMEDY = (
         "source the setup file of your ROS 2 (/opt/ros/jazzy/setup.bash), or on x86-64 Linux: "
         "pip install 'rsb-console[ros]'"
     )
     NOT_SOURCED = "ROS 2 is installed, but not sourced in this shell ({setups})"
-    NOT_SOURCED_REMEDY = "source {setup}"
-    OTHER_PYTHON = "ROS 2 in {prefix} is for Python {theirs}, and rsb-console runs with Python {ours}"
     OTHER_PYTHON_REMEDY = (
         "install rsb-console with that Python: pipx install --force --system-site-packages --python python{theirs} ."
     )
     WORKS = "{ros}, {middleware}: types that are not installed cross, too"
     FAILED = "{ros} does not start: {problem}"
     FAILED_REMEDY = "try without the bridge: python3 -c 'import rclpy; rclpy.init()'"
-    CRASHED = "{ros} ends the process with {signal}"
-    HANGS = "{ros} does not answer within {seconds:g} s"
     NO_NUMPY = "numpy is not installed for this Python: ROS's messages with arrays need it, and so pictures"
     NO_NUMPY_REMEDY = "install rsb-console with the distribution's packages: pipx install --system-site-packages …"
-    LIMITED_REMEDY = "docs/support.md lists what is tested"
     DOMAIN = "domain {domain}, discovers {range}"
     DOMAIN_INVALID = "ROS_DOMAIN_ID is {value!r}: it has to be a number, {range}"
     DOMAIN_COLLIDES = (
         "domain {domain} uses UDP ports {ports}, which Linux gives to other programs, too; {range} does not"
     )
-    DOMAIN_REMEDY = "export ROS_DOMAIN_ID=0, or any of {range}"
-    RANGE_INVALID = "ROS_AUTOMATIC_DISCOVERY_RANGE is {value!r}: ROS knows {known}"
-    RANGE_REMEDY = "unset ROS_AUTOMATIC_DISCOVERY_RANGE"
     LOCALHOST_ONLY = (
         "ROS_LOCALHOST_ONLY=1 overrides ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_STATIC_PEERS, and is obsolete"
     )
     LOCALHOST_ONLY_REMEDY = "unset ROS_LOCALHOST_ONLY; export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
-    PROFILE_MISSING = "{variable} names {path}, which does not exist: Fast DDS ignores it"
-    PROFILE_REMEDY = "unset {variable}, or correct the path"
 
 
 def checks(
@@ -109,12 +98,12 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> It
         # The last line only: Fast DDS writes its faults to standard output, too.
         result = json.loads(ran.stdout.splitlines()[-1]) if ran.returncode == 0 and ran.stdout else None
     except subprocess.TimeoutExpired:
-        text = RosText.HANGS(ros=described(), seconds=_WITHIN)
+        text = f"{described()} does not answer within {_WITHIN:g} s"
         yield finding(grade=Grade.ERROR, text=text, remedy=RosText.FAILED_REMEDY())
         return
     if result is None:
         if ran.returncode < 0:
-            text = RosText.CRASHED(ros=described(), signal=signal.Signals(-ran.returncode).name)
+            text = f"{described()} ends the process with {signal.Signals(-ran.returncode).name}"
         else:
             last = next(iter(ran.stderr.strip().splitlines()[-1:]), f"exit code {ran.returncode}")
             text = RosText.FAILED(ros=described(), problem=last)
@@ -130,7 +119,7 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> It
     if importlib.util.find_spec("numpy") is None:
         yield Finding("ros_numpy", Grade.WARNING, "ROS", RosText.NO_NUMPY(), RosText.NO_NUMPY_REMEDY(), facts)
     for shortfall in result.get("shortfalls", ()):
-        yield Finding("ros_limited", Grade.WARNING, "ROS", shortfall, RosText.LIMITED_REMEDY(), facts)
+        yield Finding("ros_limited", Grade.WARNING, "ROS", shortfall, "docs/support.md lists what is tested", facts)
 
 
 def _unusable(origin: str | None, root: Path) -> Finding | None:
@@ -147,7 +136,7 @@ def _unusable(origin: str | None, root: Path) -> Finding | None:
     finding = partial(Finding, "ros", Grade.ERROR, "ROS")
     if found and len(others) == len(found):
         place, theirs = next(iter(others.items()))
-        text = RosText.OTHER_PYTHON(prefix=place.parents[3], theirs=theirs, ours=ours)
+        text = f"ROS 2 in {place.parents[3]} is for Python {theirs}, and rsb-console runs with Python {ours}"
         facts = {"python": theirs, "prefix": str(place.parents[3])}
         return finding(text, RosText.OTHER_PYTHON_REMEDY(theirs=theirs), facts)
     if origin:
@@ -160,9 +149,9 @@ def _unusable(origin: str | None, root: Path) -> Finding | None:
     ]
     if setups:
         listed = [str(setup) for setup in setups]
-        text, remedy = RosText.NOT_SOURCED(setups=", ".join(listed)), RosText.NOT_SOURCED_REMEDY(setup=quote(listed[0]))
+        text, remedy = RosText.NOT_SOURCED(setups=", ".join(listed)), f"source {quote(listed[0])}"
         return finding(text, remedy, {"setups": listed})
-    return finding(RosText.NOT_INSTALLED(executable=sys.executable), RosText.NOT_INSTALLED_REMEDY())
+    return finding(f"ROS 2 is not installed for this Python ({sys.executable})", RosText.NOT_INSTALLED_REMEDY())
 
 
 def _python_of(package: Path) -> str:
@@ -176,7 +165,7 @@ def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator
     reach = environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "") or "SUBNET"
     facts = {name: environ[name] for name in environ if name.startswith("ROS_") or name in PROFILE_VARIABLES}
     finding = partial(Finding, "ros_domain", subject="ROS domain", facts=facts)
-    remedy = RosText.DOMAIN_REMEDY(range=SAFE_DOMAIN)
+    remedy = f"export ROS_DOMAIN_ID=0, or any of {SAFE_DOMAIN}"
     if not value.isdecimal() or int(value) not in DOMAIN:
         yield finding(grade=Grade.ERROR, text=RosText.DOMAIN_INVALID(value=value, range=DOMAIN), remedy=remedy)
     elif int(value) not in SAFE_DOMAIN:
@@ -185,13 +174,13 @@ def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator
     elif reach.upper() in _RANGES:
         yield finding(grade=Grade.OK, text=RosText.DOMAIN(domain=value, range=_RANGES[reach.upper()]))
     if reach.upper() not in _RANGES:
-        text = RosText.RANGE_INVALID(value=reach, known=", ".join(_RANGES))
-        yield finding(grade=Grade.WARNING, text=text, remedy=RosText.RANGE_REMEDY())
+        text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is {reach!r}: ROS knows {', '.join(_RANGES)}"
+        yield finding(grade=Grade.WARNING, text=text, remedy="unset ROS_AUTOMATIC_DISCOVERY_RANGE")
     if environ.get("ROS_LOCALHOST_ONLY", "0") == "1":
         text, remedy = RosText.LOCALHOST_ONLY(), RosText.LOCALHOST_ONLY_REMEDY()
         yield finding(grade=Grade.WARNING, text=text, remedy=remedy)
     for variable in PROFILE_VARIABLES:
         path = environ.get(variable, "")
         if path and not Path(path).is_file():
-            text = RosText.PROFILE_MISSING(variable=variable, path=path)
-            yield finding(grade=Grade.WARNING, text=text, remedy=RosText.PROFILE_REMEDY(variable=variable))
+            text = f"{variable} names {path}, which does not exist: Fast DDS ignores it"
+            yield finding(grade=Grade.WARNING, text=text, remedy=f"unset {variable}, or correct the path")

@@ -44,28 +44,16 @@ _ASKED_FOR = 30.0
 class NeedText(Wording):
     """Findings about a session's needs, and remedies."""
 
-    PORT_FREE = "port {port} is free for TCP and UDP"
     PORT_OWN = "this session's bridge runs, and has port {port} (pid {pid})"
-    PORT_TAKEN = "port {port} is taken ({protocols}): another program has it"
-    PORT_REMEDY = "ss -lntup 'sport = :{port}' shows the program"
-    PORT_DENIED = "port {port} is refused: {reason}"
     NAME = "port {port} was not tried: {address} is a name, and to look it up could ask the network"
-    ADDRESS_MISSING = "this machine has no address {address}"
-    ADDRESS_REMEDY = "correct server_ip, or use 0.0.0.0"
-    KEYS = "{files} have safe modes"
-    NO_KEYS = "the session uses no key"
     NO_BLUETOOTH_SOCKETS = "the session uses Bluetooth, and this Python has no Bluetooth sockets"
-    NO_ADAPTER = "the session uses Bluetooth, and this machine has no adapter"
     ADAPTER_REMEDY = "plug one in, or load its driver: rfkill list, and sudo dmesg | grep -i bluetooth"
-    BASE_STOPS = "{node} stops by itself when {topic} is silent ({timeouts})"
     BASE_GOES_ON = "{node} has no parameter that stops it when {topic} is silent: it may go on if this bridge is killed"
     BASE_REMEDY = "give the base a timeout, such as cmd_vel_timeout: 0.5, and try it with the wheels off the ground"
     BASE_SILENT = "{node}, which {topic} drives, does not tell its parameters: try whether it stops by itself"
     BASE_ABSENT = "no node subscribes to {topic} in domain {domain}: start the base to learn whether it stops by itself"
     BASE_NOT_ASKED = "what {topics} drives could not be asked whether it stops by itself"
     CLOCKS_AGREE = "the clock of {peer} differs from this machine's by {seconds:.3f} s"
-    OTHER_DOMAIN = "this session's bridge runs in domain {running}, and this shell is in domain {domain}"
-    OTHER_DOMAIN_REMEDY = "look at its topics with ROS_DOMAIN_ID={running}; set domain_id if that is the wrong one"
     NO_ZENOH = "the session uses Zenoh, and the package eclipse-zenoh is not installed"
 
 
@@ -123,7 +111,7 @@ def _base(
                 yield finding(grade=Grade.UNKNOWN, text=NeedText.BASE_SILENT(topic=topic, node=node), facts=facts)
             elif on:
                 named = ", ".join(f"{name}: {value:g}" for name, value in on.items())
-                text = NeedText.BASE_STOPS(topic=topic, node=node, timeouts=named)
+                text = f"{node} stops by itself when {topic} is silent ({named})"
                 yield finding(grade=Grade.OK, text=text, facts=facts)
             else:
                 text, remedy = NeedText.BASE_GOES_ON(topic=topic, node=node), NeedText.BASE_REMEDY()
@@ -145,8 +133,8 @@ def _domain(session: Session, running: Callable[[], Snapshot | None], environ: M
     """Tell of a bridge in another domain than this shell: a service has the domain of its own environment."""
     bridge, here = running(), environ.get("ROS_DOMAIN_ID")
     if bridge is not None and (domain := domain_of(session, here)) != bridge.domain_id:
-        text = NeedText.OTHER_DOMAIN(running=bridge.domain_id, domain=domain)
-        remedy = NeedText.OTHER_DOMAIN_REMEDY(running=bridge.domain_id)
+        text = f"this session's bridge runs in domain {bridge.domain_id}, and this shell is in domain {domain}"
+        remedy = f"look at its topics with ROS_DOMAIN_ID={bridge.domain_id}; set domain_id if that is the wrong one"
         yield Finding("ros_domain", Grade.WARNING, "ROS domain", text, remedy, {"running": bridge.domain_id})
 
 
@@ -187,21 +175,21 @@ def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator
                 tried.bind((address, port))
             except OSError as error:
                 if error.errno == errno.EADDRNOTAVAIL:
-                    text = NeedText.ADDRESS_MISSING(address=address)
-                    yield finding(grade=Grade.ERROR, text=text, remedy=NeedText.ADDRESS_REMEDY())
+                    text = f"this machine has no address {address}"
+                    yield finding(grade=Grade.ERROR, text=text, remedy="correct server_ip, or use 0.0.0.0")
                     return
                 if error.errno != errno.EADDRINUSE:
                     reason = os.strerror(error.errno or 0)
-                    yield finding(grade=Grade.ERROR, text=NeedText.PORT_DENIED(port=port, reason=reason))
+                    yield finding(grade=Grade.ERROR, text=f"port {port} is refused: {reason}")
                     return
                 taken.append(name)
     if taken and (bridge := _own_bridge(path, environ)) is not None:
         yield finding(grade=Grade.OK, text=NeedText.PORT_OWN(port=port, pid=bridge.pid))
     elif taken:
-        text = NeedText.PORT_TAKEN(port=port, protocols=", ".join(taken))
-        yield finding(grade=Grade.WARNING, text=text, remedy=NeedText.PORT_REMEDY(port=port))
+        text = f"port {port} is taken ({', '.join(taken)}): another program has it"
+        yield finding(grade=Grade.WARNING, text=text, remedy=f"ss -lntup 'sport = :{port}' shows the program")
     else:
-        yield finding(grade=Grade.OK, text=NeedText.PORT_FREE(port=port))
+        yield finding(grade=Grade.OK, text=f"port {port} is free for TCP and UDP")
 
 
 def _is_address(host: str) -> bool:
@@ -227,7 +215,7 @@ def _keys(session: Session, path: Path) -> Iterator[Finding]:
     finding = partial(Finding, "keys", subject="keys")
     found = dict(session_keys(session, path.parent))
     if not found:
-        yield finding(grade=Grade.OK, text=NeedText.NO_KEYS())
+        yield finding(grade=Grade.OK, text="the session uses no key")
         return
     read: dict[str, tuple[Key, ...]] = {}
     for name, key in found.items():
@@ -239,7 +227,7 @@ def _keys(session: Session, path: Path) -> Iterator[Finding]:
     for warning in warnings:
         yield finding(grade=Grade.WARNING, text=warning)
     if read and not warnings:
-        yield finding(grade=Grade.OK, text=NeedText.KEYS(files=", ".join(read)))
+        yield finding(grade=Grade.OK, text=f"{', '.join(read)} have safe modes")
 
 
 def _transports(session: Session, root: Path) -> Iterator[Finding]:
@@ -250,7 +238,7 @@ def _transports(session: Session, root: Path) -> Iterator[Finding]:
         if not hasattr(socket, "AF_BLUETOOTH"):
             yield lacks(NeedText.NO_BLUETOOTH_SOCKETS(), MachineText.BLUETOOTH_REMEDY(), facts)
         elif not bluetooth_adapters(root):
-            yield lacks(NeedText.NO_ADAPTER(), NeedText.ADAPTER_REMEDY(), facts)
+            yield lacks("the session uses Bluetooth, and this machine has no adapter", NeedText.ADAPTER_REMEDY(), facts)
     if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
         missing = lacks(NeedText.NO_ZENOH(), MachineText.EXTRAS_REMEDY(missing="zenoh"), {"lacks": "zenoh"})
         yield missing if session.is_zenoh else missing._replace(grade=Grade.WARNING)  # its fleet does not see it

@@ -33,7 +33,6 @@ ENDS_AFTER = 5.0
 class LookProblem(Wording):
     """The reason why a console gets no picture."""
 
-    TOO_MANY = "{limit} views are open here already: close one of them"
     NOWHERE = "{topic} has no publisher on this side or {others}"
 
 
@@ -88,7 +87,7 @@ class Viewing:
         view = self._views.get(command.viewer)
         if view is None:
             if len(self._views) >= VIEWS:
-                raise LinkError(LookProblem.TOO_MANY(limit=VIEWS))
+                raise LinkError(f"{VIEWS} views are open here already: close one of them")
             view = self._views[command.viewer] = _View()
         view.asking += 1
         try:

@@ -43,7 +43,6 @@ class TakeOverText(Wording):
     HELD_HERE = "this console has armed {topic} already"
     ASKED_ALREADY = "{topic} is asked for already ({who}): wait for the answer"
     ASKER_SILENT = "this console stood still while it asked for {topic}: ask again"
-    NOT_ASKED = "the question for {topic} is over"
     NOT_YOURS = "{topic} was armed on another console, which answers for it"
 
 
@@ -151,7 +150,7 @@ class HolderQuestions:
         arming, topic = route.arming, route.local_topic
         question = arming.question_at(self._context.now())
         if question is None or who not in ("", question.who):
-            raise LinkError(TakeOverText.NOT_ASKED(topic=topic))
+            raise LinkError(f"the question for {topic} is over")
         if arming.console != console:
             raise LinkError(TakeOverText.NOT_YOURS(topic=topic))
         self._end(route, question, "given" if gives else "kept")

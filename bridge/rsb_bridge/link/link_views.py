@@ -51,7 +51,6 @@ class ViewRefused(Wording):
     """The reason why the peer gets no picture, or this side none from the peer."""
 
     TOO_MANY = "{limit} views of this link are open already: close one of them"
-    NOT_LINKED = "{link} is not linked: {reason}"
     NO_VIEW = "this route carries no pictures"
     NOT_OPENED = "the view was not opened: {reason}"
 
@@ -188,7 +187,7 @@ class LinkViews(Extension):
             LinkError: it cannot be opened.
         """
         if not self._link.linked:
-            raise LinkError(ViewRefused.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
+            raise LinkError(f"{self._link.name} is not linked: {self._link.down_reason}")
         if len(self._internal.proposed(here=True)) >= VIEWS_OF_PEER:
             raise LinkError(ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER))
         self._number += 1

@@ -35,8 +35,6 @@ class Rejected(Wording):
     SENT_NOTHING = (
         "it sent nothing for {seconds:g} s: probably a port scan or a health check, as a bridge sends its name"
     )
-    SUPERSEDED = "replaced by newer connections under the same name"
-    BRIDGE_STOPS = "the bridge stops"
 
 
 class ConnectionStage(IntEnum):
@@ -126,7 +124,7 @@ class PendingConnections:
         """Reject older connections of a name if too many of its first messages open under its key."""
         same = [each for each in self._present if each.name == pending.name and each.stage is ConnectionStage.ACCEPTED]
         for oldest in same[: -self._limits.accepted]:
-            oldest.reject(Rejected.SUPERSEDED())
+            oldest.reject("replaced by newer connections under the same name")
 
     def remove(self, pending: PendingConnection) -> None:
         """Remove a connection that has authenticated or is gone."""
@@ -135,7 +133,7 @@ class PendingConnections:
     def close(self) -> None:
         """Reject all."""
         for pending in self.present:
-            pending.reject(Rejected.BRIDGE_STOPS())
+            pending.reject("the bridge stops")
 
 
 class PendingConnection(ABC):

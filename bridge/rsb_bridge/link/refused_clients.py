@@ -82,9 +82,6 @@ class SameName(Wording):
     """Several clients that have one name."""
 
     SECOND = "a second client at {address} calls itself {name!r} too, and is refused"
-    SEVERAL = "a second client at {address} and {others} call themselves {name!r} too, and are refused"
-    REMEDY_FOR_SEVERAL = "stop all but one, or give each a name and a key of its own"
-    NO_MORE = "no second client calls itself {name!r} any more"
     TAKEN = "{name!r} is linked already, since {since:%Y-%m-%d %H:%M} UTC, at {address}"
 
 
@@ -324,7 +321,7 @@ class DuplicateClients:
 
     def ended_text(self) -> str:
         """Return the text for the log when the last one has gone."""
-        return SameName.NO_MORE(name=self.name)
+        return f"no second client calls itself {self.name!r} any more"
 
     def warning(self, now: float, wall: float) -> str:
         """Return the warning at `now` (s), or `wall` (s since the epoch), or an empty string without duplicates."""
@@ -340,8 +337,8 @@ class DuplicateClients:
         if not news.others:
             return SameName.SECOND(address=at, name=self.name), REMEDY
         others = "1 other" if news.others == 1 else f"{news.others} others"
-        what = SameName.SEVERAL(address=at, others=others, name=self.name)
-        return what, SameName.REMEDY_FOR_SEVERAL()
+        what = f"a second client at {at} and {others} call themselves {self.name!r} too, and are refused"
+        return what, "stop all but one, or give each a name and a key of its own"
 
     def _fresh(self, now: float) -> dict[tuple[str, str], float]:
         return {client: at for client, at in self._tried.items() if now - at <= _REMEMBERED}

@@ -43,10 +43,7 @@ _SLOWEST = 0.05
 class ViewProblem(Wording):
     """The reason why a topic cannot be viewed."""
 
-    NO_PUBLISHER = "{topic} has no publisher here"
-    ENDED = "the view is closed"
     MESSAGE_TOO_LARGE = "{topic}: a message of {size:,} bytes is not drawn; the limit is {limit:,} bytes"
-    TYPES_DIFFER = "{topic} has publishers of several types"
     TYPE_UNKNOWN = "{topic}: the type {type_name} is not installed there, and no node of the topic describes it"
 
 
@@ -257,7 +254,7 @@ class TopicView:
         if text is None:
             raise LinkError(ViewProblem.TYPE_UNKNOWN(topic=topic, type_name=viewable.type_name))
         if self._is_closed:  # while its type was asked for: nobody would close the subscription
-            raise LinkError(ViewProblem.ENDED())
+            raise LinkError("the view is closed")
         if feed is not None:
             self._close_feed(topic)
         feed = self._feeds[topic] = _Feed(viewable, text)
@@ -297,10 +294,10 @@ class TopicView:
         if not publishers:
             if feed is not None:  # its publisher may come back, and is heard then
                 return feed.viewable, feed.authors
-            raise LinkError(ViewProblem.NO_PUBLISHER(topic=topic))
+            raise LinkError(f"{topic} has no publisher here")
         type_name, type_hash = agreed_type(publishers)
         if not type_name:
-            raise LinkError(ViewProblem.TYPES_DIFFER(topic=topic))
+            raise LinkError(f"{topic} has publishers of several types")
         authors = {each.gid: each.node for each in publishers}
         return TopicSpec(topic, type_name, type_hash, _qos_for([each.qos for each in publishers])), authors
 

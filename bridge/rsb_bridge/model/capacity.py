@@ -58,7 +58,6 @@ _NAMED = 2
 class LinkFull(Wording):
     """Texts about a direction of a link that is full."""
 
-    SHARE = "carries {rates}"
     WARNING = "link full {direction}: {share}; set max_rate, compression: zstd or priority"
     WARNING_WITH_TOPICS = "link full {direction}: {share} (most: {topics}); set max_rate, compression: zstd or priority"
 
@@ -79,7 +78,7 @@ class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
     @property
     def share(self) -> str:
         """Share that crosses: ``carries 25 of 48 kB/s``."""
-        return LinkFull.SHARE(rates=rates_text(self.carried, self.asked))
+        return f"carries {rates_text(self.carried, self.asked)}"
 
     def warning(self, direction: str) -> str:
         """Return the warning for an operator.

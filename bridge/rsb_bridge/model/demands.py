@@ -27,7 +27,6 @@ class OriginText(Wording):
     """The source of a demand, for operators."""
 
     THIS_SESSION = "this session"
-    PEER = "the other side"
     ADDED = "added by {who}"
     KEPT = "kept since a change by {who}"
     PATTERN = "pattern {pattern} {place}"
@@ -537,7 +536,7 @@ class RunningDemands:
             armed.append(as_armed(source))
             if not self._dropping.keys() & {old, source}:
                 self._kept(old, self.origin(old))
-            self._changed_by[source.key] = self._who or OriginText.PEER()
+            self._changed_by[source.key] = self._who or "the other side"
         self._set_armed(tuple(armed))
 
     # --- changes by operators

@@ -74,7 +74,6 @@ class QosProblem(Wording):
 
     UNKNOWN_NAME = "{value!r} is not one of {names}"
     UNKNOWN_PROFILE = "profile: {value!r} is not one of {names}"
-    NO_QOS = "{value!r} is not a QoS: give a profile's name, a depth, or a mapping"
     DEPTH_OUT_OF_RANGE = "depth: {depth} is out of range: {range}"
     TIME_OUT_OF_RANGE = "{policy}: {seconds:g} s is out of range: {range} s, or 0 for none"
 
@@ -119,7 +118,7 @@ def _qos_of(value: object) -> Qos:
         raise ValueError(QosProblem.UNKNOWN_NAME(value=value, names=", ".join((AUTO, *PROFILES))))
     if isinstance(value, dict):
         return _from_mapping(value)
-    raise ValueError(QosProblem.NO_QOS(value=value))
+    raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")
 
 
 def _from_mapping(value: dict[str, Any]) -> Qos:

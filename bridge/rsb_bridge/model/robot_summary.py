@@ -53,11 +53,7 @@ _FIGURE = 1e15
 class SummaryText(Wording):
     """Reasons for a robot's state."""
 
-    STOPPED = "the bridge is stopped"
-    WRONG_CLIENTS = "something is wrong with {names}"
-    MORE_CLIENTS = "{count} more {clients}"
     ROUTE = "{topic} {state}: {reason}"
-    UNHEARD = "{count} unheard: {reason}"
     MORE_FAULTS = " (and {count} more {faults})"
 
 
@@ -306,10 +302,8 @@ def _drop_repeated_faults(summary: RobotSummary, wrong: Collection[str]) -> Robo
         return msgspec.structs.replace(summary, state=RobotState.OK, why="")
     if len(left) == len(summary.wrong_clients):
         return summary
-    names = (
-        join_first(left, _NAMED) if left else SummaryText.MORE_CLIENTS(count=others, clients=plural(others, "client"))
-    )
-    return msgspec.structs.replace(summary, why=sanitize_text(SummaryText.WRONG_CLIENTS(names=names), WHY_LENGTH))
+    names = join_first(left, _NAMED) if left else f"{others} more {plural(others, 'client')}"
+    return msgspec.structs.replace(summary, why=sanitize_text(f"something is wrong with {names}", WHY_LENGTH))
 
 
 def _summary(
@@ -369,7 +363,7 @@ def _state(
     """Return the state, why, and since when."""
     # A bridge that is out of reach is shown as not running, too, with links that say why (`control.states`).
     if not snapshot.running and not any(link.state is State.DOWN for link in links):
-        return RobotState.MISSING, SummaryText.STOPPED(), snapshot.time
+        return RobotState.MISSING, "the bridge is stopped", snapshot.time
     if down := [link for link in links if link.state is State.DOWN and link.acknowledged is None]:
         first = min(down, key=lambda link: link.since)
         return RobotState.MISSING, _and_more(first.reason, len(down)), first.since
@@ -389,7 +383,7 @@ def _state(
     if links and all(link.state is State.WAITING for link in links):
         return RobotState.WAITING, links[0].reason, links[0].since
     unheard = [route for route in routes if route.state is State.UNHEARD]
-    why = SummaryText.UNHEARD(count=len(unheard), reason=unheard[0].reason) if unheard else ""
+    why = f"{len(unheard)} unheard: {unheard[0].reason}" if unheard else ""
     return RobotState.OK, why, max((link.since for link in links if link.state is State.OK), default=snapshot.time)
 
 

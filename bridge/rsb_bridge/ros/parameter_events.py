@@ -43,10 +43,7 @@ _ARRAYS = (1, 1, 8, 8)  # of a ParameterValue: bytes, bools, integers, doubles; 
 class InvalidEvent(Wording):
     """The reasons why a message is not a parameter event."""
 
-    NAME_WITHOUT_END = "the node's name has no end"
     TOO_LONG = "it has {length:,} bytes, and at most {limit:,} are looked through"
-    NOT_XCDR1 = "it does not begin as XCDR1"
-    ENDS_EARLY = "it ends after {length:,} bytes, before its content does"
 
 
 class ParameterEventError(ValueError):
@@ -66,7 +63,7 @@ def node_of(payload: bytes) -> str:
     reader.take(_STAMP, 4)
     name = reader.string()
     if name[-1:] != b"\0":
-        raise ParameterEventError(InvalidEvent.NAME_WITHOUT_END())
+        raise ParameterEventError("the node's name has no end")
     return name[:-1].decode("utf-8", "replace")
 
 
@@ -109,7 +106,7 @@ class _Reader:
     def __init__(self, payload: bytes) -> None:
         order = _BYTE_ORDERS.get(payload[:2])
         if order is None or len(payload) < HEADER_LENGTH:
-            raise ParameterEventError(InvalidEvent.NOT_XCDR1())
+            raise ParameterEventError("it does not begin as XCDR1")
         self.order = order
         self.payload = payload
         self.at = HEADER_LENGTH
@@ -117,7 +114,7 @@ class _Reader:
     def take(self, size: int, alignment: int) -> bytes:
         start = self.at + (HEADER_LENGTH - self.at) % alignment
         if size > len(self.payload) - start:
-            raise ParameterEventError(InvalidEvent.ENDS_EARLY(length=len(self.payload)))
+            raise ParameterEventError(f"it ends after {len(self.payload):,} bytes, before its content does")
         self.at = start + size
         return self.payload[start : self.at]
 

@@ -92,7 +92,7 @@ class Participant:
             self._node = found.node(node_name, self._context)
         except RuntimeError as error:
             self._context.try_shutdown()  # `shutdown` raises if `init` has failed
-            raise RosError(RosProblem.DOMAIN_REFUSED(domain=domain_id, reason=reason_of(error))) from error
+            raise RosError(f"ROS domain {domain_id} cannot be joined: {reason_of(error)}") from error
         self.shortfalls = found.shortfalls
         self._name = self._node.handle.get_fully_qualified_name()
         self._guard = guard_condition(self._context)
@@ -155,7 +155,7 @@ class Participant:
             return ask_node(self._node, self._context, node, type_name, type_hash, still_wanted, self._entities)
         except RuntimeError as error:
             reset_error()
-            raise RosError(RosProblem.NODE_UNREADABLE(node=node, reason=reason_of(error))) from error
+            raise RosError(f"{node} cannot be asked: {reason_of(error)}") from error
 
     def create_reader(self, spec: TopicSpec) -> Reader:
         """Create a raw subscription.

@@ -54,9 +54,7 @@ class UnusableType(Wording):
     )
     HASH_UNKNOWN = "{type_name} is not installed and no {source} tells its type hash: {remedy}"
     INVALID_HASH = "{type_hash!r} is not a type hash: {prefix} and 64 hex digits"
-    INVALID_SERVICE_HASH = "{type_hash!r} is not a service's hash: two of {prefix} and 64 hex digits, with + between"
     NOT_CARRIED = "{type_name} is not installed, and {reason}: {remedy}"
-    NOT_A_SERVICE = "{type_name!r} is not a service type: write it as package/srv/Name"
     REMEDY = "install {package}, or source the workspace that has it"
 
 
@@ -121,7 +119,7 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
     except ValueError:
         kind, installed = "", None
     if kind not in {"srv", "action"}:
-        raise RosError(UnusableType.NOT_A_SERVICE(type_name=type_name))
+        raise RosError(f"{type_name!r} is not a service type: write it as package/srv/Name")
     if installed is not None:
         here = service_hash_of(installed)
         check_same(type_name, here, type_hash, "service")
@@ -132,7 +130,7 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
     if not type_hash:
         raise RosError(UnusableType.HASH_UNKNOWN(type_name=type_name, source="node", remedy=remedy(type_name)))
     if not _HASHES.fullmatch(type_hash):
-        raise RosError(UnusableType.INVALID_SERVICE_HASH(type_hash=type_hash, prefix=HASH_PREFIX))
+        raise RosError(f"{type_hash!r} is not a service's hash: two of {HASH_PREFIX} and 64 hex digits, with + between")
     if reason:
         raise RosError(UnusableType.NOT_CARRIED(type_name=type_name, reason=reason, remedy=remedy(type_name)))
     # Also of an installed type: to have rclpy convert its messages costs 10 µs to ms a call.

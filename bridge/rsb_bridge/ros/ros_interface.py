@@ -35,25 +35,19 @@ class RosProblem(Wording):
     TOO_MANY_ANSWERS_WAIT = "{count:,} answers already wait for callers that DDS does not show: too many"
     THREAD_FAILED = "the thread that serves ROS failed: {error}"
     NO_SUCH_DOMAIN = "ROS domain {domain} cannot be joined: domains are {domains}"
-    DOMAIN_REFUSED = "ROS domain {domain} cannot be joined: {reason}"
     GRAPH_UNREADABLE = "the ROS graph cannot be read: {reason}"
-    NODE_UNREADABLE = "{node} cannot be asked: {reason}"
     INVALID_NAME = (
         "{name!r} is not a {kind} name: write parts of letters, digits and _ after one / each, none beginning with a "
         "digit"
     )
-    TYPE_MISSING = "{type_name} is not installed here"
     MESSAGE_TOO_SHORT = "a serialized message has at least 4 bytes, not {length}"
     NOT_TAKEN = "{topic}: a message could not be taken (rcl error {code})"
-    NOT_PUBLISHED = "{topic}: {reason}"
     CLOSED = "the publisher is closed"
     NO_STRINGS = "std_msgs is not installed: install {package}"
-    FOREIGN_ENCAPSULATION = "a message that is encapsulated as {encapsulation} cannot be sent in a call, only 0001 can"
     LACKS = (
         "{distribution} lacks {name}, or has it in another form than this rsb-console knows: update rsb-console, or "
         "install a distribution that it knows (docs/support.md)"
     )
-    REFUSED_BY_MIDDLEWARE = "the middleware refused a message (rcl error {code})"
 
 
 class RosError(Exception):

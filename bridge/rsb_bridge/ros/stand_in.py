@@ -25,7 +25,7 @@ from rsb_bridge.cdr.known_types import (
     stamped_string,
 )
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError, RosProblem
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError
 from rsb_bridge.ros.ros_thread import RosTurns
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class NoRos:
         return []
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        raise RosError(RosProblem.TYPE_MISSING(type_name=type_name))
+        raise RosError(f"{type_name} is not installed here")
 
     def installed_description(self, type_name: str) -> str | None:
         return None

@@ -180,7 +180,7 @@ class Writer:
                     self._publish_in_place(publish_long_message, payload)
         except RuntimeError as error:
             reason = RosProblem.CLOSED() if self._closed else reason_of(error)
-            raise RosError(RosProblem.NOT_PUBLISHED(topic=self.topic, reason=reason)) from error
+            raise RosError(f"{self.topic}: {reason}") from error
 
     def _publish_in_place(self, publish: Callable[..., int], payload: bytes) -> None:
         """Publish without rclpy, which would copy the payload."""
@@ -188,7 +188,7 @@ class Writer:
         code = publish(self._handle.rclpy.pointer, ctypes.byref(message), None)
         if code:
             reset_error()
-            raise RuntimeError(RosProblem.REFUSED_BY_MIDDLEWARE(code=code))
+            raise RuntimeError(f"the middleware refused a message (rcl error {code})")
 
     @property
     def matched(self) -> int:

@@ -56,7 +56,6 @@ _SHOWN = 60
 class Misfit(Wording):
     """The reasons why a value that an operator wrote does not fit into its field."""
 
-    TYPE_MISSING = "{type_name} is not installed here, and a message by hand needs it: {remedy}"
     ANOTHER_KIND = "{location}: {value} is not {expected}"
     NO_VALUE = "{location} has no value: give one, or leave the field out for its default"
     WRONG_LENGTH = "{location} has {length} {unit}: it takes {expected}"
@@ -91,7 +90,7 @@ def serialize(type_name: str, fields: Fields, now: int) -> bytes:
         raise RosError(str(error)) from None
     if message_class is None:
         what = type_name.removesuffix("_Request")
-        raise RosError(Misfit.TYPE_MISSING(type_name=what, remedy=remedy(what)))
+        raise RosError(f"{what} is not installed here, and a message by hand needs it: {remedy(what)}")
     message = message_class()
     _Filling(now).fill(message, fields, "")
     return serialize_message(message)

@@ -45,12 +45,10 @@ class ListenProblem(Wording):
     NOT_OF_THIS_MACHINE = (
         "{address} is not an address of this machine: use one that `ip addr` shows, or 0.0.0.0 for all"
     )
-    NEEDS_ROOT = "{kind} {address}: ports below 1024 need root; choose a higher one"
     NAME_UNKNOWN = (
         "{address}: the name is not known ({error}): set server_ip in this side's session file to an address that "
         "`ip addr` shows, or 0.0.0.0 for all"
     )
-    OTHER = "{kind} {address}: {error}"
 
 
 async def look_up(
@@ -181,7 +179,7 @@ def _listen_error_message(error: OSError, address: str, kind: str) -> str:
     if error.errno == errno.EADDRNOTAVAIL:
         return ListenProblem.NOT_OF_THIS_MACHINE(address=address)
     if error.errno == errno.EACCES:
-        return ListenProblem.NEEDS_ROOT(kind=kind, address=address)
+        return f"{kind} {address}: ports below 1024 need root; choose a higher one"
     if isinstance(error, socket.gaierror):
         return ListenProblem.NAME_UNKNOWN(address=address, error=error.strerror)
-    return ListenProblem.OTHER(kind=kind, address=address, error=os_error_message(error))
+    return f"{kind} {address}: {os_error_message(error)}"

@@ -43,12 +43,9 @@ class RfcommProblem(Wording):
     ANOTHER_ADAPTER = "{host} is no Bluetooth adapter of this machine: this machine's are {adapters}"
     NO_ADAPTER = "{host} is no Bluetooth adapter of this machine: it has none"
     CHANNEL_TAKEN = "RFCOMM channel {channel} is taken: choose one that rsb-console bt-scan shows as free"
-    CHANNEL_NOT_BOUND = "RFCOMM channel {channel} of {host}: {error}"
     NO_ANSWER = "no answer: is it on, near, and is the MAC right? (rsb-console bt-scan, on that machine)"
     NOBODY_LISTENS = "nothing listens on channel {channel} there: is the server running, with that server_port?"
     CHANNEL_IN_USE = "channel {channel} there is in use by another program of this machine"
-    NOT_PAIRED = "pairing failed: remove the other machine on both (bluetoothctl remove MAC), then pair them again"
-    ADAPTERS_OFF = "no Bluetooth adapter of this machine is on: rsb-console bt-scan"
 
 
 class RfcommStream(Stream):
@@ -107,8 +104,7 @@ class Rfcomm(RfcommTraits, StreamTransport):
             sock.close()
             if error.errno == errno.EADDRINUSE:
                 raise ListenError(RfcommProblem.CHANNEL_TAKEN(channel=port)) from None
-            text = RfcommProblem.CHANNEL_NOT_BOUND(channel=port, host=host, error=os_error_message(error))
-            raise ListenError(text) from None
+            raise ListenError(f"RFCOMM channel {port} of {host}: {os_error_message(error)}") from None
 
 
 async def _connected(address: str, channel: int) -> socket.socket:
@@ -139,9 +135,9 @@ def _connect_error_message(error: int | None, channel: int) -> str:
     if error == errno.EBUSY:
         return RfcommProblem.CHANNEL_IN_USE(channel=channel)
     if error == errno.EACCES:
-        return RfcommProblem.NOT_PAIRED()
+        return "pairing failed: remove the other machine on both (bluetoothctl remove MAC), then pair them again"
     if error in (errno.EHOSTUNREACH, errno.ENETUNREACH):
-        return RfcommProblem.ADAPTERS_OFF()
+        return "no Bluetooth adapter of this machine is on: rsb-console bt-scan"
     return os.strerror(error or 0)
 
 

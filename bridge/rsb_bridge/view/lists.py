@@ -125,13 +125,11 @@ def _value_text(value: bool | int | float | str) -> str:
 class TreeProblem(Wording):
     """Faults of frames."""
 
-    TOO_MANY = "more than {limit} frames: only the first ones are shown"
     TWO_PARENTS = "two parents: {parents}"
     TWO_AUTHORS = "published by two nodes: {authors}"
     AUTHOR = "by {author}"
     CIRCLE = "is its own ancestor"
     ROOTS = "the tree is in {count} parts, with the roots {roots}"
-    NO_MATCH = "no frame contains {match!r}"
 
 
 class _Frame:
@@ -188,9 +186,9 @@ class TfTree(View):
         lines += [[(name, "error"), (f"  {TreeProblem.CIRCLE()}", "error")] for name in circles]
         matching = [line for line in lines if wish.match in line[0][0]]
         if not matching:
-            raise UndrawableError(TreeProblem.NO_MATCH(match=wish.match))
+            raise UndrawableError(f"no frame contains {wish.match!r}")
         first = max(0, min(len(matching) - 1, int(-wish.y * wish.height)))
-        problem = TreeProblem.TOO_MANY(limit=_MOST_FRAMES) if self._too_many else ""
+        problem = f"more than {_MOST_FRAMES} frames: only the first ones are shown" if self._too_many else ""
         if len(roots) > 1:
             problem = problem or TreeProblem.ROOTS(count=len(roots), roots=", ".join(sorted(roots)[:8]))
         cells = _cells(matching[first : first + wish.height], wish.width, wish.height)

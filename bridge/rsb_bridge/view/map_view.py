@@ -49,10 +49,8 @@ _NAMED = 12
 class MapProblem(Wording):
     """The reason why a map, or a layer of it, cannot be drawn."""
 
-    NOTHING = "nothing to draw in frame {frame!r}"
     BAD_GRID = "the grid of {width:,}×{height:,} cells has {got:,} values"
     NO_TRANSFORM = "{topic}: no transform from {frame!r} to {target!r} yet: add the topic /tf"
-    NO_LAYER = "{topic}: {type_name} has no place on a map"
 
 
 class Transform(NamedTuple):
@@ -138,7 +136,7 @@ class MapView(View):
             return
         read = _LAYERS.get(name)
         if read is None:
-            raise UndrawableError(MapProblem.NO_LAYER(topic=received.topic, type_name=received.type_name))
+            raise UndrawableError(f"{received.topic}: {received.type_name} has no place on a map")
         layer = self._layers[received.topic] = read(message)
         child = text(message, "child_frame_id")
         if layer.pose is not None and child not in self._broadcast:
@@ -163,7 +161,7 @@ class MapView(View):
             notes += [layer.note] if layer.note else []
         extent = _extent(placed)
         if extent is None:
-            raise UndrawableError(problem or MapProblem.NOTHING(frame=target))
+            raise UndrawableError(problem or f"nothing to draw in frame {target!r}")
         canvas, paper = Canvas(wish.width, wish.height), _Paper(extent, wish)
         for layer, place in sorted(placed, key=lambda each: each[0].pose is not None):  # poses over all else
             _draw_layer(canvas, paper, layer, place)

@@ -38,9 +38,6 @@ _LENGTH_BYTES = 4
 class NoPicture(Wording):
     """The reason why the process that draws gave no picture."""
 
-    TOO_SLOW = "drawing this message took more than {seconds:g} s: the drawing process was ended"
-    ENDED = "the drawing process ended (exit code {code})"
-    NOT_STARTED = "the drawing process cannot be started: {error}"
     INVALID = "the drawing process answered nonsense: {error}"
     CLOSED = "the session ends"
 
@@ -172,7 +169,7 @@ class Renderer:
                 start_new_session=True,  # a Ctrl-C in the terminal is for this program, which ends it
             )
         except OSError as error:
-            raise _StoppedError(NoPicture.NOT_STARTED(error=error)) from None
+            raise _StoppedError(f"the drawing process cannot be started: {error}") from None
         assert process.stdin is not None
         # A process that hangs reads nothing: a write of a large message would never return.
         os.set_blocking(process.stdin.fileno(), False)
@@ -210,7 +207,7 @@ class Renderer:
         poll = select.poll()
         poll.register(stream, event)
         if not poll.poll(max(0.0, deadline - time.monotonic()) * 1000):
-            raise _StoppedError(NoPicture.TOO_SLOW(seconds=SECONDS))
+            raise _StoppedError(f"drawing this message took more than {SECONDS:g} s: the drawing process was ended")
 
     def _end(self) -> None:
         if (process := self._process) is None:
@@ -233,4 +230,4 @@ def _ended(process: subprocess.Popen[bytes]) -> _StoppedError:
     """Return the error of a process that has closed its input or output."""
     with contextlib.suppress(subprocess.TimeoutExpired):  # it is about to end, or hangs and is killed
         process.wait(1.0)
-    return _StoppedError(NoPicture.ENDED(code=process.returncode))
+    return _StoppedError(f"the drawing process ended (exit code {process.returncode})")

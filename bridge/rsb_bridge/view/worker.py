@@ -46,15 +46,12 @@ _LENGTH_BYTES = 4
 class Undrawable(Wording):
     """The reason why there is no picture."""
 
-    TYPE_INVALID = "the type's description cannot be read: {error}"
-    NOT_READ = "a message of {type_name} cannot be read: {problem}"
     LIBRARY_MISSING = "{library} is not installed where {topic} is published: pip install 'rsb-console[look]' there"
     MODULE_MISSING = (
         "the view of {how} by the package {package} needs the Python module {module}, which is missing where {topic} "
         "is published: install that there, or remove {package}"
     )
     TOO_LARGE = "the picture has {size:,} bytes; at most {limit:,} are sent: make the window smaller"
-    NO_MEMORY = "a picture of this message needs too much memory"
     FAILED = "the message cannot be drawn: {error}"
     UNKNOWN_HOW = "there is no view {how!r}: choose one of {known}"
 
@@ -128,7 +125,7 @@ class Artist:
         except MemoryError:
             # The messages that it has gathered may take the memory.
             self._views.pop(task.view, None)
-            return _failed(about, Undrawable.NO_MEMORY())
+            return _failed(about, "a picture of this message needs too much memory")
         except ModuleNotFoundError as error:
             return _failed(about, _missing(error.name or str(error), task))
         except UndrawableError as error:
@@ -145,7 +142,7 @@ class Artist:
         for sample in task.samples:
             decoded = decode(types[sample.type_name], sample.payload, items=_ELEMENTS, steps=_STEPS, raw=True)
             if decoded.problem:
-                problem = Undrawable.NOT_READ(type_name=sample.type_name, problem=decoded.problem)
+                problem = f"a message of {sample.type_name} cannot be read: {decoded.problem}"
                 continue
             try:
                 time = sample.stamp / 1e9
@@ -182,7 +179,7 @@ class Artist:
             try:
                 known = read_description(text, type_hash)
             except DescriptionError as error:
-                raise UndrawableError(Undrawable.TYPE_INVALID(error=error)) from None
+                raise UndrawableError(f"the type's description cannot be read: {error}") from None
             if len(self._types) >= TYPES_AT_MOST:
                 self._types.clear()
             self._types[name, type_hash] = known

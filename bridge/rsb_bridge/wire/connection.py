@@ -160,7 +160,7 @@ class ClientConnection(_Control, ConnectingStream):
 
     def _refused_by_peer(self, body: bytes) -> None:
         if parse_refuse(body)[0] is RefusalCode.SHUT_DOWN:  # anybody could have the client wait so
-            raise ProtocolError(Broken.SHUT_DOWN_IN_REFUSE())
+            raise ProtocolError("a REFUSE with the code for a link that is shut down, which only a Welcome may say")
         super()._refused_by_peer(body)
 
     def _on_accept(self, message: bytes) -> None:
@@ -310,7 +310,7 @@ class _Records(SealedStream):
 
     def _on_content(self, content: bytes) -> None:
         if not content:
-            raise ProtocolError(Broken.EMPTY_RECORD())
+            raise ProtocolError("an empty record")
         self._events.append(OperatorOpened(content))
 
 
@@ -368,18 +368,18 @@ class OperatorEngine(AcceptingStream, _Records):
 
     def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
         if kind is not PreambleKind.OPERATOR:
-            raise ProtocolError(Broken.UNEXPECTED_FROM_OPERATOR(kind=kind.name))
+            raise ProtocolError(f"unexpected {kind.name} frame: operators attach here, not links")
         offer = parse_operator(frame)
         # Before the operator's name, so that it is asked about only where this engine is meant.
         if offer.engine != self._engine:
-            raise Refusal(RefusalCode.UNKNOWN_NAME, RefusalText.ANOTHER_ENGINE(name=offer.engine))
+            raise Refusal(RefusalCode.UNKNOWN_NAME, f"this is not the engine {offer.engine!r}")
         self.name = offer.operator
         keys, replays = self._identity(offer.operator)
         key = key_of(keys, offer.fingerprint, offer.operator, "console", "engine")
         handshake = handshake_of(OPERATOR_SUITE, key, offer.header)
         host = self._read_first(handshake, offer.message)
         if len(host) > HOST_BYTES:
-            raise ProtocolError(Broken.HOST_NAME_TOO_LONG())
+            raise ProtocolError("the console's host name is too long")
         # After it has opened, or strangers could push all of the operator's messages out of the memory.
         self._check_new(replays, offer.message)
         answer = handshake.write(self._at.encode())

@@ -100,7 +100,6 @@ class RefusalText(Wording):
     )
     ENCRYPTION_NOT_POSSIBLE = "the client encrypts, but the server has no key for {name!r}"
     ENCRYPTION_REQUIRED = "the server requires encryption for {name!r}, but the client does not encrypt"
-    ANOTHER_ENGINE = "this is not the engine {name!r}"
 
 
 class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's

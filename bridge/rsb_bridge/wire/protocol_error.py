@@ -34,7 +34,6 @@ class Broken(Wording):
     EPHEMERAL_KEY_INVALID = "the peer's ephemeral key is invalid"
     UNEXPECTED_ON_CONTROL = "unexpected frame on the control connection, header {header}"
     UNEXPECTED_IN_PREAMBLE = "unexpected {kind} frame in the preamble"
-    SHUT_DOWN_IN_REFUSE = "a REFUSE with the code for a link that is shut down, which only a Welcome may say"
     RETRY_IGNORED = "the client offers AES-GCM again after a RETRY with ChaCha20-Poly1305"
     HANDSHAKE_REPLAYED = "the first message of {name!r} is replayed: it has come before"
     NAMES_DIFFER = "the client's name is {preamble!r} in the preamble and {hello!r} in its Hello"
@@ -42,11 +41,8 @@ class Broken(Wording):
     PROBE_INVALID = "a probe of {length} bytes"
     RECEIPT_INVALID = "a receipt of {length} bytes"
     OPERATOR_TOO_SHORT = "an OPERATOR frame ends before its {field}"
-    EMPTY_RECORD = "an empty record"
-    UNEXPECTED_FROM_OPERATOR = "unexpected {kind} frame: operators attach here, not links"
     DATA_AGAINST_ROUTE = "data on route {route}, which goes the other way"
     FRAME_OF_UNKNOWN_ROUTE = "a frame of type {kind}, route {route} on a stream that does not carry it"
-    HOST_NAME_TOO_LONG = "the console's host name is too long"
 
 
 class Misuse(Wording):

@@ -55,15 +55,10 @@ class OperationText(Wording):
     NOTHING_MORE_TO_UNDO = "nothing more to undo"
     AS_IN_FILE = "the bridge already runs as in the session file"
     RELOAD = "Reload the session file?"
-    RELOADED = "reloaded"
-    ENDED_ELSEWHERE = "the bridge has ended in its own process: start it there"
     RESUME = "Resume {topic}?"
     RESUME_MEANS = "The key may have come late, so it is asked for. Messages cross again at once{arming}."
-    STILL_DISARMED = ", once it is armed"
     IS_ALREADY = "{topic} was paused or resumed meanwhile: look, and press the key again"
     AFTER_ALL = "{topic}: done after its form was left (u undoes it)"
-    SEVERAL_ARMED = "go to the topic to disarm: {topics}"
-    RESTART_MEANS = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
 
 
 _RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose links were shut down may come back"
@@ -144,7 +139,7 @@ class BridgeOperations:
         """Whether the operator resumes a topic, after a question if the key may have come late."""
         from rsb_console.screens.dialog import is_meant  # noqa: PLC0415 -- keeps the start short
 
-        arming = "" if route.arming is None else OperationText.STILL_DISARMED()
+        arming = "" if route.arming is None else ", once it is armed"
         title, means = OperationText.RESUME(topic=route.topic), OperationText.RESUME_MEANS(arming=arming)
         return await is_meant(self._console, self._screen().app, title, means, "Resume")
 
@@ -171,7 +166,7 @@ class BridgeOperations:
             if len(names) == 1:
                 await self._disarm(engine, held[0])
             elif names:
-                text = OperationText.SEVERAL_ARMED(topics=", ".join(names))
+                text = f"go to the topic to disarm: {', '.join(names)}"
                 self._console.notify(text, title="Not done", severity="warning", markup=False)
         elif is_armed(now := self._now(route)) or is_armed(route):
             # This key stops a robot: it asks nobody, even if another operator holds the topic.
@@ -397,7 +392,7 @@ class BridgeOperations:
             if failed := reloading.result().failed:
                 self._console.notify("\n".join(failed), title="Not done", severity="error", markup=False, timeout=15)
                 return
-            self._console.notify(OperationText.RELOADED(), timeout=3)
+            self._console.notify("reloaded", timeout=3)
             if (path := self._console.path) is not None:
                 self._console.saved_to(engine.session, path)
 
@@ -409,13 +404,13 @@ class BridgeOperations:
         if engine is None:
             return
         if not self._console.snapshot().running and self._console.attached_to:
-            self._console.notify(OperationText.ENDED_ELSEWHERE(), severity="warning")
+            self._console.notify("the bridge has ended in its own process: start it there", severity="warning")
             return
         if not self._console.snapshot().running:
             await self._console.start_again()
             return
         effect = Effect.MOVES | Effect.LOSES  # also of armings; and clients that were shut down may come back
-        means = OperationText.RESTART_MEANS()
+        means = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
         if await self._console.ask(ConfirmScreen("Restart the bridge?", means, "Restart", effect)):
             await self._console.ask(RestartScreen(engine))
 

@@ -57,14 +57,10 @@ class CallText(Wording):
     WAITING_UNTIL = "{sign} waiting for the answer, {waited}; gives up after {limit:g} s"
     NAME_MISSING = "missing: name the parameter, as `ros2 param list` does"
     NO_MAPPING = "not a mapping of fields: write one line for each field, such as data: true"
-    VALUE_SENT = "Its new value is sent {where}:"
     REQUEST_SENT = "It is sent once, {where}:"
     ALL_DEFAULTS = "(the default of every field)"
     ANSWERED = "{sign} {report}"
     VALUE_SET = "{sign} {report}: it is set"
-    VALUE_REFUSED = "{sign} {report}: the node refuses it: {why}"
-    STILL_CALLING = "the previous call is not answered yet"
-    ROUTE_GONE = "{sign} it is no longer bridged"
 
 
 class PlannedCall(NamedTuple):
@@ -203,7 +199,7 @@ class CallScreen(FormScreen[PlannedCall]):
         name = self._route.topic
         if self._lane == _SET:
             made = set_request(values["name"], values["value"])
-            means = f"{CallText.VALUE_SENT(where=self._where)}\n{made.meaning}"
+            means = f"Its new value is sent {self._where}:\n{made.meaning}"
             return PlannedCall(_SET_LANE, made.text, f"Set {values['name']} of {name}?", means, "Set", sets=True)
         service = f"{self._lane} of {name}" if self._lane else name
         fields = beginning(values["request"]) or CallText.ALL_DEFAULTS()
@@ -223,7 +219,7 @@ class CallScreen(FormScreen[PlannedCall]):
     @work(group=DIALOG)
     async def accept(self, result: PlannedCall) -> None:
         if self._under_way_since is not None:
-            self.notify(CallText.STILL_CALLING(), timeout=3)
+            self.notify("the previous call is not answered yet", timeout=3)
         elif await self.console.ask(ConfirmScreen(result.question, result.means, result.yes, Effect.MOVES)):
             self._pane.focus()
             self._call(result)
@@ -245,7 +241,7 @@ class CallScreen(FormScreen[PlannedCall]):
             refused = refusal(answer) if request.sets else None
             if refused is not None:
                 # The call itself has succeeded: a node refuses a parameter in its answer.
-                refusal_text = CallText.VALUE_REFUSED(sign=FAILED, report=report, why=_clean(refused))
+                refusal_text = f"{FAILED} {report}: the node refuses it: {_clean(refused)}"
                 self._set_answer(answer, CallResult(refusal_text, "down"))
             else:
                 done = CallText.VALUE_SET if request.sets else CallText.ANSWERED
@@ -279,7 +275,7 @@ class CallScreen(FormScreen[PlannedCall]):
     def _state_text(self) -> str:
         route = next((each for each in self.console.snapshot().routes if each.key == self._route.key), None)
         if route is None:
-            return CallText.ROUTE_GONE(sign=FAILED)
+            return f"{FAILED} it is no longer bridged"
         reason = "" if route.state is State.OK or not route.reason else f"  {route.reason}"
         return f"{STATE_SIGN[route.state]} {STATE_WORD[route.state]}  {route.type_name}{reason}"
 

@@ -86,11 +86,8 @@ _KEYS = "↑↓←→ uiojlm,. drive · space stop · +- speed · A arm · esc l
 class DriveText(Wording):
     """Texts of the screen."""
 
-    MOVES = "forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s"
     STANDS = "stands"
-    SPEED = "keys: {speed:.2f} m/s, {turn:.2f} rad/s"
     LIMITED = "at most {limits}: {lines}"
-    LATE = "keys came late, all at once: they are ignored"
     DISARMED = "disarmed: press A to arm it{reason}"
     ARMED = "armed{left}"
     ARMED_BY = "armed by {who}, whose messages pass alone; A asks for it, or disarms it"
@@ -101,14 +98,11 @@ class DriveText(Wording):
     NOT_WHILE_DETACHED = "keys do nothing while this console is not attached"
     DETACHED = "not attached, so what it has armed disarms by itself: {reason}"
     MOVED = "moves {robots}{round_trip}"
-    LANDED = "{moved}   {reports}"
     IN_HAND = "{link} now: {motion}"
     MOVING = "moving {forward:.2f} m/s{turning}"
     TURNING = ", turning {turn:.2f} rad/s"
     RESTS = "rest"
-    ROUND_TRIP = ", round trip {milliseconds:.0f} ms"
     SEVERAL = "Drive {count} robots by {topic}?"
-    SEVERAL_MEANS = "Its messages cross to {robots}: all of them move that are armed."
     GONE = "it is no longer bridged"
     OTHER_TYPE = "{topic} cannot be driven: its type is {type_name}, not Twist or TwistStamped"
     NOT_DRIVEN = "{topic} cannot be driven: set arm: true on the topic first (e), and leave max_age as it is"
@@ -179,7 +173,7 @@ async def drive(console: Console, route: RouteSnapshot) -> None:
     robots = moved_by(route, console.snapshot())
     if len(robots) > 1:
         title = DriveText.SEVERAL(topic=route.topic, count=len(robots))
-        means = DriveText.SEVERAL_MEANS(robots=join_first(robots, _NAMED))
+        means = f"Its messages cross to {join_first(robots, _NAMED)}: all of them move that are armed."
         if not await console.ask(ConfirmScreen(title, means, "Drive", Effect.MOVES)):
             return
     await console.ask(DriveScreen(console, route, type_name))
@@ -452,10 +446,10 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         elif route is None or route.arming is None or not route.arming.armed:
             moves = DriveText.NOT_WHILE_DISARMED()
         else:
-            moves = DriveText.MOVES(forward=forward, turn=turn) if forward or turn else DriveText.STANDS()
+            moves = f"forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s" if forward or turn else DriveText.STANDS()
         self._forget_refusal(route)
-        speed = DriveText.SPEED(speed=self._steering.speed, turn=self._steering.turn)
-        problem = DriveText.LATE() if self._steering.came_late(now) else self._problem
+        speed = f"keys: {self._steering.speed:.2f} m/s, {self._steering.turn:.2f} rad/s"
+        problem = "keys came late, all at once: they are ignored" if self._steering.came_late(now) else self._problem
         motion = "" if self._detached else in_hand(self._route, self.console.snapshot())
         lines = (f"{moves}   ({speed})", self._moved(), motion, "" if self._detached else problem)
         first, *others = map(escape_text, lines)
@@ -483,9 +477,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         snapshot = self.console.snapshot()
         robots = join_first(moved_by(self._route, snapshot), _NAMED)
         trip = next((link.rtt for link in snapshot.links if link.name == self._route.link), None)
-        moved = DriveText.MOVED(
-            robots=robots, round_trip="" if trip is None else DriveText.ROUND_TRIP(milliseconds=trip * 1e3)
-        )
+        moved = DriveText.MOVED(robots=robots, round_trip="" if trip is None else f", round trip {trip * 1e3:.0f} ms")
         if self._landing is None:
             return moved
         if (now := time.monotonic()) - self._landed_at > _LANDING_LASTS:
@@ -493,7 +485,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         elif self._landing.is_known(snapshot, self._links):
             self._reports = "; ".join(text for _, text in self._landing.reports(snapshot, self._links))
             self._landed_at, self._landing = now, Landing(self._route.topic, snapshot)
-        return DriveText.LANDED(moved=moved, reports=self._reports) if self._reports else moved
+        return f"{moved}   {self._reports}" if self._reports else moved
 
     @property
     def _detached(self) -> str:

@@ -15,7 +15,6 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.names import other_side
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.drawing import VIEWS, package_of_view
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.filter import RowFilter
@@ -35,14 +34,6 @@ _SIDE, _TOPIC = 14, 34
 _ASKED_EVERY = 3.0
 """s between two questions to all sides. A round figure: each asks for the whole graph, over the link."""
 _LAYERS = {"sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"}
-
-
-class LookScreenText(Wording):
-    """Texts of the screen."""
-
-    ASKING = "asking both sides …"
-    NOTHING = "no topic that matches has a publisher{problems}"
-    HERE = "here"
 
 
 class Subject(NamedTuple):
@@ -132,7 +123,7 @@ class LookScreen(ModalScreen[Subject]):
     @on(Input.Changed)
     def _list(self) -> None:
         problems = "".join(f"; {problem}" for problem in self._problems)
-        empty = LookScreenText.ASKING() if self._asking else LookScreenText.NOTHING(problems=problems)
+        empty = "asking both sides …" if self._asking else f"no topic that matches has a publisher{problems}"
         self.list.show(list(self._suggestions()), RowFilter.or_plain(self.text.value), escape_text(empty))
 
     def _suggestions(self) -> Iterator[Suggestion]:
@@ -148,7 +139,7 @@ class LookScreen(ModalScreen[Subject]):
             layers = (each.topic for each in self._found[side] if is_layer(each.type_name) and each.publishers)
             others = tuple(topic for topic in layers if topic != info.topic)
             self._subjects[key] = Subject((info.topic,), side, info.type_name, others)
-            shown = escape_text(other_side(role, side) if side else LookScreenText.HERE())[: _SIDE - 1]
+            shown = escape_text(other_side(role, side) if side else "here")[: _SIDE - 1]
             line: Line = (
                 (f"{escape_text(info.topic):<{_TOPIC}} ", ""),
                 (f"{shown:<{_SIDE}}", "dim"),

@@ -44,9 +44,7 @@ MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen
 class EmptyTable(Wording):
     """Texts of a table without topics."""
 
-    NO_MATCH = "Nothing here matches. {back} shows all topics."
     NO_SESSION = "No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
-    NOT_RUNNING = "The bridge does not run. {way_on}"
     NO_SESSION_READ_ONLY = "No session. Start the console with one: rsb-console --readonly SESSION"
 
 
@@ -54,7 +52,6 @@ class MainText(Wording):
     """Notes of the main screen."""
 
     READ_ONLY = "read-only: nothing can be changed here"
-    STARTS_AGAIN = "{restart} starts it again"
     IS_PATTERN = "{topic} is a pattern: choose a topic that it matches"
     NO_MESSAGES = "{topic} has calls, no messages"
     NO_MESSAGES_BUT_CALLS = "{topic} has calls, no messages: {key} calls it by hand"
@@ -89,7 +86,7 @@ class Explanations:
     def _way_on(self) -> str:
         """Return the key that starts the engine again; the banner has the reason why it does not run."""
         stays = self._console.readonly or self._console.attached_to
-        return "" if stays else MainText.STARTS_AGAIN(restart=self.key("restart"))
+        return "" if stays else f"{self.key('restart')} starts it again"
 
     def why_empty(self, snapshot: Snapshot) -> str:
         """Return the reason why there are no topics, and the key to press."""
@@ -100,7 +97,7 @@ class Explanations:
             opens, new, welcome = (self.key(action) for action in ("sessions", "new_session", "welcome"))
             return EmptyTable.NO_SESSION(opens=opens, new=new, welcome=welcome)
         if not snapshot.running:
-            return "" if console.note else EmptyTable.NOT_RUNNING(way_on=self._way_on()).rstrip()
+            return "" if console.note else f"The bridge does not run. {self._way_on()}".rstrip()
         if console.readonly:
             return "No topics yet."
         theirs = "They come with the clients; " if snapshot.role == "server" else ""
@@ -189,7 +186,7 @@ class MainScreen(Screen[None]):
             self.log_pane.add(self._held)
             self._held = []
             self.topics.show(snapshot)
-            no_match = EmptyTable.NO_MATCH(back=key("back"))
+            no_match = f"Nothing here matches. {key('back')} shows all topics."
             self.topics.explain(no_match if self.topics.rows else explanations.why_empty(snapshot))
             self.show_detail()
         self.show_keys()

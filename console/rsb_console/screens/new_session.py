@@ -87,7 +87,6 @@ class MissingField(Wording):
     """Fields that must be filled in."""
 
     NAME = "missing: give one"
-    ADDRESS = "missing: give the server's address"
     PORT = "missing: give the port"
 
 
@@ -168,7 +167,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         if not values["name"]:
             problems["name"] = MissingField.NAME()
         if not values["server_ip"]:
-            problems["server_ip"] = MissingField.ADDRESS()
+            problems["server_ip"] = "missing: give the server's address"
         if not values["server_port"]:
             problems["server_port"] = MissingField.PORT()
         if values["name"] or values["path"]:

@@ -49,7 +49,6 @@ class PublishText(Wording):
     FIELDS_UNKNOWN = "Its fields are not known: {error}"
     QUESTION = "Publish on {topic}?"
     MEANS = "It is published once, on this side{links}:\n{fields}"
-    OVER = ", and goes over the link to {links}"
     ALL_DEFAULTS = "(the default of every field)"
     PUBLISHED = "{sign} published on {topic}: {subscriptions} here{links}"
     OVER_LINKS = ", and over the link to {links}"
@@ -177,7 +176,7 @@ class PublishScreen(FormScreen[Message]):
         routes = [each for each in self.console.snapshot().routes if each.outgoing and each.topic == result.topic]
         peers = ", ".join(sorted({self.console.peer_of(each) for each in routes if each.state.flows}))
         fields = beginning(result.fields) or PublishText.ALL_DEFAULTS()
-        means = PublishText.MEANS(links=PublishText.OVER(links=peers) if peers else "", fields=fields)
+        means = PublishText.MEANS(links=f", and goes over the link to {peers}" if peers else "", fields=fields)
         title = PublishText.QUESTION(topic=result.topic)
         if await self.console.ask(ConfirmScreen(title, means, "Publish", Effect.MOVES)):
             self._publish(result)

@@ -48,9 +48,7 @@ _UNWRAPPED, _NARROWEST = 1 << 20, 10  # cells, before the first layout and after
 class FileText(Wording):
     """Advice on files that an operator may name."""
 
-    NONE_HERE = "no YAML file here; type a path"
     EXISTS = "the file exists: ⏎ picks it"
-    NOT_FOUND = "no such file; type its path"
     MISSING = "missing: name the file"
     RELATIVE_KEYS = "Key files are relative to its folder."
 
@@ -138,11 +136,11 @@ def is_file(path: Path) -> bool:
 def no_suggestion(text: str) -> str:
     """Return the text for a typed path or name that is not among the offered files."""
     if not text:
-        return FileText.NONE_HERE()
+        return "no YAML file here; type a path"
     path = typed_path(text)
     if is_file(path):
         return FileText.EXISTS()
-    return FileText.NOT_FOUND()
+    return "no such file; type its path"
 
 
 class SessionsScreen(FormScreen[OpenedFile | str]):

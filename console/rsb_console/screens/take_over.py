@@ -27,13 +27,11 @@ class HandOverText(Wording):
     """Texts about an arming that goes over."""
 
     HELD = "{topic} is armed by somebody else"
-    LET_GO = "it has another holder, or none any more: look again"
     MEANS = (
         "{holder} holds it, and drives alone.\n"
         "y asks for it: without an answer it goes over after {seconds:.0f} s, and the robot stands in between.\n"
         "{takes}A disarms it at once."
     )
-    TAKES = "t takes it at once. "
     ASK, TAKE, DISARM = "Ask", "Take", "Disarm"
     KEYS = "y ask   {take}A disarm   n no"
     TAKE_KEY = "t take   "
@@ -42,7 +40,6 @@ class HandOverText(Wording):
         "{who} asks for it, to drive instead.\n"
         "Without an answer it goes over in {seconds:.0f} s; the robot stands in between."
     )
-    YES = "Give"
 
 
 class AskHolderScreen(ConfirmScreen):
@@ -63,7 +60,7 @@ class AskHolderScreen(ConfirmScreen):
 
     def __init__(self, console: Console, route: RouteSnapshot, *, may_take: bool) -> None:
         holder = "" if route.arming is None else route.arming.by
-        title, takes = HandOverText.HELD(topic=route.topic), HandOverText.TAKES() if may_take else ""
+        title, takes = HandOverText.HELD(topic=route.topic), "t takes it at once. " if may_take else ""
         means = HandOverText.MEANS(holder=holder, seconds=ASKED_FOR, takes=takes)
         super().__init__(title, means, HandOverText.ASK(), Effect.MOVES)
         self.console, self._key, self._holder = console, route.key, holder
@@ -79,7 +76,7 @@ class AskHolderScreen(ConfirmScreen):
         routes = self.console.snapshot().routes
         holders = [each.arming.by for each in routes if each.key == self._key and each.arming is not None]
         if self._holder not in holders and self.is_active:
-            self.notify(HandOverText.LET_GO(), markup=False)
+            self.notify("it has another holder, or none any more: look again", markup=False)
             self.dismiss(False)
 
     def compose_buttons(self) -> ComposeResult:
@@ -117,7 +114,7 @@ class HandOverScreen(ConfirmScreen):
 
     def __init__(self, console: Console, route: RouteSnapshot) -> None:
         title = HandOverText.GIVE(topic=route.topic, link=route.link)
-        super().__init__(title, "", HandOverText.YES(), Effect.MOVES)
+        super().__init__(title, "", "Give", Effect.MOVES)
         self.console, self._key, self.who = console, route.key, asker_of(route)
         self._text = Static(_asks(route), markup=False)
 

@@ -73,9 +73,7 @@ class ViewText(Wording):
     WAITING = "waiting for a picture, {waited}"
     HELD = "HELD: space goes on"
     OLD = "{age} old"
-    RATE = "at most {rate:g} Hz"
     SIDE = "drawn by {side}"
-    HERE = "this side"
     SIZE = "{size} a picture"
     WRITTEN = "written: {file}"
     NOT_WRITTEN = "{file} cannot be written: {error}"
@@ -323,7 +321,7 @@ class ViewScreen(FullScreen[bool]):
             waited = time.monotonic() - self._came
             return escape_text(self._problem) or ViewText.WAITING(waited=formats.age(waited))
         where = self._viewed.where
-        side = other_side(self.console.snapshot().role, where) if where else ViewText.HERE()
+        side = other_side(self.console.snapshot().role, where) if where else "this side"
         picture, parts = self._viewed.picture, [self._problem or self._viewed.picture.problem]
         if self._viewed.age is not None:
             age = self._viewed.age + time.monotonic() - self._came
@@ -332,7 +330,7 @@ class ViewScreen(FullScreen[bool]):
             " · ".join(picture.notes),
             ViewText.SIDE(side=side),
             ViewText.SIZE(size=formats.byte_count(self._viewed.encoded)),
-            ViewText.RATE(rate=self._wish.rate),
+            f"at most {self._wish.rate:g} Hz",
             picture.type_name,
         ]
         return escape_text(" · ".join(part for part in parts if part))

@@ -52,7 +52,6 @@ class DetailText(Wording):
     WHY_NOT_FLOWING = "Why it isn't flowing"
     NOTHING_COMES = "and nothing comes now"
     WHY_NO_ANSWER = "Why it doesn't answer"
-    NO_ANSWER_NOW = "and it does not answer now"
     GIVEN_UP = "after {timeout:g} s without an answer"
     ALL_PARAMETERS = "all parameters of the node"
     UNKNOWN_TYPE = "type not known yet"
@@ -193,7 +192,7 @@ def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int
     yield from _heading(route, "call", width)
     yield from _crossing(route, f"{f'{OUT} answered by' if route.outgoing else f'{IN} called by'} {peer}", width)
     yield ()
-    yield from _stages(route, DetailText.WHY_NO_ANSWER(), DetailText.NO_ANSWER_NOW(), width)
+    yield from _stages(route, DetailText.WHY_NO_ANSWER(), "and it does not answer now", width)
     if calls.last_failure:
         yield ()
         yield ((" Last failure", "head"),)

@@ -67,7 +67,7 @@ def outgoing(payload: bytes) -> object:
     if len(payload) < _HEADER:
         raise RosError(RosProblem.MESSAGE_TOO_SHORT(length=len(payload)))
     if not payload.startswith(_WRITTEN):
-        raise RosError(RosProblem.FOREIGN_ENCAPSULATION(encapsulation=payload[:2].hex()))
+        raise RosError(f"a message that is encapsulated as {payload[:2].hex()} cannot be sent in a call, only 0001 can")
     cdr = _cdr()
     assert cdr is not None
     length = len(payload) - _HEADER

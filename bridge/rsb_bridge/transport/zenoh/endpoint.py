@@ -48,8 +48,6 @@ ROUTER_LOST = "the connection to the Zenoh router is lost"
 class EndpointProblem(Wording):
     """Problems of an endpoint with the Zenoh network and its peers."""
 
-    ERROR = "Zenoh: {error}"
-    NOBODY_TOLD = "the Zenoh network does not list its members: is its router busy?"
     PEER_LEFT = "the other side has left the Zenoh network"
 
 
@@ -202,14 +200,14 @@ class ZenohEndpoint:
             try:
                 replies = self._session.liveliness().get(key, timeout=ASKED_WITHIN)
             except self._closed_error as error:
-                raise OSError(EndpointProblem.ERROR(error=error)) from None
+                raise OSError(f"Zenoh: {error}") from None
             found = (_seen(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None)
             return [seen for seen in itertools.islice(found, MOST_SEEN) if seen is not None]
 
         try:
             return await in_thread("zenoh-ask", collect, 2 * ASKED_WITHIN)
         except TimeoutError:
-            raise OSError(EndpointProblem.NOBODY_TOLD()) from None
+            raise OSError("the Zenoh network does not list its members: is its router busy?") from None
 
     # --- streams
 

@@ -48,20 +48,13 @@ _EXPIRED, _NOT_YET_VALID, _WRONG_NAMES = 10, 9, (62, 64)
 class Unreachable(Wording):
     """The reasons why Zenoh reaches no router at an endpoint, each with its remedy."""
 
-    NO_ROUTER = "no Zenoh router answers: {endpoints}"
-    MORE = "and {count} more"
     ERROR = "Zenoh: {error}"
-    NO_ANSWER = "no answer: is it a Zenoh router, and does it accept this side?"
-    NO_ANSWER_OVER_UDP = "no answer: is the router running there, and does no firewall drop UDP?"
     NO_ANSWER_WITHIN = "no answer within {seconds:g} s: is it on, and does no firewall drop it?"
-    NAME_UNKNOWN = "the name is not known ({error})"
-    NAME_INVALID = "not a valid host name: correct it"
     NOBODY_LISTENS = "nothing listens there: is the router running?"
     NO_ZENOH = (
         "something listens there, but does not speak Zenoh with this side: is it a Zenoh router, and does it let this "
         "side in?"
     )
-    NO_ZENOH_OVER_TLS = "TLS works there, but Zenoh does not: is it a Zenoh router, and does it accept this side?"
     NO_TLS = "no TLS there: is it a Zenoh router, and does it listen for tls? Else the endpoint is tcp/{host}:…"
     CERTIFICATES_UNREADABLE = "the certificates of zenoh.config can't be read: {error}"
     CERTIFICATE_REFUSED = "its certificate is refused: {error}; {remedy}"
@@ -81,11 +74,8 @@ class CertificateRemedy(Wording):
 class NetworkProblem(Wording):
     """Problems of the whole process with its Zenoh network."""
 
-    NO_ANSWER = "{place}: no answer within {seconds:g} s"
-    ROUTER_LOST = "{place}: {lost}: check that it runs, and firewalls"
     CLOSED = "{place}: closed meanwhile"
     CONFIG = "zenoh.config: {path}: {error}"
-    PLACE_OF_CONFIG = "the endpoints of {config}"
 
 
 def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -> str:
@@ -99,8 +89,8 @@ def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -
         return Unreachable.ERROR(error=first_sentence(error))
     found = [f"{endpoint}: {_why(endpoint, config)}" for endpoint in endpoints[:_MOST]]
     if len(endpoints) > _MOST:
-        found.append(Unreachable.MORE(count=len(endpoints) - _MOST))
-    return Unreachable.NO_ROUTER(endpoints="; ".join(found))
+        found.append(f"and {len(endpoints) - _MOST} more")
+    return f"no Zenoh router answers: {'; '.join(found)}"
 
 
 def first_sentence(text: str) -> str:
@@ -120,9 +110,9 @@ def _why(endpoint: str, config: zenoh.Config) -> str:
     host, _, port = address.partition("?")[0].partition("#")[0].rpartition(":")
     host = host.strip("[]")
     if protocol in {"quic", "udp"}:
-        return Unreachable.NO_ANSWER_OVER_UDP()
+        return "no answer: is the router running there, and does no firewall drop UDP?"
     if protocol not in _OVER_TCP or not port.isdecimal():
-        return Unreachable.NO_ANSWER()
+        return "no answer: is it a Zenoh router, and does it accept this side?"
     try:
         with socket.create_connection((host, int(port)), _WITHIN) as connection:
             if protocol == "tls":
@@ -130,9 +120,9 @@ def _why(endpoint: str, config: zenoh.Config) -> str:
     except TimeoutError:
         return Unreachable.NO_ANSWER_WITHIN(seconds=_WITHIN)
     except socket.gaierror as error:
-        return Unreachable.NAME_UNKNOWN(error=error.strerror)
+        return f"the name is not known ({error.strerror})"
     except UnicodeError:
-        return Unreachable.NAME_INVALID()
+        return "not a valid host name: correct it"
     except ConnectionRefusedError:
         return Unreachable.NOBODY_LISTENS()
     except (OSError, OverflowError) as error:
@@ -164,7 +154,7 @@ def _tls(connection: socket.socket, host: str, settings: dict[str, Any]) -> str:
         pass
     finally:
         encrypted.close()
-    return Unreachable.NO_ZENOH_OVER_TLS()
+    return "TLS works there, but Zenoh does not: is it a Zenoh router, and does it accept this side?"
 
 
 def _context(settings: dict[str, Any], *, shows_own: bool) -> ssl.SSLContext:
@@ -266,13 +256,13 @@ class Network:
         try:
             await in_thread("zenoh-open", self._open, _OPEN_WITHIN)
         except TimeoutError:
-            raise OSError(NetworkProblem.NO_ANSWER(place=self.place, seconds=_OPEN_WITHIN)) from None
+            raise OSError(f"{self.place}: no answer within {_OPEN_WITHIN:g} s") from None
 
     @property
     def place(self) -> str:
         """The network's endpoints, for an operator."""
         settings = self.settings
-        return ", ".join(settings.connect or settings.listen) or NetworkProblem.PLACE_OF_CONFIG(config=settings.config)
+        return ", ".join(settings.connect or settings.listen) or f"the endpoints of {settings.config}"
 
     @property
     def connected(self) -> bool:
@@ -283,7 +273,7 @@ class Network:
     @property
     def problem(self) -> str:
         """The lost router and the remedy, or an empty string."""
-        return NetworkProblem.ROUTER_LOST(place=self.place, lost=ROUTER_LOST) if self._cut_off else ""
+        return f"{self.place}: {ROUTER_LOST}: check that it runs, and firewalls" if self._cut_off else ""
 
     async def endpoint(self, service: str, label: str, watched: Sequence[str]) -> ZenohEndpoint:
         """Return a new endpoint on the running loop, and announce it to the fleet.

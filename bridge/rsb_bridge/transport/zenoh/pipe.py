@@ -60,7 +60,6 @@ class PipeProblem(Wording):
 
     SAMPLE_LOST = "a sample was lost in the Zenoh network"
     SAMPLES_LOST = "{count} samples were lost in the Zenoh network"
-    TOO_MUCH_BEFORE_HANDSHAKE = "more than {limit:,} bytes came before the handshake"
     WINDOW_IGNORED = "the other side sends more than the {limit:,} bytes that may be in flight"
 
 
@@ -293,7 +292,7 @@ class Pipe(asyncio.Transport):
         self._received_samples += 1
         self._received += len(payload)
         if self._received > STRANGER_LIMIT == self.longest:  # of a stranger that has no answer yet
-            error = PipeProblem.TOO_MUCH_BEFORE_HANDSHAKE(limit=STRANGER_LIMIT)
+            error = f"more than {STRANGER_LIMIT:,} bytes came before the handshake"
             self._end(error, OSError(error))
         elif not payload:
             self._say_soon()

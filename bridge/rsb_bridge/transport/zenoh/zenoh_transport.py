@@ -45,7 +45,6 @@ _RANKS = {1: 1, 0: 2, -1: 3}
 class FleetText(Wording):
     """Texts about the servers that a fleet announces, or does not."""
 
-    NOT_IN_NETWORK = "not in the Zenoh network"
     NO_SERVER = "the Zenoh network has no server of the fleet {fleet!r}: is it running, with that fleet?"
     SERVER_PRESENT = (
         "the fleet {fleet!r} has a server already: {names}: stop one, or give this one's sessions another fleet "
@@ -125,7 +124,7 @@ class Links:
             OSError: none is announced.
         """
         if self._endpoint is None:
-            raise OSError(FleetText.NOT_IN_NETWORK())
+            raise OSError("not in the Zenoh network")
         return self._endpoint
 
     @property
