@@ -108,6 +108,9 @@ class Channel:
     def behind(self, now: float) -> bool:
         return False
 
+    def still(self, now: float) -> float:
+        return 0.0
+
     def datagrams(self, size: int) -> int:
         return 0
 

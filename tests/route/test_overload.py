@@ -129,15 +129,25 @@ def test_queue_that_drains_after_a_stall_is_no_overload() -> None:
     for tick in range(30):
         overload.judge(tick / 10, 0.0, tick)
     for tick in range(30, 60):
-        overload.turn(tick / 10)
+        overload.turn()
         overload.judge(tick / 10, (tick - 30) / 10 * 2, 30 - (tick - 30))
         assert not overload.lasts(tick / 10)
+
+
+def test_a_second_stall_is_no_overload() -> None:
+    """Although the queue has had turns since the first one, and is older and longer."""
+    overload = Overload()
+    overload.judge(3.0, 0.0, 30)
+    overload.turn()
+    for tick in range(31, 60):
+        overload.judge(tick / 10, 0.1, tick, still=(tick - 31) / 10)
+    assert not overload.lasts(6.0)
 
 
 def test_overload_ends_with_the_queue() -> None:
     overload = Overload()
     for tick in range(40):
-        overload.turn(tick / 10)
+        overload.turn()
         overload.judge(tick / 10, 0.0, tick)
     assert overload.lasts(4.0)
     overload.reset()
@@ -148,10 +158,10 @@ def test_overload_ends_with_the_queue() -> None:
 def test_what_drops_again_in_spite_of_turns_is_overloaded(turns: bool, lasts: bool) -> None:
     """As where a tunnel's window opens each few seconds, and lets through all that waits."""
     overload = Overload()
-    overload.turn(9.0)
+    overload.turn()
     overload.dropped(10.0)
     if turns:
-        overload.turn(12.0)
+        overload.turn()
     overload.dropped(16.0)
     assert overload.lasts(16.0) is lasts
     assert not overload.lasts(27.0)

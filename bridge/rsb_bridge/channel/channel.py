@@ -113,6 +113,9 @@ class SendingChannel(DataChannel, Protocol):
     def datagrams(self, size: int) -> int:
         """Return how many datagrams a message of `size` bytes takes now, or 0 on a stream; only once it is ready."""
 
+    def still(self, now: float) -> float:
+        """Return for how long (s) no receipt has come on the link, at `now` (s)."""
+
     def behind(self, now: float) -> bool:
         """Whether its turns have not been enough for a second, at `now` (s)."""
 

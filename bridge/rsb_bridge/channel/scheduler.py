@@ -100,6 +100,7 @@ class Scheduler:
         chunk: bytes of a message in one turn.
         acknowledged: bytes that have arrived, or were written off.
         arrived: bytes that have arrived.
+        acknowledged_at: when (s) the last receipt of further bytes came.
     """
 
     def __init__(self, book: ReceiptBook, window: Window) -> None:
@@ -110,7 +111,7 @@ class Scheduler:
         self._now = book.now
         self._window = window
         self.acknowledged = self.arrived = 0
-        self._acknowledged_at = float("-inf")
+        self.acknowledged_at = float("-inf")
         self._carriers: list[Carrier] = []
         self._waiting = 0
         self._waits_since: float | None = None
@@ -315,7 +316,7 @@ class Scheduler:
         self.acknowledged += gained
         self.arrived += gained - lost
         if gained:
-            self._acknowledged_at = now
+            self.acknowledged_at = now
         window = self._window
         window.back = self._book.way_back()
         window.acknowledge(self.acknowledged, self.sent, now)
@@ -374,7 +375,7 @@ class Scheduler:
     @property
     def moves(self) -> bool:
         """Whether the link delivers."""
-        return self._now() - self._acknowledged_at < _STALLED
+        return self._now() - self.acknowledged_at < _STALLED
 
     @property
     def grows(self) -> bool:
@@ -435,6 +436,9 @@ class SendingEnd:
     def moves(self) -> bool:
         """Whether what it sends on delivers."""
         return self._scheduler.delivers(self.via)
+
+    def still(self, now: float) -> float:
+        return now - self._scheduler.acknowledged_at
 
     def behind(self, now: float) -> bool:
         """Whether it has had turns, and something was left each time, for a second."""

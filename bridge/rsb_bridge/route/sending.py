@@ -40,8 +40,9 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
 
 _LOOKS_EVERY, _STANDS_STILL = 1.0, 0.3
-"""s at least between the two looks at a queue that an overload takes, and s without a turn after which the link stands
-still. Round figures. On simulated radios that stall twice in a row, 15 to 46 messages were lost without the second."""
+"""s at least between the two looks at a queue that an overload takes, and s without a receipt after which the link
+stands still. Round figures. On simulated radios that stall twice in a row, 15 to 46 messages were lost without the
+second."""
 WAITS = 1.0
 """s that an overloaded topic's queue keeps a message, unless it is the only one."""
 _FRESH = 0.1
@@ -172,7 +173,7 @@ class Overload:
 
     def __init__(self) -> None:
         self._grows = False
-        self._turned_at = -math.inf
+        self._turned = False  # since the last look
         self._before: tuple[float, float, int] | None = None  # when (s), the oldest message's age (s), the length
         self._turned_since_drop = False
         self._dropped_at = self._shown_at = -math.inf
@@ -181,9 +182,9 @@ class Overload:
         """Whether more is published than the channel delivers, at `now` (s)."""
         return self._grows or now - self._shown_at < _LASTS
 
-    def turn(self, now: float) -> None:
+    def turn(self) -> None:
         """Note that the queue gives messages."""
-        self._turned_at, self._turned_since_drop = now, True
+        self._turned = self._turned_since_drop = True
 
     def dropped(self, now: float) -> None:
         """Note that the queue has dropped messages."""
@@ -191,11 +192,12 @@ class Overload:
             self._shown_at = now
         self._turned_since_drop, self._dropped_at = False, now
 
-    def judge(self, now: float, oldest_since: float | None, length: int) -> None:
+    def judge(self, now: float, oldest_since: float | None, length: int, still: float = 0.0) -> None:
         """Judge the queue. Called whenever a message is queued.
 
         Args:
             oldest_since: when (s) the oldest message was queued, or None if the queue is empty.
+            still: s without a receipt on the link.
         """
         if oldest_since is None:
             self.reset()
@@ -203,16 +205,16 @@ class Overload:
         age = now - oldest_since
         # A link that stands still says nothing about its speed. And a queue that is young now may have got old at one
         # stroke by the next look, while it stood still.
-        if self._before is None or now - self._turned_at > _STANDS_STILL or age < WAITS:
-            self._before = now, age, length
+        if self._before is None or not self._turned or still > _STANDS_STILL or age < WAITS:
+            self._before, self._turned = (now, age, length), False
         elif now - self._before[0] >= _LOOKS_EVERY:
             _, age_before, length_before = self._before
             self._grows = self._grows or (age >= age_before and length >= length_before)
-            self._before = now, age, length
+            self._before, self._turned = (now, age, length), False
 
     def reset(self) -> None:
         """End the overload: the queue is empty."""
-        self._grows, self._before = False, None
+        self._grows, self._before, self._turned = False, None, False
 
 
 class Outbox:
@@ -272,7 +274,7 @@ class Outbox:
         if self._limits.older_than < math.inf:
             self._trim(now)  # its publisher may be silent since
         while queue.waiting and not channel.congested:
-            self._overload.turn(now)
+            self._overload.turn()
             batch: Sequence[Message] = queue.take(_BATCH, channel.batch_bytes)
             if self.leaving is not None:
                 batch = self.leaving(batch)
@@ -311,6 +313,7 @@ class Outbox:
         profile: LinkProfile = NO_PROFILE,
         *,
         behind: bool = False,
+        still: float = 0.0,
     ) -> QueueLimits:
         """Return the queue's limits at `now` (s). While the channel takes messages, the queue only passes them on.
 
@@ -318,8 +321,9 @@ class Outbox:
             qos: of the route, or None if it is unknown.
             depth: messages that the publisher of a latched topic keeps, or 0.
             behind: whether the channel's turns are not enough.
+            still: s without a receipt on the link.
         """
-        self._overload.judge(now, self._queue.oldest_since, len(self._queue))
+        self._overload.judge(now, self._queue.oldest_since, len(self._queue), still)
         best_effort = qos is not None and qos.reliability == "best_effort"
         size = QUEUE_BYTES + self.largest
         if best_effort:
@@ -529,8 +533,8 @@ class OutgoingPath:
             # It is a state: after a stall, a robot would follow all the old ones before the present one.
             limits = outbox.newest_only
         else:
-            profile, behind = route.peer.profile, channel.behind(now)
-            limits = outbox.limits(route.qos, depth, channel.pace, now, profile, behind=behind)
+            profile, behind, still = route.peer.profile, channel.behind(now), channel.still(now)
+            limits = outbox.limits(route.qos, depth, channel.pace, now, profile, behind=behind, still=still)
         outbox.add(messages, now, publisher, limits)
         self.flush()
 
