@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -187,9 +188,8 @@ def _pc_domain(_domains: int) -> Iterator[Domain]:
 def _domain(domain_id: int) -> Iterator[Domain]:
     from tests.support.domain import Domain
 
-    domain = Domain(domain_id)
-    yield domain
-    domain.close()
+    with closing(Domain(domain_id)) as domain:
+        yield domain
 
 
 @pytest.fixture
@@ -217,9 +217,8 @@ def bridge(tmp_path: Path, robot: Domain, pc: Domain) -> Iterator[Bridge]:
     """Makes engines, and stops them at the end."""
     from tests.support.bridge import Bridge
 
-    made = Bridge(tmp_path, robot, pc)
-    yield made
-    made.close()
+    with closing(Bridge(tmp_path, robot, pc)) as made:
+        yield made
 
 
 @pytest.fixture
@@ -239,9 +238,8 @@ def programs(bridge: Bridge) -> Iterator[Programs]:
     """Starts the real program on sessions that `bridge` makes."""
     from tests.support.program import Programs
 
-    made = Programs(bridge.folder)
-    yield made
-    made.close()
+    with closing(Programs(bridge.folder)) as made:
+        yield made
 
 
 @pytest.fixture
@@ -257,6 +255,5 @@ def machine(tmp_path: Path) -> Iterator[Machine]:
     """Serves engines on control sockets of the test's own, and attaches to them."""
     from tests.support.control import Machine
 
-    made = Machine(tmp_path)
-    yield made
-    made.close()
+    with closing(Machine(tmp_path)) as made:
+        yield made

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -19,16 +20,14 @@ _numbers = itertools.count()
 
 @pytest.fixture(scope="session")
 def _near(_robot_domain: object, _domains: int) -> Iterator[CallNode]:
-    made = CallNode(_domains)
-    yield made
-    made.close()
+    with closing(CallNode(_domains)) as made:
+        yield made
 
 
 @pytest.fixture(scope="session")
 def _far(_pc_domain: object, _domains: int) -> Iterator[CallNode]:
-    made = CallNode(_domains + 1)
-    yield made
-    made.close()
+    with closing(CallNode(_domains + 1)) as made:
+        yield made
 
 
 @pytest.fixture

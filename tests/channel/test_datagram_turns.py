@@ -5,10 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from unittest.mock import Mock
 
 import pytest
 from tests.channel.datagram_radio import RadioChannel, datagrams_between, pass_time
 from tests.channel.sides import Radio, Route, Side, connected
+
+from rsb_bridge.channel.datagram_carrier import DatagramCarrier
 
 pytestmark = pytest.mark.usefixtures("loop")
 _TUNNEL = 5_000
@@ -165,3 +168,12 @@ async def test_a_link_with_room_delays_no_datagram() -> None:
         assert scene.part(large) > 0.96
         half = scene.ages(small, since=1.0)
         assert half[len(half) // 2] < 0.001
+
+
+async def test_a_late_receipt_may_tell_of_fewer_missing_datagrams_and_of_no_further_one() -> None:
+    async with connected(Route(1, outgoing=True), open_streams=tunnel().open) as (near, _):
+        carrier = DatagramCarrier(Mock(), near.scheduler)
+        for datagrams, missing in ((10, 5), (0, -1)):
+            carrier.count(datagrams, missing)
+            carrier.receipt(1_000_000)
+        assert near.scheduler.arrived == 0

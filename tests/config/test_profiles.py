@@ -76,19 +76,18 @@ def test_check_says_what_it_gives() -> None:
     ]
 
 
-@pytest.mark.parametrize("reliability", ["best_effort", "reliable"])
-def test_queues(reliability: str) -> None:
+def test_queues() -> None:
     """Best effort waits for less, reliable for longer."""
-    topic = Topic("/scan", "transmit")
     transport = default_transports()["tcp"]
-    proposal = proposal_of(topic, transport, client_name="robot1", use_name=False)
+    proposal = proposal_of(Topic("/scan", "transmit"), transport, client_name="robot1", use_name=False)
     outbox = Outbox(transport, proposal, RouteLedger(), lambda *_: None)
-    qos = Qos(reliability="best_effort" if reliability == "best_effort" else "reliable", depth=0)
-    plain, lte = (outbox.limits(qos, 0, Pace.STOPPED, 0.0, each) for each in (NO_PROFILE, PROFILES["lte"]))
-    if reliability == "best_effort":
-        assert (plain.older_than, lte.older_than, lte.size) == (1.0, 1.0, 256 * 1024)
-    else:
-        assert (plain.younger_than, lte.younger_than, lte.size) == (5.0, 15.0, plain.size)
+    best_effort = Qos(reliability="best_effort")
+    live, plain, lte = (
+        outbox.limits(qos, 0, Pace.STOPPED, 0.0, profile)
+        for qos, profile in ((best_effort, PROFILES["lte"]), (Qos(), NO_PROFILE), (Qos(), PROFILES["lte"]))
+    )
+    assert (live.older_than, live.size) == (1.0, 256 * 1024)
+    assert (plain.younger_than, lte.younger_than, lte.size) == (5.0, 15.0, plain.size)
 
 
 def test_its_rate_is_one_limit_among_others() -> None:

@@ -51,6 +51,13 @@ ARMED = replace(
 )  # fmt: skip
 
 
+async def arm(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+
+
 @on_main()
 async def test_a_question_that_names_topic_and_robot_comes_before(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, DISARMED)
@@ -61,10 +68,7 @@ async def test_a_question_that_names_topic_and_robot_comes_before(app: ConsoleAp
     await pilot.press("enter")  # the focus is on No
     await gone(pilot, "Arm /cmd_vel of robot1?")
     assert engine_of(app).commands == []
-    await pilot.press("A")
-    await shown(pilot, "Arm /cmd_vel of robot1?")
-    await pilot.press("y")
-    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+    await arm(app, pilot)
 
 
 @on_main()
@@ -108,10 +112,7 @@ async def test_the_key_that_armed_a_topic_disarms_it_wherever_it_and_the_cursor_
     camera = route("/camera")
     put(app, DISARMED, camera)
     await shown(pilot, "A arm")  # DISARMED stands on top
-    await pilot.press("A")
-    await shown(pilot, "Arm /cmd_vel of robot1?")
-    await pilot.press("y")
-    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+    await arm(app, pilot)
     put(app, ARMED, camera)  # and goes below
     await shown(pilot, "◆ ARMED    /cmd_vel")
     assert app.main.topics.selected == ARMED
@@ -242,10 +243,7 @@ async def test_the_marks_are_there_in_ascii(app: ConsoleApp, pilot: Pilot[None])
 async def test_keys_keep_it_armed(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, DISARMED)
     await shown(pilot, "A arm")
-    await pilot.press("A")
-    await shown(pilot, "Arm /cmd_vel of robot1?")
-    await pilot.press("y")
-    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+    await arm(app, pilot)
     put(app, ARMED)
     app.pull()  # forgets the keys that armed it
     kept = engine_of(app).kept

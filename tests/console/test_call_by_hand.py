@@ -59,6 +59,13 @@ def calls(app: ConsoleApp) -> list[tuple[object, ...]]:
     return [command for command in engine_of(app).commands if command[0] == "call"]
 
 
+async def call(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: calls(app), "the call")
+
+
 @on(MODE, *long(WIDE), NARROW)
 async def test_a_service_is_called_once_it_is_confirmed_and_answers(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")
@@ -87,10 +94,7 @@ async def test_a_service_is_called_once_it_is_confirmed_and_answers(app: Console
 
 @on(MODE)
 async def test_why_there_is_no_answer_is_said_and_one_can_try_again(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("C")
-    await shown(pilot, "data: false")
-    await pilot.press("f9", "y")
-    await until(pilot, lambda: calls(app), "the call")
+    await call(app, pilot)
     engine_of(app).called.set_exception(EngineError("no luck\x1b[2J"))
     await shown(pilot, "✗ no luck")
     await settled(pilot)
@@ -103,10 +107,7 @@ async def test_why_there_is_no_answer_is_said_and_one_can_try_again(app: Console
 async def test_what_is_under_way_is_not_sent_again_and_keys_still_do_something(
     app: ConsoleApp, pilot: Pilot[None]
 ) -> None:
-    await pilot.press("C")
-    await shown(pilot, "data: false")
-    await pilot.press("f9", "y")
-    await until(pilot, lambda: calls(app), "the call")
+    await call(app, pilot)
     put(app, call_route("service", "/robot1/set_mode", State.DOWN, reason="no server any more"))
     await shown(pilot, "✗ DOWN  std_srvs/srv/SetBool  no server any more")
     await pilot.press("f9")
@@ -194,10 +195,7 @@ async def test_a_parameter_is_set_by_its_name_and_value(app: ConsoleApp, pilot: 
 async def test_a_long_answer_scrolls_is_cut_with_a_note_and_laid_out_once(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    await pilot.press("C")
-    await shown(pilot, "data: false")
-    await pilot.press("f9", "y")
-    await until(pilot, lambda: calls(app), "the call")
+    await call(app, pilot)
     answer = f"first: {'x' * 1000}\n" + "".join(f"line_{number}: {number}\n" for number in range(10_000))
     engine_of(app).called.set_result(answer)
     await shown(pilot, "first: xxx")

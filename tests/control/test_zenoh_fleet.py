@@ -41,9 +41,8 @@ if TYPE_CHECKING:
 @pytest.fixture
 def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
     constants.ZENOH_ASKED_WITHIN.set(monkeypatch, 60.0)  # of a busy router; one that is there answers sooner
-    fleet = Fleet(tmp_path)
-    yield fleet
-    fleet.close()
+    with closing(Fleet(tmp_path)) as fleet:
+        yield fleet
 
 
 def robot(fleet: ZenohFleet, name: str) -> RobotSummary | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,9 +73,8 @@ def _own_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def robots_bridge(bridge: Bridge, _own_libraries: None) -> Iterator[Programs]:
     """Runs the robot's bridge."""
-    made = Programs(bridge.folder, _start)
-    yield made
-    made.close()
+    with closing(Programs(bridge.folder, _start)) as made:
+        yield made
 
 
 @pytest.fixture
@@ -101,16 +101,14 @@ def robot_calls(robot: Domain, _own_libraries: None) -> Iterator[CallNode]:
     def begin(*command: str, **pipes: Any) -> subprocess.Popen[str]:
         return subprocess.Popen([OTHER, *command[1:]], text=True, cwd=ROOT, **pipes)
 
-    made = CallNode(robot.id, begin)
-    yield made
-    made.close()
+    with closing(CallNode(robot.id, begin)) as made:
+        yield made
 
 
 @pytest.fixture
 def pc_calls(pc: Domain) -> Iterator[CallNode]:
-    made = CallNode(pc.id)
-    yield made
-    made.close()
+    with closing(CallNode(pc.id)) as made:
+        yield made
 
 
 def _link(bridge: Bridge, robots: Programs, *topics: Topic) -> Engine:

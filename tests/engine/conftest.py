@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
@@ -63,9 +64,8 @@ def consoles() -> Iterator[Consoles]:
     """Consoles that give signs of life."""
     from tests.support.consoles import Consoles
 
-    made = Consoles()
-    yield made
-    made.close()
+    with closing(Consoles()) as made:
+        yield made
 
 
 @pytest.fixture
@@ -73,9 +73,8 @@ def router() -> Iterator[Router]:
     """A Zenoh router."""
     from tests.support.zenoh_router import Router
 
-    made = Router()
-    yield made
-    made.close()
+    with closing(Router()) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")
@@ -83,9 +82,8 @@ def shared(tmp_path_factory: pytest.TempPathFactory, _robot_domain: Domain, _pc_
     """Makes engines that serve all tests of a file."""
     from tests.support.bridge import Bridge
 
-    made = Bridge(tmp_path_factory.mktemp("shared"), _robot_domain, _pc_domain)
-    yield made
-    made.close()
+    with closing(Bridge(tmp_path_factory.mktemp("shared"), _robot_domain, _pc_domain)) as made:
+        yield made
 
 
 @pytest.fixture
@@ -93,9 +91,8 @@ def server(robot: Domain) -> Iterator[FibonacciServer]:
     """The robot's."""
     from tests.support.fibonacci import FibonacciServer
 
-    made = FibonacciServer(robot.id)
-    yield made
-    made.close()
+    with closing(FibonacciServer(robot.id)) as made:
+        yield made
 
 
 @pytest.fixture
@@ -103,6 +100,5 @@ def client(pc: Domain) -> Iterator[FibonacciClient]:
     """The control PC's."""
     from tests.support.fibonacci import FibonacciClient
 
-    made = FibonacciClient(pc.id)
-    yield made
-    made.close()
+    with closing(FibonacciClient(pc.id)) as made:
+        yield made

@@ -37,8 +37,8 @@ STREAMS = 2
 """Of a link, beside its control connection."""
 
 
-@pytest.fixture
-def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True)
+def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """Engines wait as long as a slow machine takes, for handshakes and for a client that sends no pings."""
     constants.DEAD_AFTER.set(monkeypatch, 60.0)
     constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 60.0)
@@ -58,7 +58,6 @@ def opened(engine: Engine) -> int:
     return sum(event.code is EventCode.ROUTE_CONNECTED for event in engine.events())
 
 
-@pytest.mark.usefixtures("patience")
 def test_all_topics_open_on_two_streams(bridge: Bridge) -> None:
     names = [f"/topic{number}" for number in range(TOPICS)]
     server = bridge.server()
@@ -69,7 +68,6 @@ def test_all_topics_open_on_two_streams(bridge: Bridge) -> None:
     assert len(link_of(client).carriers()) == 1 + STREAMS
 
 
-@pytest.mark.usefixtures("patience")
 def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server's name is looked up once for a link, not for each stream."""
     asked: list[str] = []
@@ -93,7 +91,6 @@ def test_what_is_an_address_already_needs_no_thread(address: str, monkeypatch: p
     assert found[:2] == (address.partition("%")[0], 49152)
 
 
-@pytest.mark.usefixtures("patience")
 def test_a_stranger_has_no_more_connections_because_of_a_client(bridge: Bridge) -> None:
     """As many as its routes wait for may come from its address, however many routes, and no more from another."""
     server = bridge.server()
@@ -136,7 +133,6 @@ def pending(server: Engine) -> int:
     return len(role._server._pending.present)
 
 
-@pytest.mark.usefixtures("patience")
 def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
     """A few are acted on at a time, in their order; each may make a DDS endpoint."""
     server = bridge.server()
@@ -162,7 +158,6 @@ def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
         assert max(together) <= 8
 
 
-@pytest.mark.usefixtures("patience")
 def test_who_sends_ever_more_messages_waits(bridge: Bridge) -> None:
     """Neither pings nor anything else takes the loop from other links, or has more than a few answers."""
     server = bridge.server()

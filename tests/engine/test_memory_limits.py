@@ -65,9 +65,8 @@ def server(bridge: Bridge) -> Engine:
 def rogue(bridge: Bridge, server: Engine, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rogue]:
     """It sends no pings: the server does not give it up for that, however long a slow machine takes."""
     constants.DEAD_AFTER.set(monkeypatch, 60.0)
-    made = Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
-    yield made
-    made.close()
+    with contextlib.closing(Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)) as made:
+        yield made
 
 
 def link_of(server: Engine) -> Link:

@@ -170,9 +170,8 @@ class Served:
 
 @pytest.fixture
 def served() -> Iterator[Served]:
-    made = Served()
-    yield made
-    made.close()
+    with contextlib.closing(Served()) as made:
+        yield made
 
 
 def test_a_few_that_say_nothing_are_borne_and_more_are_closed(served: Served) -> None:

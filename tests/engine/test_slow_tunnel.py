@@ -81,8 +81,8 @@ def test_udp_topic_takes_its_share_and_no_more(bridge: Bridge, robot: Domain, pc
         found = [ages(there, relay) for there in theres]
         assert min(crossed) > 0.25 * room, (crossed, room)
         assert sum(crossed) > 0.6 * room
-        # What narrows at once looks like a stall at first, in which a reliable topic keeps up to 5 s.
-        assert max(max(each) for each in found) < 6.0
+        # What narrows at once looks like a stall at first, in which a reliable topic keeps 5 s. The way takes 2 s.
+        assert max(max(each) for each in found) < 7.0
         assert all(sorted(each)[len(each) // 2] < 3.0 for each in found)
         assert trip is not None
         assert trip - relay.paused(looked - int((trip + PINGED_EVERY) * 1e9), looked) < 3.0

@@ -60,6 +60,10 @@ def test_a_stall_is_not_full(part: float) -> None:
     )
 
 
+def test_one_late_receipt_is_no_stall() -> None:
+    assert Bed().look(25e3, 25e3, 25e3, 0.0, 50e3, 25e3)
+
+
 def test_in_a_gap_the_last_figures_stay() -> None:
     bed = Bed()
     bed.look(25e3, 25e3, 25e3, 25e3)

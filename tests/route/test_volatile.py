@@ -189,6 +189,15 @@ class Burst:
             self.now.s += 1 / rate
 
 
+def stalled_burst() -> Burst:
+    burst = Burst()
+    burst.matched = 0
+    burst.pools[0].stopped = True
+    while len(burst.pools) == 1:
+        burst.publish(1, 100_000, 30.0)
+    return burst
+
+
 def test_a_burst_is_kept_until_it_is_acknowledged() -> None:
     burst = Burst()
     burst.pools[0].stopped = True
@@ -213,11 +222,7 @@ def test_a_subscriber_that_takes_nothing_costs_no_more_than_before() -> None:
 
 def test_subscriptions_find_the_new_publisher_before_it_takes_over() -> None:
     """A message on a publisher that no subscription has found yet is lost, for reliable ones too."""
-    burst = Burst()
-    burst.matched = 0
-    burst.pools[0].stopped = True
-    while len(burst.pools) == 1:
-        burst.publish(1, 100_000, 30.0)
+    burst = stalled_burst()
     burst.publish(5, 100_000, 30.0)
     first, second = burst.pools
     assert not second.history
@@ -228,11 +233,7 @@ def test_subscriptions_find_the_new_publisher_before_it_takes_over() -> None:
 
 
 def test_a_publisher_whose_subscribers_catch_up_stays() -> None:
-    burst = Burst()
-    burst.matched = 0
-    burst.pools[0].stopped = True
-    while len(burst.pools) == 1:
-        burst.publish(1, 100_000, 30.0)
+    burst = stalled_burst()
     burst.pools[0].stopped = False
     burst.publish(10, 100_000, 30.0)
     first, second = burst.pools

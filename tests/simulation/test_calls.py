@@ -9,7 +9,7 @@ from unittest.mock import patch
 
 import pytest
 from tests.simulation.beds import until
-from tests.simulation.call_harness import SETTLED, TYPE, CallHarness
+from tests.simulation.call_harness import SETTLED, TYPE, CallHarness, ScriptedClient, ScriptedServer
 from tests.simulation.mutations import nothing
 from tests.simulation.ros import hash_of
 from tests.support import constants, replaced
@@ -36,6 +36,15 @@ _WITHDRAWN_WITHIN = 1.0
 
 def under_way(route: CallsRoute) -> list[PendingCall]:
     return [call for _, call in pending_calls(route).items()]
+
+
+async def asked(harness: CallHarness) -> tuple[ScriptedServer, ScriptedClient]:
+    """Start a server that waits, and a client that has called it."""
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    client.ask()
+    await until(lambda: server.asked, 1.0)
+    return server, client
 
 
 def say(harness: CallHarness) -> tuple[tuple[State, str], tuple[State, str]]:
@@ -88,10 +97,7 @@ async def test_a_service_is_offered_only_while_somebody_answers(harness: CallHar
 
 
 async def test_calls_are_lost_with_the_server_that_had_them(harness: CallHarness) -> None:
-    server, client = harness.server(waits=True), harness.client()
-    await harness.ready(client)
-    client.ask()
-    await until(lambda: server.asked, 1.0)
+    server, client = await asked(harness)
     server.endpoint.close()
     await asyncio.sleep(SETTLED)
     near, far = harness.counted()
@@ -109,10 +115,7 @@ async def test_calls_are_lost_with_the_server_that_had_them(harness: CallHarness
 
 @pytest.mark.bed(timeout=100.0)
 async def test_a_server_that_is_killed_loses_its_calls_when_it_is_seen_no_more(harness: CallHarness) -> None:
-    server, client = harness.server(waits=True), harness.client()
-    await harness.ready(client)
-    client.ask()
-    await until(lambda: server.asked, 1.0)
+    server, _ = await asked(harness)
     server.die()
     await asyncio.sleep(5.0)
     assert harness.offered
@@ -175,10 +178,7 @@ async def test_a_link_that_is_cut(provider: str, harness: CallHarness) -> None:
 
 
 async def test_a_pause_gives_up_what_is_under_way(harness: CallHarness) -> None:
-    server, client = harness.server(waits=True), harness.client()
-    await harness.ready(client)
-    client.ask()
-    await until(lambda: server.asked, 1.0)
+    server, client = await asked(harness)
     assert harness.far.run is not None
     bridge, key = harness.far.run.bridge, harness.halves()[1].key
     await harness.far.run.command(bridge.do(PauseTopics(key, paused=True)))
@@ -330,10 +330,7 @@ async def test_the_other_side_is_asked_about_one_version_at_a_time(harness: Call
 
 
 async def test_a_caller_that_has_the_wrong_type_takes_nothing_from_the_others(harness: CallHarness) -> None:
-    server, client = harness.server(waits=True), harness.client()
-    await harness.ready(client)
-    client.ask()
-    await until(lambda: server.asked, 1.0)
+    server, client = await asked(harness)
     wrong = harness.client("/wrong", type_name="std_srvs/srv/Trigger")
     await asyncio.sleep(SETTLED)
     assert say(harness) == ((State.UNHEARD, Cause.TYPE_CONFLICT), (State.UNHEARD, Cause.TYPE_CONFLICT))

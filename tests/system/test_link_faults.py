@@ -125,9 +125,8 @@ class Sides:
 
 @pytest.fixture
 def sides(bridge: Bridge) -> Iterator[Sides]:
-    made = Sides(bridge)
-    yield made
-    made.close()
+    with contextlib.closing(Sides(bridge)) as made:
+        yield made
 
 
 def has_cause(program: Program, cause: str) -> dict[str, Any]:

@@ -41,9 +41,8 @@ def server(bridge: Bridge) -> Engine:
 
 @pytest.fixture
 def rogue(bridge: Bridge, server: Engine) -> Iterator[Rogue]:
-    made = Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
-    yield made
-    made.close()
+    with contextlib.closing(Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)) as made:
+        yield made
 
 
 def propose(number: int, topic: str) -> Propose:

@@ -47,9 +47,8 @@ PATIENT = {"link": {"tx": {"queue": {"congestion_control": {"drop": {"wait_befor
 
 @pytest.fixture(scope="module")
 def _router() -> Iterator[Router]:
-    made = Router(transport=PATIENT)
-    yield made
-    made.close()
+    with contextlib.closing(Router(transport=PATIENT)) as made:
+        yield made
 
 
 @pytest.fixture

@@ -228,7 +228,9 @@ class Scheduler:
 
     def _emptied(self) -> None:
         # Where nothing more could go, the next message waits, too.
-        if self.sent < self._window.limit and not any(each.congested for each in self._carriers):
+        if self._waits_since is None or self.sent >= self._window.limit:
+            return
+        if not any(each.congested for each in self._carriers):
             self._waits_since = None
 
     def _continue(self) -> None:
