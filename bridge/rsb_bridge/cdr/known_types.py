@@ -1,4 +1,4 @@
-"""Serialized messages of the few types that this program knows without ROS: those that drive robots, and two more.
+"""Serialized messages of the few types that this program knows without ROS: types that drive robots, and two more.
 
 A message of a driving type has a velocity, which limits may reduce, and a rest, which commands no motion. A rest is
 made from the last message that did: its header and lengths stay, its values are 0. So it needs no installed type, keeps

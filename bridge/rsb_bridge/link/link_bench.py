@@ -48,7 +48,7 @@ _STOPPED_FOR = 60.0
 """s for which the peer may not begin again after this side's operator has stopped it."""
 _QUIET = 0.7
 """s without a message after which no more is waited for. A round figure: nothing was measured."""
-_LOOK_EVERY = 0.05  # s. A round figure, short beside `_QUIET`
+_LOOK_EVERY = 0.05  # s. A round figure, far below `_QUIET`
 _MORE, _MORE_AT_ONCE = 1.25, 10
 """By how much more than the peer may send has to come from one tick to the next until that is too much: ticks are not
 exactly a second apart."""

@@ -214,7 +214,7 @@ PROFILES: Final[dict[ProfileName, LinkProfile]] = {
 }
 """Settings of links by the kind of their network, for what session files leave out.
 
-On a ``lan``, and without a profile, they are as if there were none.
+On a ``lan``, and without a profile, nothing else is set.
 
 - ``wifi`` stalls for some tenths of a second, again and again. A best-effort message that has waited behind 1 MiB
   (0.2 s at 5 MB/s) is better replaced by a newer one.

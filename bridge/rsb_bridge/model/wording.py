@@ -9,7 +9,7 @@ class Wording(Enum):
     """A table of texts. A member's name is its code; its value is a template in the syntax of `str.format`.
 
     Each concept has one table, in the module that uses it. Programs and tests may rely on a code and its parameters;
-    the text is for people and may change. A short text that one place uses, and no test, stands there.
+    the text is for people and may change. A short text that one place uses, and no test, is written there.
 
     Example:
         >>> class Broken(Wording):

@@ -1,4 +1,4 @@
-"""What of ROS 2 is installed here: its distribution, and the middleware (rmw). This module does not load ROS."""
+"""Finds the ROS 2 that is installed here: its distribution, and the middleware (rmw). This module does not load ROS."""
 
 from __future__ import annotations
 

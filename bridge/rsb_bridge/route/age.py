@@ -117,7 +117,7 @@ class Expired(NamedTuple):
 
 
 class MessageAge:
-    """Age limit of one route half, and what it has dropped.
+    """Age limit of one route half, and the messages that it has dropped.
 
     Attributes:
         is_on: whether ages are limited at all.

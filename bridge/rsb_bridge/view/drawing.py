@@ -1,4 +1,4 @@
-"""Views: their interface, the table of them by type, and the canvas of those that draw with characters.
+"""Views: their interface, the table of them by type, and the canvas for drawing with characters.
 
 A view takes decoded messages, and draws a picture of them when one is wanted. A package adds one by an entry point of
 the group `_GROUP`, whose name is the type::

@@ -39,7 +39,7 @@ _ERASE = "\r\x1b[K"
 _BOTH = ("transmit", "receive")
 _DOMAINS = 92, 93  # a demo may take them (82 to 101): --domains gives others
 _LINKED_WITHIN = 3.0  # s. A round figure: with a link that takes longer, the command has to be given again
-_LOOK_EVERY = 0.1  # s. A round figure, short beside `_LINKED_WITHIN`
+_LOOK_EVERY = 0.1  # s. A round figure, far below `_LINKED_WITHIN`
 
 
 class Progress:

@@ -34,7 +34,7 @@ _HOST = "127.0.0.1"
 _FIRST_DOMAIN, _DOMAIN_PAIRS = 82, 10
 """Up to 101, the last one whose ports Linux gives to no other program; the project's tests have those below."""
 _PORTS = range(20_000, 27_900)
-"""Ports below those of the demo's domains, and outside the kernel's range for clients, as a client could otherwise take
+"""Ports below the demo's own, and outside the kernel's range for clients, as a client could otherwise take
 the server's port."""
 _started = itertools.count()
 _READY_WITHIN = 15.0  # s; after that the console shows that the bridge waits for the robot
@@ -212,7 +212,7 @@ def free_port() -> int:
     """Return a port that neither TCP nor UDP uses, and that no ROS domain needs for discovery.
 
     Raises:
-        EngineError: there is none.
+        EngineError: all are in use.
     """
     for port in random.sample(_PORTS, len(_PORTS)):
         if discovery_domain(port) is not None:
