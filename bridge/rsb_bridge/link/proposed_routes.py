@@ -149,8 +149,7 @@ class InternalRoutes(Generic[SourceT, DrainT]):
     """Proposes and finds a link's internal routes of one purpose, and waits until they are open.
 
     Args:
-        source: as of `rsb_bridge.ros.internal_ends.InternalEnds.serve`.
-        drain: likewise.
+        source: see `rsb_bridge.ros.internal_ends.InternalEnds.serve`, and so for `drain`.
     """
 
     def __init__(

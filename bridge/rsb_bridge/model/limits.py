@@ -1,4 +1,4 @@
-"""Limits on what operators and peers give, with their sources; `rsb_bridge.model.topic_keys` has the ranges of its keys.
+"""Limits on what operators and peers give, with their sources; ranges of topic keys: `rsb_bridge.model.topic_keys`.
 
 `rsb_bridge.config.validation` applies them to sessions, `rsb_bridge.wire.records` to messages. Both read them here, so
 that they accept the same values. Budgets of memory and time are in the modules that spend them.

@@ -34,8 +34,8 @@ _HOST = "127.0.0.1"
 _FIRST_DOMAIN, _DOMAIN_PAIRS = 82, 10
 """Up to 101, the last one whose ports Linux gives to no other program; the project's tests have those below."""
 _PORTS = range(20_000, 27_900)
-"""Ports below the demo's own, and outside the kernel's range for clients, as a client could otherwise take
-the server's port."""
+"""Ports below the demo's own, and outside the kernel's range for clients, as a client could otherwise take the server's
+port."""
 _started = itertools.count()
 _READY_WITHIN = 15.0  # s; after that the console shows that the bridge waits for the robot
 # The robot also has /battery_state, for the operator to add.
