@@ -1,4 +1,4 @@
-"""A client's stream until a server accepts or refuses it: at one address, or among the servers that a network announces."""
+"""A client's stream until a server accepts or refuses it: at one address, or among servers that a network announces."""
 
 from __future__ import annotations
 
