@@ -39,7 +39,6 @@ PRINTS = {
     "command/bench_command.py": "one line of progress, cleaned",
     "command/look_command.py": "rows of pictures, cleaned by `decode_picture` and `clean`",
     "terminal/driver.py": "the app's own terminal",
-    "terminal/clipboard.py": "an escape sequence of the app's own",
     "bench/router.py": "a child's pipe",
     "bench/robots.py": "a child's pipe",
 }

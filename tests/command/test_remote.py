@@ -601,7 +601,7 @@ def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
     engine.now = replace(engine.now, routes=(replace(SCAN, arming=ArmingSnapshot(armed=True)),))
     engine.holds = ("/scan",)
     Keys.patch = monkeypatch
-    replaced.COMMAND_GIVEN_AT.set(monkeypatch, lambda _: Clock.steady() - 100.0)
+    replaced.GIVEN_AT.set(monkeypatch, lambda _: Clock.steady() - 100.0)
     constants.OLD_AFTER.set(monkeypatch, 200.0)
     replaced.REMOTE_TYPED_KEYS.set(monkeypatch, Keys)
     replaced.REMOTE_PRINT_ERROR.set(monkeypatch, Keys.questions.append)

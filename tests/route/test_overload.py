@@ -1,4 +1,4 @@
-"""When a reliable topic with ``qos: auto`` keeps what a stall would lose, and when only what is new."""
+"""What waits for a link: of a reliable topic what a stall would lose, or what is new; of best effort what is young."""
 
 from __future__ import annotations
 

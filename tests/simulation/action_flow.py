@@ -231,7 +231,7 @@ class ActionFlow(CallFlow[ActionServer]):
     def _hear_status(self, batch: Sequence[RawMessage]) -> None:
         self.heard = batch[-1].payload
 
-    # --- what the server says: `tests.simulation.action_server.Watcher`
+    # --- what the server says: `tests.simulation.action_server.ActionServer`
 
     def arrived(self, server: ActionServer, goal: bytes) -> Plan:
         known = self.goals[goal]

@@ -104,10 +104,6 @@ class FibonacciServer(Spun):
         """The ids of goals whose results it still has, or will have."""
         return {goal.hex() for goal in tuple(self._server._goal_handles)}
 
-    @property
-    def forgot(self) -> bool:
-        return bool(self.goals) and not self.remembers
-
     def feedback(self, *sequence: int, number: int = 0) -> None:
         self.goal(number).publish_feedback(Fibonacci.Feedback(sequence=sequence))
 

@@ -1,1 +1,1 @@
-"""Serialized messages, read by the descriptions of their types. Sans-IO, without ROS."""
+"""Serialized messages, read by the descriptions of their types, or known without them. Sans-IO, without ROS."""

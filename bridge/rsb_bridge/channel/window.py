@@ -1,4 +1,4 @@
-"""Limits the data in transit on a link's data streams, so that messages wait on the way for a second at most.
+"""Limits the data in transit on a link's data streams by receipts, so that messages wait there for a second at most.
 
 A stream accepts as much as the buffers of the kernel and of a tunnel behind it hold. On a link of 5 kB/s that
 is data for several minutes. So the receiver acknowledges bytes by receipts, and the sender keeps no more than a window

@@ -134,7 +134,7 @@ class ControlServer:
     async def _main(self) -> None:
         self.loop = asyncio.get_running_loop()
         # Not start_unix_server, which looks at the path that the socket was bound to from Python 3.13 on: the path led
-        # through a descriptor that is closed (`control_sockets.Listener`).
+        # through a descriptor that is closed (`control_sockets.ControlSocket`).
         server = await asyncio.start_server(self._connected, sock=self._listener.socket)
         self._ready.set()
         await self._ends.wait()

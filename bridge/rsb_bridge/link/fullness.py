@@ -2,7 +2,7 @@
 
 The scheduler is `rsb_bridge.channel.scheduler`. Where a tunnel, a kernel or a radio accepts more than it carries, its
 window has messages wait in it all the same. So no other sign is needed, neither pings that take longer nor datagrams
-that get lost.
+that get lost. Three things explain the same: a path that loses packets, a window that still grows, and a benchmark.
 """
 
 from __future__ import annotations
@@ -37,8 +37,10 @@ _STALLS = 2
 """Ticks without a byte that are a stall: a full link still carries some, and one receipt may be late."""
 _AFTER_STALL = 6
 """Ticks after a stall in which the arriving bytes say nothing about the link's capacity. A round figure."""
-_SHOWN_OVER = 6
+_AVERAGED_OVER = 6
 """Ticks over which the figure of the arriving bytes is averaged. A round figure."""
+_NEVER_EMPTY = 1.0
+"""s for which something has waited all the time on a full link. A round figure."""
 _NAMED = 3
 """Topics that the warning names."""
 _FASTEST = 1e12
@@ -74,7 +76,7 @@ class LinkFullness:
         self._other = 0
         self._stalled = 0  # ticks for which the last stall explains the arriving bytes
         self._silent = 0  # ticks in which nothing has arrived of what is asked for
-        self._arrived: deque[float] = deque(maxlen=_SHOWN_OVER)  # since it seems full
+        self._arrived: deque[float] = deque(maxlen=_AVERAGED_OVER)  # since it seems full
         self._sent = FullRecord()
         self._record = FullRecord()
 
@@ -194,7 +196,7 @@ class FullnessWatch:
                 if rate and route.channel.moves:
                     asked.append(Asked(route.topic, route.remote_topic, rate))
         arrived, self._arrived = scheduler.arrived - self._arrived, scheduler.arrived
-        full = scheduler.waits_for(now) >= 1.0
+        full = scheduler.waits_for(now) >= _NEVER_EMPTY
         self.sending.measure(arrived, now, at, full=full)
         before = self._fullness.out
         # While the window grows, what waits behind it says nothing about the link. And a benchmark fills it on purpose.

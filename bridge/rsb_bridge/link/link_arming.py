@@ -1,4 +1,4 @@
-"""Arming and disarming a link's routes on both sides (PROTOCOL.md, 7)."""
+"""Arming and disarming a link's routes on both sides, and the lease of its connection (PROTOCOL.md, 7 and 7.2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rates of a full link."""
+"""What a link carries, and the rates of a full one."""
 
 from __future__ import annotations
 

@@ -423,7 +423,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _came_here(self) -> int:
         return self._received
 
-    def _tick_lateness(self, now: float) -> None:
+    def _judge_lateness(self, now: float) -> None:
         uncertainty = self.peer.stamps.uncertainty
         if not self.flowing or uncertainty is None:
             self.lateness.reset()

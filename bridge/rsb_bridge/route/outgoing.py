@@ -386,7 +386,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
         return bool(own or self.ends.publishers(self.topic))
 
-    def _tick_lateness(self, now: float) -> None:
+    def _judge_lateness(self, now: float) -> None:
         unreported = self.delays.unreported(self._ledger.sent_now, self._ledger.reported_now, now)
         if not self.flowing:
             self.lateness.reset()

@@ -43,7 +43,7 @@ _LOOKS_EVERY, _STANDS_STILL = 1.0, 0.3
 """s at least between the two looks at a queue that an overload takes, and s without a receipt after which the link
 stands still. Round figures. On simulated radios that stall twice in a row, 15 to 46 messages were lost without the
 second."""
-WAITS = 1.0
+_WAITS = 1.0
 """s that an overloaded topic's queue keeps a message, unless it is the only one."""
 _FRESH = 0.1
 """The same for a live topic whose turns are not enough: what waits ahead only makes each one late. On the Wi-Fi of
@@ -205,7 +205,7 @@ class Overload:
         age = now - oldest_since
         # A link that stands still says nothing about its speed. And a queue that is young now may have got old at one
         # stroke by the next look, while it stood still.
-        if self._before is None or not self._turned or still > _STANDS_STILL or age < WAITS:
+        if self._before is None or not self._turned or still > _STANDS_STILL or age < _WAITS:
             self._before, self._turned = (now, age, length), False
         elif now - self._before[0] >= _LOOKS_EVERY:
             _, age_before, length_before = self._before
@@ -315,7 +315,7 @@ class Outbox:
         behind: bool = False,
         still: float = 0.0,
     ) -> QueueLimits:
-        """Return the queue's limits at `now` (s). While the channel takes messages, the queue only passes them on.
+        """Return the queue's limits at `now` (s). While the channel takes messages, only the age of best effort counts.
 
         Args:
             qos: of the route, or None if it is unknown.
@@ -329,13 +329,13 @@ class Outbox:
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
         if best_effort and self._automatic and qos is not None and not qos.latched:
-            return QueueLimits(0, 0.0, size, _FRESH if behind else WAITS)
+            return QueueLimits(0, 0.0, size, _FRESH if behind else _WAITS)
         if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
             return QueueLimits(0, 0.0, size)
         automatic = self._automatic and not best_effort
         # A latched topic keeps its depth, because late joiners get its history.
         if automatic and self._overload.lasts(now) and not qos.latched:
-            return QueueLimits(1, WAITS, size)
+            return QueueLimits(1, _WAITS, size)
         kept_for = AUTO_SECONDS if profile.patience is None else profile.patience
         return QueueLimits(max(depth, qos.depth or AUTO_DEPTH), kept_for if automatic else 0.0, size)
 

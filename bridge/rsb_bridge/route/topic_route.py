@@ -321,8 +321,8 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Messages that came to this half so far, from ROS or the other side."""
         raise NotImplementedError
 
-    def _tick_lateness(self, now: float) -> None:
-        """Tick `lateness` at `now` (s)."""
+    def _judge_lateness(self, now: float) -> None:
+        """Judge `lateness` at `now` (s)."""
         raise NotImplementedError
 
     def is_due(self, now: float) -> bool:
@@ -346,7 +346,7 @@ class TopicRoute(Route, Generic[ChannelT]):
     def tick(self) -> None:
         """Update histories, stale warnings and the verdict. Called once a second while the route is not idle."""
         self.latency.tick()
-        self._tick_lateness(self.context.now())
+        self._judge_lateness(self.context.now())
         self.age.update(self._came_here, self.context.now())
         if self.link_full is not None:
             self._full_at = self.context.now()

@@ -78,7 +78,6 @@ class _Bridged:
     def __init__(self, path: Path, load_: RobotTraffic) -> None:
         self._path = path
         self._session = load(path)
-        self._load = load_
         self.name = self._session.name
         self.ros = StandIn(self.name, load_.talks, load_.hears)
         self._robot = RobotRecord()

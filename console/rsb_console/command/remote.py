@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.by_hand import ASKED_FOR
 from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
 from rsb_bridge.model.snapshot import State

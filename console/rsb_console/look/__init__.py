@@ -1,1 +1,1 @@
-"""Themes, signs, and the formats of figures."""
+"""Signs, the formats of figures, and pictures as rows."""

@@ -1,1 +1,1 @@
-"""The terminal under the console: its driver, the clipboard, and signals that end the console."""
+"""The terminal under the console: its driver, the clipboard, and its keys, in order and in time."""
