@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.channel.channel import Pace
 from rsb_bridge.config.session_changes import kept
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.link.proposals import proposal_of
@@ -83,7 +82,7 @@ def test_queues() -> None:
     outbox = Outbox(transport, proposal, RouteLedger(), lambda *_: None)
     best_effort = Qos(reliability="best_effort")
     live, plain, lte = (
-        outbox.limits(qos, 0, Pace.STOPPED, 0.0, profile)
+        outbox.limits(qos, 0, False, 0.0, profile)
         for qos, profile in ((best_effort, PROFILES["lte"]), (Qos(), NO_PROFILE), (Qos(), PROFILES["lte"]))
     )
     assert (live.older_than, live.size) == (1.0, 256 * 1024)

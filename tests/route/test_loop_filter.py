@@ -9,7 +9,6 @@ import pytest
 from tests.support.inside import ledger_of
 from tests.support.offline import FakePeer, half_of
 
-from rsb_bridge.channel.channel import Pace
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import hop
 from rsb_bridge.model.qos import Qos
@@ -99,8 +98,8 @@ class Channel:
         self.sent += [(payload, flags) for payload, _, flags in batch]
 
     @property
-    def pace(self) -> Pace:
-        return Pace.STOPPED if self.congested else Pace.FREE
+    def free(self) -> bool:
+        return not self.congested
 
     def ask(self) -> None:
         pass

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
@@ -38,20 +37,6 @@ class RouteSink(Protocol):
 
     def channel_lost(self, reason: str) -> None:
         """Handle the failure of the channel, which is closed already."""
-
-
-class Pace(Enum):
-    """State of a sending channel, as its route's queue needs it.
-
-    Attributes:
-        FREE: it accepts messages now or in a round trip or two.
-        SLOW: it delivers messages more slowly than they are published.
-        STOPPED: it delivers none.
-    """
-
-    FREE = "free"
-    SLOW = "slow"
-    STOPPED = "stopped"
 
 
 class Counts(NamedTuple):
@@ -90,8 +75,8 @@ class SendingChannel(DataChannel, Protocol):
         """Whether messages have to wait now: then `ask`."""
 
     @property
-    def pace(self) -> Pace:
-        """State of the channel now."""
+    def free(self) -> bool:
+        """Whether it accepts messages now or in a round trip or two."""
 
     def ask(self) -> None:
         """Have `RouteSink.flush` called once messages may be sent. Calling it again while they wait changes nothing."""

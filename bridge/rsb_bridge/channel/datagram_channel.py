@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.channel import Counts, Pace
+from rsb_bridge.channel.channel import Counts
 from rsb_bridge.channel.datagram_carrier import WINDOW
 from rsb_bridge.channel.scheduler import SendingEnd
 from rsb_bridge.channel.udp_channel import TIMES, BufferShortage
@@ -83,12 +83,8 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         return self._cut is not None or super().waits
 
     @property
-    def pace(self) -> Pace:
-        if self.via.is_new:
-            return Pace.FREE
-        if self.congested and self.via.knows_its_rate:
-            return Pace.SLOW if self._scheduler.moves else Pace.STOPPED
-        return super().pace
+    def free(self) -> bool:
+        return self.via.is_new or (super().free and not (self.congested and self.via.knows_its_rate))
 
     @property
     def moves(self) -> bool:

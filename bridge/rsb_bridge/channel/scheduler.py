@@ -22,8 +22,6 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, Protocol, cast
 
-from rsb_bridge.channel.channel import Pace
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -375,11 +373,6 @@ class Scheduler:
         return self.grows and self.sent >= self._window.limit
 
     @property
-    def moves(self) -> bool:
-        """Whether the link delivers."""
-        return self._now() - self.acknowledged_at < _STALLED
-
-    @property
     def grows(self) -> bool:
         """Whether the window still grows: what waits is no sign that the link carries no more."""
         return not self._window.slow
@@ -447,14 +440,9 @@ class SendingEnd:
         return self.turned and self.waits_since is not None and now - self.waits_since >= _BEHIND
 
     @property
-    def pace(self) -> Pace:
-        """State of the channel now."""
-        scheduler = self._scheduler
-        if not self.congested:
-            return Pace.FREE
-        if scheduler.grows:  # what waits in the kernel alone is no sign of an overload: the path may have stalled
-            return Pace.STOPPED if self.via.congested else Pace.FREE
-        return Pace.SLOW if scheduler.moves else Pace.STOPPED
+    def free(self) -> bool:
+        # What waits in a window that grows is no sign of an overload; in the kernel, the path may have stalled.
+        return not self.congested or (self._scheduler.grows and not self.via.congested)
 
     def datagrams(self, size: int) -> int:
         return 0

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import zstandard
 
-from rsb_bridge.channel.channel import Pace
 from rsb_bridge.model.by_hand import END_NONE
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
@@ -308,7 +307,7 @@ class Outbox:
         self,
         qos: Qos | None,
         depth: int,
-        pace: Pace,
+        free: bool,
         now: float,
         profile: LinkProfile = NO_PROFILE,
         *,
@@ -320,6 +319,7 @@ class Outbox:
         Args:
             qos: of the route, or None if it is unknown.
             depth: messages that the publisher of a latched topic keeps, or 0.
+            free: whether the channel takes messages.
             behind: whether the channel's turns are not enough.
             still: s without a receipt on the link.
         """
@@ -330,7 +330,7 @@ class Outbox:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
         if best_effort and self._automatic and qos is not None and not qos.latched:
             return QueueLimits(0, 0.0, size, _FRESH if behind else _WAITS)
-        if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
+        if qos is None or qos.history == "keep_all" or free:
             return QueueLimits(0, 0.0, size)
         automatic = self._automatic and not best_effort
         # A latched topic keeps its depth, because late joiners get its history.
@@ -534,7 +534,7 @@ class OutgoingPath:
             limits = outbox.newest_only
         else:
             profile, behind, still = route.peer.profile, channel.behind(now), channel.still(now)
-            limits = outbox.limits(route.qos, depth, channel.pace, now, profile, behind=behind, still=still)
+            limits = outbox.limits(route.qos, depth, channel.free, now, profile, behind=behind, still=still)
         outbox.add(messages, now, publisher, limits)
         self.flush()
 
