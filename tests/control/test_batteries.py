@@ -62,7 +62,7 @@ class LookedAt(ServerEngine):
         return self.descriptions[-1]
 
     def tick(self, *routes: RouteSnapshot, at: float = 0.0) -> dict[str, Battery]:
-        self.batteries.tick(replace(self.now, time=NOW + at, routes=routes))
+        self.batteries.update(replace(self.now, time=NOW + at, routes=routes))
         return self.batteries.known
 
     def describes(self) -> None:

@@ -322,10 +322,12 @@ def drive(engine: Engine, speed: float, rest_after: float = 0.5) -> Published:
     return publish(engine, f"linear: {{x: {speed}}}", rest="linear: {x: 0}", rest_after=rest_after)
 
 
-def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engine]:
+def driven(
+    bridge: Bridge, pc: Domain, consoles: Consoles, topic: Topic | None = None, of: type = Twist
+) -> tuple[Engine, Engine]:
     """A server and a client with a topic that is armed on the server and may be driven."""
-    pc.publisher("/cmd", Twist)
-    server, client = bridge.both(replace(DRIVEN, type=TWIST))
+    pc.publisher("/cmd", of)
+    server, client = bridge.both(topic or replace(DRIVEN, type=TWIST))
     eventually(lambda: can_be_armed(server, client))
     consoles.arm(server)
     return server, client
@@ -372,10 +374,7 @@ def test_a_motion_that_nobody_goes_on_with_ends_with_a_new_stamp(
 ) -> None:
     """The rest was made with the command before it; a controller drops what is older than its timeout, often 0.5 s."""
     motors = robot.listener("/cmd", TwistStamped)
-    pc.publisher("/cmd", TwistStamped)
-    server, client = bridge.both(replace(DRIVEN, type=TWIST_STAMPED))
-    eventually(lambda: can_be_armed(server, client))
-    consoles.arm(server)
+    server, _ = driven(bridge, pc, consoles, replace(DRIVEN, type=TWIST_STAMPED), TwistStamped)
     publish(
         server,
         "header: {stamp: now}\ntwist: {linear: {x: 0.1}}",

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.serialization import deserialize_message
-from tests.engine.test_publishing import can_be_armed, publish
+from tests.engine.test_publishing import can_be_armed, driven, publish
 from tests.support.bridge import route
 from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
@@ -83,10 +83,7 @@ def test_what_follows_a_message_is_held_to_them_too(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
     motors = robot.listener("/cmd", Twist)
-    pc.publisher("/cmd", Twist)
-    server, client = bridge.both(LIMITED)
-    eventually(lambda: can_be_armed(server, client))
-    consoles.arm(server)
+    server, _ = driven(bridge, pc, consoles, LIMITED)
     with pytest.raises(EngineError, match=pattern(PublishProblem.BEYOND_LIMITS)):
         publish(server, "linear: {x: 0.1}", rest="linear: {x: 9}")
     publish(server, "linear: {x: 0.1}", rest="linear: {x: 9}", rest_after=0.2, reduce=True)

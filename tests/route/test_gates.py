@@ -92,7 +92,8 @@ def taken(number: int) -> GatedMessage:
 
 
 def test_the_armed_gate_asks_operators_and_then_the_link(make_context: Callable[..., Context]) -> None:
-    context, arming = make_context(), Arming(required=True)
+    context, arming = make_context(), Arming()
+    arming.demand(required=True, deadman=0.0)
     gate = ArmedGate(arming)
     assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
     leased(arming, context)
@@ -108,7 +109,8 @@ def test_the_armed_gate_asks_operators_and_then_the_link(make_context: Callable[
 def test_the_lease_gate_passes_what_is_of_this_arming_and_young(
     make_context: Callable[..., Context], loop: VirtualLoop
 ) -> None:
-    context, arming = make_context(), Arming(required=True)
+    context, arming = make_context(), Arming()
+    arming.demand(required=True, deadman=0.0)
     gate = LeaseGate(arming)
     assert gate.check(taken(1), 0.0) is Refused.DISARMED
     lease = leased(arming, context)

@@ -128,26 +128,24 @@ class DataStream(StreamHandler):
             SealError: a seal is invalid.
         """
         at, count, ends = 0, len(frames), self._pair.ends
-        key_of = _KIND_AND_ROUTE.unpack_from
-        try:
-            while at < count:
-                kind, route_id = key = key_of(frames[at])
-                end = at + 1
-                while end < count and key_of(frames[end]) == key:
-                    end += 1
-                route_end = ends.get(route_id)
-                if route_end is not None and kind in _OF_ROUTES:
-                    passed = route_end.received(self, kind, frames[at:end])
-                else:
-                    passed = self._pair.is_unneeded(kind, route_id)
-                if not passed:
-                    self._held = frames[at:]
-                    self.stream.pause_reading()
-                    return
-                at = end
-        except struct.error:
-            length = min(map(len, frames[at:]))
-            raise ProtocolError(Broken.DATA_FRAME_TOO_SHORT(length=length, header=HEADER.size)) from None
+        least, key_of = HEADER.size, _KIND_AND_ROUTE.unpack_from
+        while at < count:
+            if len(frames[at]) < least:
+                raise ProtocolError(Broken.DATA_FRAME_TOO_SHORT(length=len(frames[at]), header=least))
+            kind, route_id = key = key_of(frames[at])
+            end = at + 1
+            while end < count and len(frames[end]) >= least and key_of(frames[end]) == key:
+                end += 1
+            route_end = ends.get(route_id)
+            if route_end is not None and kind in _OF_ROUTES:
+                passed = route_end.received(self, kind, frames[at:end])
+            else:
+                passed = self._pair.is_unneeded(kind, route_id)
+            if not passed:
+                self._held = frames[at:]
+                self.stream.pause_reading()
+                return
+            at = end
 
     def resume(self) -> None:
         """Go on with the held frames: what they waited for may have come."""

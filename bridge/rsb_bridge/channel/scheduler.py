@@ -411,7 +411,7 @@ class SendingEnd:
         # In its turn a route gives one batch: the rest stays in its queue, where newer messages replace it.
         if self._in_turn:
             return bool(self._messages)
-        return self.queued or bool(self._messages) or not self._scheduler.is_free(self.via)
+        return not self.takes(0)
 
     def takes(self, size: int) -> bool:
         scheduler = self._scheduler

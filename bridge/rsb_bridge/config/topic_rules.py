@@ -43,7 +43,7 @@ from rsb_bridge.model.patterns import (
 )
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Session, Topic
-from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -333,7 +333,7 @@ def limits_problems(
     if limits is None:
         return
     if kind not in (None, "topic"):
-        yield Problem(location, "only topics have it: leave it out")
+        yield Problem(location, ForeignKey.LIMITS_OF_CALLED())
         return
     if limits == VelocityLimits():
         yield Problem(location, "has no number: give linear (m/s), angular (rad/s) or both")

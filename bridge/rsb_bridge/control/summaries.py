@@ -57,9 +57,9 @@ class Batteries:
         self._due: dict[str, float] = {}
         self._described: dict[str, Future[str]] = {}
 
-    def tick(self, now: Snapshot) -> None:
+    def update(self, shown: Snapshot) -> None:
         """Take the messages that have come, and look at the batteries that are due."""
-        routes = {route.link: route for route in now.routes if self._is_battery(route)}
+        routes = {route.link: route for route in shown.routes if self._is_battery(route)}
         for link, future in list(self._looking.items()):
             if future.done() and (link not in routes or self._read(link, future, routes[link])):
                 del self._looking[link]
@@ -69,11 +69,11 @@ class Batteries:
             (due, link)
             for link, due in self._due.items()
             # A due time later than that: the clock was set back.
-            if not now.time < due <= now.time + BATTERY_EVERY and link not in self._looking
+            if not shown.time < due <= shown.time + BATTERY_EVERY and link not in self._looking
         )
         for _, link in waiting[: BATTERIES_AT_ONCE - len(self._looking)]:
             route = routes[link]
-            self._due[link] = now.time + BATTERY_EVERY
+            self._due[link] = shown.time + BATTERY_EVERY
             self._looking[link] = self._engine.peek(route.key, kept=link not in self.known)
 
     def _is_battery(self, route: RouteSnapshot) -> bool:
@@ -131,7 +131,7 @@ class SummaryBuilder:
         snapshot = self._engine.snapshot()
         if snapshot.running:
             self._loss = self._losses.add(snapshot)
-            self._batteries.tick(snapshot)
+            self._batteries.update(snapshot)
         battery = min(self._batteries.known.values(), key=lambda each: each.charge, default=None)
         summary = of_engine(
             snapshot, self._engine.session, host=self._host, version=self._version, losses=self._loss, battery=battery

@@ -143,10 +143,9 @@ class Arming:
         first: the lease's number when somebody armed it.
     """
 
-    def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
-        self.required = required
+    def __init__(self) -> None:
+        self.required, self.deadman = False, 0.0
         self.switched: Callable[[], None] = lambda: None
-        self.deadman = deadman
         self.own: Demand = NO_DEMAND
         self.peer_on_end = ""
         self.peer_limits: VelocityLimits | None = None

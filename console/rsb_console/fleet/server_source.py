@@ -67,7 +67,7 @@ class ServerFleet:
             self._shown = now
             if now.running:
                 self._loss = self._losses.add(now)
-                self._batteries.tick(now)
+                self._batteries.update(now)
             self._robots = of_clients(now, self._engine.session, self._loss, self._batteries.known)
         return self._robots
 
