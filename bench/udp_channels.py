@@ -52,6 +52,7 @@ class Route:
     outgoing: bool
     id: int = 1
     duplex: bool = False
+    resumes: bool = True
     weight: int = 4
     latencies: list[int] = field(default_factory=list)
     queue: SendQueue = field(default_factory=SendQueue)

@@ -42,7 +42,7 @@ class Route:
 
     def __init__(self, number: int, rank: int = 0, always: int = 0, *, outgoing: bool, duplex: bool = False) -> None:
         self.id, self.rank, self.weight, self.always = number, rank, weight_of(rank), always
-        self.outgoing, self.duplex = outgoing, duplex
+        self.outgoing, self.duplex, self.resumes = outgoing, duplex, not duplex
         self.waiting: deque[bytes] = deque()
         self.arrived: list[tuple[bytes, float]] = []
         self.lost: list[str] = []
@@ -82,6 +82,7 @@ class Side:
         receipts: messages with receipts that this side has sent.
         deaf: whether it loses the other side's receipts.
         closed: ids of routes that were open.
+        reopened: how often this side's routes have asked for new streams.
     """
 
     def __init__(self, role: Role) -> None:
@@ -93,7 +94,11 @@ class Side:
         self.keys = DataKeys(session_keys(CipherSuite.AESGCM, _EXPORT), role, Budget(64 << 20))
         self.book = ReceiptBook(asyncio.get_running_loop(), self._send_receipts)
         self.scheduler = Scheduler(self.book, Window())
-        self.pair = StreamPair(self, self.scheduler, self.book, self.keys)
+        self.reopened = 0
+        self.pair = StreamPair(self, self.scheduler, self.book, self.keys, self._reopen)
+
+    def _reopen(self) -> None:
+        self.reopened += 1
 
     def awaits_channel(self, route_id: int) -> bool:
         return route_id in self.routes and self.routes[route_id].channel is None
@@ -115,11 +120,13 @@ class Side:
             asyncio.get_running_loop().call_soon(self.other.take_receipts, message)
 
     def take_receipts(self, message: Receipts) -> None:
-        streams = {each.number: each for each in self.pair.streams()}
-        for number, every in message.every:
-            streams[number].set_interval(every)
-        for number, received in message.received:
-            streams[number].receipt(received)
+        for stream in self.pair.streams():  # not ended ones, which receipts may cross
+            for number, every in message.every:
+                if number == stream.number:
+                    stream.set_interval(every)
+            for number, received in message.received:
+                if number == stream.number:
+                    stream.receipt(received)
 
     async def acknowledges_all(self) -> None:
         """Wait until all that the other side has sent is here, and it knows that."""
@@ -131,7 +138,7 @@ class Side:
     def tick(self) -> None:
         self.scheduler.tick()
         self.book.report()
-        self.pair.resume()
+        self.pair.tick()
 
 
 def routes_of(outgoing: Route) -> Route:

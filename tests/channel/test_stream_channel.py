@@ -106,9 +106,9 @@ async def test_a_broken_frame_ends_the_streams_with_all_routes(sealed_by: str) -
     async with connected(Route(1, outgoing=True, duplex=True), Route(2, outgoing=True)) as sides:
         near, far = sides
         near.pair.streams()[0].stream.write(frame)
-        await until(lambda: all(route.lost for side in sides for route in side.routes.values()))
-        assert near.pair.over
-        assert far.pair.over
+        await until(lambda: far.pair.over and near.routes[1].lost)
+        assert all(route.lost for route in far.routes.values())
+        assert near.routes[2].channel.trouble()  # it waits until it hears of that
         assert not far.routes[1].arrived
         assert [side.in_transit() for side in sides] == [0, 0]
 

@@ -220,7 +220,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
     eventually(lambda: route(server, "/drop").ledger == ledger)
 
 
-def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
+def test_a_stream_that_misses_a_sample_says_why_and_its_topic_goes_on(
     bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there, out = pc.listener("/odom"), robot.publisher("/odom")
@@ -231,7 +231,6 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
 
     def lossy(self: endpoints.ZenohEndpoint, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
         of_a_message = self._service == "server" and len(payload) >= LEAST_CHUNK  # a large one
-        # Not before the last is offered: the route may close before a busy machine has published it.
         if of_a_message and not lost and ledger_of(outgoing(client, "/odom")).offered == 3:
             lost.append(stream)
             return
@@ -241,12 +240,8 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
     for number in range(3):
         out.publish(text(str(number) * 60_000))
     one_or_more = (PipeProblem.SAMPLE_LOST, PipeProblem.SAMPLES_LOST)  # Zenoh drops some itself on a busy machine
-    event = eventually(
-        lambda: next(filter(None, (happened(server, EventCode.ROUTE_CHANNEL_LOST, each) for each in one_or_more)), None)
-    )
-    assert event.topic == "/odom"
+    eventually(lambda: any(happened(server, EventCode.LINK_STREAM_REOPENED, each) for each in one_or_more))
     assert linked(server)
-    carries([out], server, ["/odom"])
     out.publish(text("after"))
     eventually(lambda: text("after") in there.payloads)
     ledger = eventually(lambda: found if not (found := route(client, "/odom").ledger).in_flight else None)

@@ -11,6 +11,7 @@ import asyncio
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import msgspec
+from tests.simulation.streams import StreamTransport
 
 from rsb_bridge.config.keys import Key
 
@@ -94,6 +95,16 @@ async def bad_network(world: World, robot: Robot, random: Random) -> None:
         for path in paths:
             path.mend()
         await asyncio.sleep(_LATEST)
+
+
+async def reset(world: World, robot: Robot, random: Random) -> None:
+    """A firewall between resets some of the robot's connections."""
+    held = robot.host.run.process.descriptors if robot.host.run is not None else ()
+    found = [each for each in held if isinstance(each, StreamTransport)]
+    with world.trouble("reset", robot):
+        for each in random.sample(found, random.randint(0, len(found))):
+            each.reset()
+        await asyncio.sleep(1.0)
 
 
 async def refused(world: World, robot: Robot, random: Random) -> None:
@@ -304,6 +315,7 @@ _ROBOT: dict[Fault, int] = {
     cut: 8,
     cut_one_way: 3,
     flap: 2,
+    reset: 3,
     bad_network: 5,
     refused: 1,
     no_such_name: 1,

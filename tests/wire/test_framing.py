@@ -11,7 +11,9 @@ from tests.support.held import held_by
 from tests.support.wording import pattern, says
 
 from rsb_bridge.wire.framing import (
+    HEADER,
     MORE,
+    RESUMED,
     SOURCE_FLAGS,
     SOURCE_SHIFT,
     ZSTD,
@@ -22,7 +24,7 @@ from rsb_bridge.wire.framing import (
     pack_frame,
 )
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
-from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal, Sealer, SealError, StreamOpener
+from rsb_bridge.wire.sealing import EPOCH_BITS, CipherSuite, InvalidSeal, Sealer, SealError, StreamOpener
 
 FLAGS = [0, ZSTD, SOURCE_FLAGS, ZSTD | 1 << SOURCE_SHIFT]
 KEY = bytes(range(32))
@@ -209,3 +211,50 @@ def test_damage_anywhere_is_never_delivered(suite: CipherSuite, data: st.DataObj
         return
     # Only a length may be damaged without a word yet: then the frame is not whole.
     assert out in ([], [(b"first", 1, 0)])
+
+
+def test_a_resumed_frame_is_as_the_document_says() -> None:
+    writer, _ = data_ends(CipherSuite.PLAIN)
+    writer.write_many([(b"a", 1, 0), (b"b", 2, 0)])
+    header, content = bytes((3, 0)) + struct.pack(">IQ", ROUTE, 2), struct.pack(">Q", 2)
+    tag = struct.pack(">I", zlib.crc32(struct.pack(">Q", 2) + header + content))
+    assert writer.write_resumed() == struct.pack(">I", 14 + 8 + 4) + header + content + tag
+
+
+@SUITES
+@pytest.mark.parametrize("ahead", [0, 3 << EPOCH_BITS])
+def test_after_a_lost_stream_messages_go_on_and_the_lost_ones_are_counted(suite: CipherSuite, ahead: int) -> None:
+    """Some come, then half a message, and some are lost; the half one comes whole. Then all of it again."""
+    budget = Budget(1 << 20)
+    sealer = Sealer(suite, None if suite is CipherSuite.PLAIN else KEY)
+    writer = DataWriter(sealer, ROUTE)
+    _, reader = data_ends(suite, budget=budget)
+    for turn in (1, 2):
+        assert reader.receive_data(write_frame(writer, b"came", 1)) == [(b"came", 1, 0)]
+        begun, *_ = write_chunks(writer, bytes(100), 0, 0, 60)
+        writer.messages -= 1  # its second half stays with the sender
+        reader.receive_data(begun)
+        assert budget.held
+        writer.write_many([(b"lost", 1, 0)] * 5)
+        sealer.sequence += ahead
+        reader.open_resumed(writer.write_resumed()[4:])
+        assert budget.held == 0
+        assert reader.receive_data(write_frame(writer, bytes(100), 2)) == [(bytes(100), 2, 0)]
+        assert (reader.messages, reader.lost) == (2 * turn, 5 * turn)
+
+
+def test_a_resumed_frame_that_cannot_be_is_refused() -> None:
+    writer, reader = data_ends(CipherSuite.AESGCM)
+    earlier = writer.write_resumed()[4:]
+    reader.open_resumed(earlier)
+    with pytest.raises(SealError, match=pattern(InvalidSeal.REPLAYED)):
+        reader.open_resumed(earlier)
+    reader.receive_data(write_frame(writer, b"1", 0))
+    writer.messages = 0
+    with pytest.raises(ProtocolError, match=pattern(Broken.RESUMED_WRONG)):
+        reader.open_resumed(writer.write_resumed()[4:])
+    header = HEADER.pack(RESUMED, 0, ROUTE, 3)
+    sealer = Sealer(CipherSuite.AESGCM, KEY)
+    sealer.sequence = 3
+    with pytest.raises(ProtocolError, match=pattern(Broken.RESUMED_WRONG)):
+        reader.open_resumed(header + sealer.seal(b"short", header))

@@ -9,6 +9,9 @@ if TYPE_CHECKING:
 
     from rsb_bridge.wire.framing import Message
 
+REOPENS = "the link opens its data connection again"
+"""The trouble of a channel that goes on by itself."""
+
 
 class RouteSink(Protocol):
     """The route whose messages a channel carries, as far as the channel knows it."""
@@ -28,6 +31,10 @@ class RouteSink(Protocol):
     @property
     def weight(self) -> int:
         """The weight of its share of the link."""
+
+    @property
+    def resumes(self) -> bool:
+        """Whether it stays open when its stream is lost, and goes on on the next one."""
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Take messages that arrived whole and authentic."""
@@ -113,7 +120,7 @@ class ReceivingChannel(DataChannel, Protocol):
     """The receiving end of a channel."""
 
     def counts(self) -> Counts | None:
-        """Counts of missing messages, or None for a carrier that delivers in order or fails."""
+        """Counts of missing messages, or None while none is missing on a stream."""
 
 
 class DuplexChannel(SendingChannel, ReceivingChannel, Protocol):

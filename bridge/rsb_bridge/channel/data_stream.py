@@ -5,6 +5,10 @@ that is lost holds up all that follows on its stream: with 2 % loss, joint state
 over Zenoh, where all share one connection (bench/README.md, *Thin links*). Not one for each route, because then the
 kernel would decide which topic goes next.
 
+A stream that is lost is opened again, and most routes go on on the new one, with what waits in their queues; only what
+was on its way is lost. Where each message counts (calls, latched topics), and where a break has to show (what moves
+robots), the route is closed, and opens again.
+
 A transport whose streams are scarce (Bluetooth: one for each channel) has one stream for both, and on the link's own
 channel that is the control connection's.
 """
@@ -14,28 +18,34 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Protocol
 
+from rsb_bridge.channel.channel import REOPENS, Counts
 from rsb_bridge.channel.scheduler import SendingEnd
 from rsb_bridge.channel.window import ReceiptBook, ReceiptCounter
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, MOVED, FrameReader
+from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, MOVED, RESUMED, FrameReader
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from rsb_bridge.channel.channel import Counts, RouteSink
+    from rsb_bridge.channel.channel import RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
     from rsb_bridge.channel.scheduler import Scheduler
     from rsb_bridge.wire.framing import Message
 
-_OF_ROUTES = (DATA, MOVED)
+_OF_ROUTES = (DATA, MOVED, RESUMED)
 _KIND_AND_ROUTE = struct.Struct(">BxI")
 """The part of `HEADER` that tells a frame's route."""
 LARGE = 16 * 1024
 """Bytes of a message from which on its route uses the stream for large messages: more than 6 ms of a link of 20
 Mbit/s, and about as much as TCP keeps unsent. Others were not measured. Messages of 20 and 40 kB share a stream with
 the largest, and without priorities their p99 rose from 0.4 and 0.5 s to 0.9 (bench/README.md, *Thin links*)."""
+_LASTS = 5.0
+"""s that a stream in place of a lost one has to last before there is another: where each one is lost at once, routes
+open again with delays of their own. A round figure, above the time that opening takes on a bad link."""
+_AWAITED_FOR = 15.0
+"""s that routes wait for a new stream: a client gives up after 10 s (`client_link`), and says so, if it can."""
 
 
 class RouteNumbers(Protocol):
@@ -58,6 +68,8 @@ class DataStream(StreamHandler):
     Attributes:
         queue: see `rsb_bridge.channel.scheduler.Carrier`, and so for `time`, `behind` and `moved_at`.
         acknowledged: bytes that have arrived.
+        over: whether it is lost or closed.
+        since: when (s) it was opened in place of a lost one; of a first one, long ago.
     """
 
     def __init__(self, stream: Stream, number: int, pair: StreamPair) -> None:
@@ -67,6 +79,8 @@ class DataStream(StreamHandler):
         self.time = self.behind = 0
         self.moved_at = float("-inf")
         self.sent = self.acknowledged = 0
+        self.over = False
+        self.since = float("-inf")
         self._written_off = 0  # the first bytes, which count as acknowledged in the window
         self._pair = pair
         self._frames = FrameReader(CONTROL_LIMIT, pair.keys.budget)
@@ -77,7 +91,7 @@ class DataStream(StreamHandler):
 
     @property
     def congested(self) -> bool:
-        return self.stream.congested or self.acknowledged < self._written_off
+        return self.stream.congested or self.over or self.acknowledged < self._written_off
 
     @property
     def in_transit(self) -> int:
@@ -98,7 +112,7 @@ class DataStream(StreamHandler):
         self._pair.scheduler.run()
 
     def closed(self, reason: str) -> None:
-        self._pair.lost(self, reason)
+        self._pair.cut(self, reason)
 
     def end(self, reason: str) -> None:
         """Close it; nothing more is heard of it."""
@@ -190,16 +204,27 @@ class DataStream(StreamHandler):
 class StreamPair:
     """The streams for small and for large messages of the routes that name one port.
 
-    If the stream of large messages is lost, as where only large packets are, the routes on the other one go on.
+    If the stream of large messages is lost, as where only large packets are, the routes on the other one go on. Without
+    the stream of small messages, both end.
+
+    Args:
+        reopen: called when routes wait for streams in place of lost ones.
 
     Attributes:
         small: the stream of small messages, or None until it is accepted.
         large: that of large messages, or the same one.
-        over: whether they have ended.
+        over: whether they have ended, and routes need another pair.
         kept: whether they stay open while no route uses them.
     """
 
-    def __init__(self, routes: RouteNumbers, scheduler: Scheduler, book: ReceiptBook, keys: DataKeys) -> None:
+    def __init__(
+        self,
+        routes: RouteNumbers,
+        scheduler: Scheduler,
+        book: ReceiptBook,
+        keys: DataKeys,
+        reopen: Callable[[], None],
+    ) -> None:
         self.small: DataStream | None = None
         self.large: DataStream | None = None
         self.over = False
@@ -208,16 +233,25 @@ class StreamPair:
         self.book = book
         self.keys = keys
         self._routes = routes
+        self._reopen = reopen
+        self._lost_at = self._asked_at = float("-inf")
+        self._cut_for = ""
         self.ends: dict[int, StreamSender | StreamReceiver] = {}
 
     @property
     def ready(self) -> bool:
-        """Whether both streams are accepted."""
-        return self.small is not None and self.large is not None
+        """Whether both streams are open."""
+        return not any(self.lacks())
+
+    def lacks(self) -> tuple[bool, bool]:
+        """Return whether the streams of small and of large messages are not open."""
+        return self.small is None or self.small.over, self.large is None or self.large.over
 
     def add(self, stream: Stream, number: int, *, large: bool, small: bool) -> DataStream:
         """Use an accepted stream for large messages, for small ones, or for both."""
         added = DataStream(stream, number, self)
+        if (self.small if small else self.large) is not None:
+            added.since = self.book.now()
         if small:
             self.small = added
         if large:
@@ -226,9 +260,9 @@ class StreamPair:
         return added
 
     def streams(self) -> tuple[DataStream, ...]:
-        """Return the streams, each once."""
+        """Return the open streams, each once."""
         # On RFCOMM one stream is both.
-        return tuple(dict.fromkeys(each for each in (self.small, self.large) if each is not None))
+        return tuple(dict.fromkeys(each for each in (self.small, self.large) if each is not None and not each.over))
 
     def carry(self, route_id: int, end: StreamSender | StreamReceiver) -> None:
         """Add a route. Its first frames may have come already: call `resume` once its channel takes them."""
@@ -263,17 +297,74 @@ class StreamPair:
             stream.resume()
 
     def lost(self, stream: DataStream, reason: str) -> None:
-        """End a stream; its routes open again. Without the stream of small messages, both end."""
-        if self.over:
+        """End a stream on which the peer broke the format; its routes are closed."""
+        if not (self.over or stream.over):
+            self._lose(stream, reason, resumes=False)
+
+    def cut(self, stream: DataStream, reason: str) -> None:
+        """Handle the end of a stream: routes go on on the next one, if they may, or are closed."""
+        if self.over or stream.over:
             return
-        if stream is self.small:
-            self.end(reason)
-        else:
-            self.large = None
-            self._end(stream, reason)
+        now = self.book.now()
+        # One that delivered nothing any more, as where only large packets are lost, would do no better the next time.
+        delivered = stream.acknowledged == stream.sent or now - stream.moved_at < self.scheduler.stalls_after
+        resumes = delivered and now - stream.since > _LASTS
+        self._lose(stream, reason, resumes=resumes)
+        if resumes and self.ends:
+            self._cut_for = reason
+            self._reopen()
+
+    def _lose(self, stream: DataStream, reason: str, *, resumes: bool) -> None:
+        self._lost_at = self.book.now()
+        for each in self.streams() if stream is self.small else (stream,):
+            self._end(each, reason)
         for end in tuple(self.ends.values()):  # each one that is lost leaves
-            if self.over or end.uses(stream):
+            if end.is_cut:
+                if resumes and end.route.resumes:
+                    end.cut()
+                else:
+                    end.lost(reason)
+        if stream is self.small and not self._waits:
+            self.over = True
+
+    @property
+    def _waits(self) -> bool:
+        """Whether routes wait for a stream in place of a lost one."""
+        return any(end.is_cut for end in self.ends.values())
+
+    def go_on(self) -> str:
+        """Have the routes whose streams were lost go on, if both are open now.
+
+        Returns:
+            Why they were lost, or an empty string if none was.
+        """
+        if not (self.ready and self._waits):
+            return ""
+        for end in tuple(self.ends.values()):
+            if end.is_cut:
+                end.go_on()
+        self.resume()
+        self.scheduler.run()
+        return self._cut_for
+
+    def give_up(self, reason: str) -> None:
+        """Close the routes that wait for a stream in place of a lost one."""
+        for end in tuple(self.ends.values()):
+            if end.is_cut:
                 end.lost(reason)
+
+    def tick(self) -> None:
+        """Go on with held frames, and give up streams that do not come. Called once a second."""
+        self.resume()  # a route that frames wait for may be closed
+        if not self.ends or self.ready:
+            return
+        now = self.book.now()
+        if self._waits and now - self._lost_at > _AWAITED_FOR:
+            self.give_up(self._cut_for)
+        elif now - max(self._lost_at, self._asked_at) > _LASTS:
+            # Nobody waits for it, or it was lost too soon. A route of the other side may need it.
+            self._asked_at = now
+            self._reopen()
 
     def end(self, reason: str) -> None:
         """End both streams; the routes hear nothing."""
@@ -282,6 +373,7 @@ class StreamPair:
             self._end(stream, reason)
 
     def _end(self, stream: DataStream, reason: str) -> None:
+        stream.over = True
         stream.end(reason)
         self.book.forget(stream.number)
         self.scheduler.remove(stream)
@@ -304,6 +396,8 @@ class _StreamEnd:
         self._route_id = route.id
 
     def trouble(self) -> str:
+        if self.is_cut:
+            return REOPENS
         if not any(each.stream.stuck for each in self._pair.streams() if self.uses(each)):
             return ""
         return "nothing gets through its data connection now: check the network and firewalls between the two sides"
@@ -318,6 +412,25 @@ class _StreamEnd:
     def uses(self, stream: DataStream) -> bool:
         """Whether the route's messages are on a stream."""
         return stream is self._small
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether its stream is lost."""
+        return False
+
+    def cut(self) -> None:
+        """Wait for a stream in place of the lost one."""
+
+    def go_on(self) -> None:
+        """Go on on the new stream."""
+        assert self._pair.small is not None
+        self._small = self._pair.small
+
+    def _next_stream(self) -> DataStream:
+        """Return the stream in place of the lost one. After the loss of both, a route begins on the small one again."""
+        found = self._pair.small if self._small.over else self._pair.large
+        assert found is not None
+        return found
 
 
 class StreamSender(_StreamEnd, SendingEnd):
@@ -370,7 +483,10 @@ class StreamSender(_StreamEnd, SendingEnd):
 
     def _must_move(self, size: int) -> bool:
         """Whether the route has to move to the stream of large messages before one of that size."""
-        return size >= LARGE and self.via is self._small and self._pair.large not in (None, self._small)
+        if size < LARGE or self.via is not self._small:
+            return False
+        large = self._pair.large
+        return large is not None and large is not self._small and not large.over
 
     def _next_piece(self, limit: int) -> memoryview:
         """Seal the next `limit` bytes of the first message in memory that is used again."""
@@ -390,6 +506,29 @@ class StreamSender(_StreamEnd, SendingEnd):
     def uses(self, stream: DataStream) -> bool:
         return stream is self.via or super().uses(stream)
 
+    @property
+    def is_cut(self) -> bool:
+        return self.via.over or super().is_cut
+
+    def ask(self) -> None:
+        if self.via.over:
+            self._asked = True  # `go_on` takes the turn
+        else:
+            super().ask()
+
+    def cut(self) -> None:
+        super().cut()
+        self._at = 0  # the message under way is sent again from its beginning
+        self.waits_since, self.turned = None, False
+
+    def go_on(self) -> None:
+        if self.via.over:
+            self.via, self.start = self._next_stream(), 0
+            self._scheduler.write(self.via, self._writer.write_resumed())
+            if self.waits:
+                self._scheduler.join(self)
+        super().go_on()
+
     def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
         """Refuse frames: the peer sends nothing on this route.
 
@@ -408,16 +547,30 @@ class StreamReceiver(_StreamEnd):
         self._from = self._small
 
     def counts(self) -> Counts | None:
-        return None
+        reader = self._reader
+        return Counts(newest=reader.messages + reader.lost) if reader.lost else None
 
     def uses(self, stream: DataStream) -> bool:
         return stream is self._from or super().uses(stream)
 
+    @property
+    def is_cut(self) -> bool:
+        return self._from.over or super().is_cut
+
+    def cut(self) -> None:
+        super().cut()
+        self._reader.close()
+
+    def go_on(self) -> None:
+        if self._from.over:
+            self._from = self._next_stream()
+        super().go_on()
+
     def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
         if stream is not self._from:
             return False  # the last frame on the other stream has not come yet, and order holds across the two
-        if kind == MOVED:
-            return self._moved(frames)
+        if kind != DATA:
+            return self._moved(frames) if kind == MOVED else self._resumed(frames)
         messages = self._reader.open_frames(frames)
         if messages:
             self.route.deliver(messages)
@@ -431,6 +584,12 @@ class StreamReceiver(_StreamEnd):
         self._reader.open_moved(frames[0])
         self._from = large
         large.resume()
+        return True
+
+    def _resumed(self, frames: Sequence[memoryview]) -> bool:
+        if not self.route.resumes or len(frames) > 1:
+            raise ProtocolError(Broken.DATA_AGAINST_ROUTE(route=self._route_id))
+        self._reader.open_resumed(frames[0])
         return True
 
     def close(self, reason: str) -> None:

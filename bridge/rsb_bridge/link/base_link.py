@@ -203,6 +203,7 @@ class BaseLink(ABC):
             self._meter_of,
             self.ids,
             self._take_urgent,
+            self.open_streams,
         )
         self.fullness = LinkFullness(partial(self.log, link_status=True))
         self.fullness_watch = FullnessWatch(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
@@ -323,7 +324,7 @@ class BaseLink(ABC):
         self.instance = peer.instance
         self.channels.connected(keys, self.role, self.transport.ages)
         if self.transport.multiplexed:
-            control.data = self.channels.use_control(control.stream, self.transport.name, self.shared_port())
+            control.data = self.channels.use_control(control.stream, self.transport, self.shared_port())
         self._is_silent = False
         self.connections += 1
         self.linked_at = self.context.now()

@@ -376,6 +376,7 @@ class ClientLink(Link):
             self.route_channels.streams_opened(transport.name, port)
         else:
             self.route_channels.streams_failed(transport.name, port, failure.reason)
+            self.channels.give_up(transport.name, port, failure.reason)
         # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
         self.channels.end_unused(transport.name, port)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.channel.data_keys import DataKeys
@@ -137,6 +138,7 @@ class DataChannels:
         ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
         meter_of: gives the meter of a route by its id, or None for a route that has none.
         urgent: takes an urgent control message as it was encoded.
+        reopen: opens the streams of a transport and port again.
 
     Attributes:
         keys: to seal and open routes' messages, or None without a link.
@@ -155,6 +157,7 @@ class DataChannels:
         meter_of: Callable[[int], Meter | None],
         routes: RouteNumbers,
         urgent: Callable[[bytes], None],
+        reopen: Callable[[StreamTransport, int], None],
     ) -> None:
         self.keys: DataKeys | None = None
         self.scheduler: Scheduler | None = None
@@ -170,6 +173,8 @@ class DataChannels:
         self._way_back, self._ping = way_back, ping
         self._meter_of = meter_of
         self._routes = routes
+        self._log = log
+        self._reopen = reopen
 
     def connected(self, keys: SessionKeys, role: Role, ages: Ages) -> None:
         """Begin a connection with its keys."""
@@ -195,7 +200,7 @@ class DataChannels:
 
     # --- streams
 
-    def use_control(self, stream: Stream, transport: str, port: int) -> DataStream:
+    def use_control(self, stream: Stream, transport: StreamTransport, port: int) -> DataStream:
         """Have the control connection's stream carry the routes of its own port, as streams are scarce."""
         pair = self._pair(transport, port)
         return pair.add(stream, CONTROL_NUMBER, large=True, small=True)
@@ -226,35 +231,44 @@ class DataChannels:
         self._taken.add(name.number)
         if len(self._taken) > 2 * _OUT_OF_ORDER:  # twice as many: it is rebuilt once in a thousand streams
             self._taken = {each for each in self._taken if each > self._newest - _OUT_OF_ORDER}
-        pair = self._pair(transport.name, port)
+        pair = self._pair(transport, port)
         if (old := pair.large if name.large else pair.small) is not None:
-            pair.lost(old, "replaced by a newer data connection")
-            pair = self._pair(transport.name, port)  # another one, as a pair ends with its stream of small messages
+            pair.cut(old, "the other side opened it anew")
+            pair = self._pair(transport, port)  # maybe another one: a pair without routes ends with its streams
         pair.kept = not name.port  # the link's own, which stay while no route uses them (PROTOCOL.md, 1.5)
         both = transport.multiplexed
         added = pair.add(stream, name.number, large=name.large or both, small=both or not name.large)
         stream.handler = added
+        if reason := pair.go_on():
+            text = f"a data connection broke ({reason}) and was opened again; messages that were on it are lost"
+            self._log(Level.WARNING, EventCode.LINK_STREAM_REOPENED, text)
         if beginning:
             added.received(beginning)
+
+    def give_up(self, transport: str, port: int, reason: str) -> None:
+        """Close the routes that wait for streams for that port in place of lost ones."""
+        if (pair := self._pairs.get((transport, port))) is not None:
+            pair.give_up(reason)
 
     def lacks(self, transport: str, port: int) -> tuple[bool, bool]:
         """Return whether the streams of small and of large messages for that port are not open."""
         pair = self._pairs.get((transport, port))
-        return (True, True) if pair is None or pair.over else (pair.small is None, pair.large is None)
+        return (True, True) if pair is None or pair.over else pair.lacks()
 
     def end_unused(self, transport: str, port: int) -> None:
         """Close the streams for routes with that port if none uses them: they hold descriptors that others need."""
         if (pair := self._pairs.get((transport, port))) is not None:
             pair.end_unused()
 
-    def _pair(self, transport: str, port: int) -> StreamPair:
+    def _pair(self, transport: StreamTransport, port: int) -> StreamPair:
         assert self.scheduler is not None
         assert self._book is not None
         assert self.keys is not None
-        pair = self._pairs.get((transport, port))
+        pair = self._pairs.get((transport.name, port))
         if pair is None or pair.over:
-            pair = StreamPair(self._routes, self.scheduler, self._book, self.keys)
-            self._pairs[transport, port] = pair
+            reopen = partial(self._reopen, transport, port)
+            pair = StreamPair(self._routes, self.scheduler, self._book, self.keys, reopen)
+            self._pairs[transport.name, port] = pair
         return pair
 
     def _streams(self) -> Iterator[DataStream]:
@@ -282,7 +296,7 @@ class DataChannels:
             if pair.over:
                 del self._pairs[key]
             else:
-                pair.resume()  # a route that frames wait for may be closed
+                pair.tick()
 
     def _report(self) -> None:
         if self._book is not None:

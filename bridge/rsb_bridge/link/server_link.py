@@ -432,7 +432,7 @@ class ServerLink(Link):
         for route in self.ids.open_routes():
             if isinstance(route.transport, StreamTransport):
                 at = route.transport, route.proposal.port or self.shared_port()
-                users[at] = users.get(at, False) or route.channel is None
+                users[at] = users.get(at, False) or self.channels.pair_of(at[0].name, at[1]) is None
         return users
 
     def take_stream(self, event: Attach) -> tuple[StreamTransport, int]:

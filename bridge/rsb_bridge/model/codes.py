@@ -153,6 +153,8 @@ class EventCode(StrEnum):
     """No second machine tries to connect under the name of the linked one any more."""
     LINK_UNPROVEN_SERVERS = "link.unproven_servers"
     """Servers are announced in the Zenoh network that did not prove the link's key."""
+    LINK_STREAM_REOPENED = "link.stream_reopened"
+    """A data connection broke and is open again; the text says why."""
     LINK_UDP_BLOCKED = "link.udp_blocked"
     LINK_UDP_RESTORED = "link.udp_restored"
     LINK_UDP_BUFFER = "link.udp_buffer"

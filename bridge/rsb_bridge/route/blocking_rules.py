@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.channel.channel import REOPENS
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import FINE, Cause, LinkCause, Verdict
 
@@ -186,6 +187,8 @@ def first_missing(stages: Iterable[Stage]) -> str:
 def _no_path(status: RouteStatus) -> Verdict | None:
     if not status.no_path or status.awaits_full_link:
         return None
+    if status.no_path == REOPENS:
+        return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
     return Verdict(State.DOWN, Cause.NO_PATH, status.no_path)
 
 
@@ -219,7 +222,7 @@ def _refused(status: RouteStatus) -> Verdict | None:
     # Nobody has refused it. If the path is at fault, the link finds out within seconds, and shows it for all topics.
     if status.reopens and status.path is None:
         why = status.refusal.partition(DATA_CONNECTION)[2]
-        return Verdict(State.WAITING, Cause.AWAITS_LINK, f"the link opens its data connection again ({why})")
+        return Verdict(State.WAITING, Cause.AWAITS_LINK, f"{REOPENS} ({why})")
     return Verdict(State.DOWN, Cause.NO_PATH, status.refusal)
 
 

@@ -132,7 +132,8 @@ class RouteLedger:
     delivered nor lost.
 
     Args:
-        numbered: whether the channel numbers its messages and may lose them.
+        numbered: whether the channel numbers its messages and may lose any of them; on a stream, those are lost that a
+            report leaves out.
 
     Attributes:
         offered: messages taken from ROS.
@@ -299,7 +300,7 @@ class RouteLedger:
         )
 
     def _lost(self, opening: _Opening, counted: _Counted) -> int:
-        return counted.lost(opening.overdue) if self._numbered else 0
+        return counted.lost(opening.overdue if self._numbered else 0)
 
 
 class MissedWhileDown:

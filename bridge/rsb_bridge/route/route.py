@@ -272,6 +272,14 @@ class Route:
         self.life.handle(RouteEvent.REFUSE, reason)
         self.reopening.failed(self.context.now(), broke=broke)
 
+    @property
+    def resumes(self) -> bool:
+        """Whether it stays open when its stream is lost, and goes on on the next one.
+
+        Calls do not: each one lost owes its caller an answer.
+        """
+        return False
+
     def channel_lost(self, reason: str) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""
         if self.id:

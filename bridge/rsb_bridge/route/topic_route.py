@@ -381,6 +381,11 @@ class TopicRoute(Route, Generic[ChannelT]):
         return self.qos is not None and self.qos.latched
 
     @property
+    def resumes(self) -> bool:
+        # A latched message that is lost comes again only with a new opening; a break disarms what moves robots.
+        return not (self.arming.required or self.is_latched)
+
+    @property
     def came(self) -> bool:
         """Whether messages came in this opening, or the receiving side keeps some of a latched topic."""
         return (self.meter.last is not None and self.meter.last >= self.opened_at) or self.has_kept

@@ -10,7 +10,7 @@ from rsb_bridge.model.names import MOST_SOURCES
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.wire.sealing import Buffer, Sealer, StreamOpener
 
@@ -128,6 +128,8 @@ CONTROL = 0
 DATA = 1
 MOVED = 2
 """The last frame of a route on the stream of small messages: its next one is on that of large messages."""
+RESUMED = 3
+"""The first frame of a route on a stream in place of one that was lost, with an unknown part of its frames."""
 ZSTD = 1
 MORE = 2
 HISTORY = 4
@@ -144,6 +146,7 @@ Message: TypeAlias = tuple[bytes, int, int]
 LENGTH = struct.Struct(">I")
 HEADER = struct.Struct(">BBIQ")
 """type, flags, route, stamp."""
+_COUNT = struct.Struct(">Q")
 _HEADER_SIZE = HEADER.size
 _LENGTH_SIZE = LENGTH.size
 STRANGER_LIMIT = PREAMBLE_LIMIT + _LENGTH_SIZE
@@ -242,14 +245,20 @@ class FrameReader:
 
 
 class DataWriter:
-    """Seals a route's messages as data frames."""
+    """Seals a route's messages as data frames.
+
+    Attributes:
+        messages: how many have been sealed to their end.
+    """
 
     def __init__(self, sealer: Sealer, route: int) -> None:
+        self.messages = 0
         self._sealer = sealer
         self._route = route
 
-    def write_many(self, messages: Iterable[tuple[Buffer, int, int]]) -> bytes:
+    def write_many(self, messages: Sequence[tuple[Buffer, int, int]]) -> bytes:
         """Several messages, each (payload, stamp, flags), as frames in one piece."""
+        self.messages += len(messages)
         seal, pack_header, pack_length, route = self._sealer.seal, HEADER.pack, LENGTH.pack, self._route
         parts: list[bytes] = []
         for payload, stamp, flags in messages:
@@ -288,6 +297,7 @@ class DataWriter:
             self._sealer.seal_into(content, header, room[begin:end])
             used = end
             if at >= size:
+                self.messages += 1
                 return used, at
 
     def piece_size(self, size: int, chunk_size: int) -> int:
@@ -300,9 +310,19 @@ class DataWriter:
         header = HEADER.pack(MOVED, 0, self._route, 0)
         return pack_frame(header, self._sealer.seal(b"", header))
 
+    def write_resumed(self) -> bytes:
+        """Return the frame with which the route goes on on a stream in place of a lost one."""
+        header = HEADER.pack(RESUMED, 0, self._route, self._sealer.sequence)
+        return pack_frame(header, self._sealer.seal(_COUNT.pack(self.messages), header))
+
 
 class DataReader:
-    """Opens a route's data frames, and reassembles chunks."""
+    """Opens a route's data frames, and reassembles chunks.
+
+    Attributes:
+        messages: how many have been opened to their end.
+        lost: how many were lost with their streams.
+    """
 
     def __init__(self, opener: StreamOpener, limit: int = MESSAGE_LIMIT, budget: Budget | None = None) -> None:
         """Read one route.
@@ -312,6 +332,8 @@ class DataReader:
             limit: bytes of the longest message.
             budget: for incomplete messages, or None for a budget of its own.
         """
+        self.messages = self.lost = 0
+        self._opener = opener
         self._open = opener.open
         self._chunks = Assembly(opener, limit, budget or Budget(UNFINISHED_LIMIT))
 
@@ -342,6 +364,7 @@ class DataReader:
             chunks.add(sealed, header)
             if not flags & MORE:
                 messages.append((chunks.take(), stamp, flags))
+        self.messages += len(messages)
         return messages
 
     def open_moved(self, frame: Buffer) -> None:
@@ -351,6 +374,23 @@ class DataReader:
             SealError: its seal is invalid.
         """
         self._open(frame[_HEADER_SIZE:], frame[:_HEADER_SIZE])
+
+    def open_resumed(self, frame: Buffer) -> None:
+        """Open the frame with which the route goes on on a stream in place of a lost one, and count what is lost.
+
+        Raises:
+            ProtocolError: the peer has sealed fewer messages than have come.
+            SealError: its seal is invalid, or its number is an earlier one.
+        """
+        header = frame[:_HEADER_SIZE]
+        _, _, route, sequence = _unpack_header(header)
+        self.close()
+        self._opener.skip_to(sequence)
+        content = self._open(frame[_HEADER_SIZE:], header)
+        told = _COUNT.unpack(content)[0] if len(content) == _COUNT.size else -1
+        if told < self.messages + self.lost:
+            raise ProtocolError(Broken.RESUMED_WRONG(route=route, told=told))
+        self.lost = told - self.messages
 
     def close(self) -> None:
         """Discard incomplete messages."""

@@ -221,6 +221,18 @@ class StreamOpener(_StreamState):
             raise self._forged() from None
         self.sequence = sequence + 1
 
+    def skip_to(self, sequence: int) -> None:
+        """Go on with a later content: those before it are lost.
+
+        Raises:
+            SealError: it is not later, or has an epoch too far ahead.
+        """
+        if sequence < self.sequence:
+            raise SealError(InvalidSeal.REPLAYED(sequence=sequence))
+        if sequence >> EPOCH_BITS != self._epoch:
+            self._enter_epoch(sequence >> EPOCH_BITS)
+        self.sequence = sequence
+
     def _forged(self) -> SealError:
         return SealError(InvalidSeal.FORGED(sequence=self.sequence))
 

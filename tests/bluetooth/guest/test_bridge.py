@@ -284,7 +284,7 @@ def test_topics_share_a_channel_beside_an_ip_link(addresses: tuple[str, str], ba
         before = link(client).since
         subprocess.run(_DISCONNECT[0].format(server=addresses[0]).split(), check=True)
         wait_until(
-            lambda: any(event.code == EventCode.ROUTE_CHANNEL_LOST for event in client.events()), "it is noticed"
+            lambda: any(event.code == EventCode.LINK_STREAM_REOPENED for event in client.events()), "it is noticed"
         )
         _all_flow(client_side, server_side)
         _all_cross(client_side, server_side)

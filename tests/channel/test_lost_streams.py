@@ -1,0 +1,190 @@
+"""Streams that are lost while the link stays: routes go on on the next ones, without what was on its way."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import count
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.channel.sides import Route, by_sockets, connected
+from tests.support.coroutines import until
+from tests.support.frames import write_frame
+from tests.support.session_keys import session_keys
+
+from rsb_bridge.channel.data_stream import LARGE
+from rsb_bridge.wire.framing import DataWriter
+from rsb_bridge.wire.sealing import CipherSuite
+
+if TYPE_CHECKING:
+    from tests.channel.sides import Side
+
+    from rsb_bridge.channel.data_stream import DataStream
+    from rsb_bridge.wire.sealing import Role
+
+
+_NUMBERS = count(3)
+
+
+class Numbers:
+    """Numbered messages of one route.
+
+    Args:
+        size: bytes of each.
+    """
+
+    def __init__(self, side: Side, route: int, size: int) -> None:
+        self._near, self._far, self._size = side.routes[route], side.other.routes[route], size
+        self.sent = 0
+
+    def send(self, count: int) -> None:
+        for number in range(self.sent, self.sent + count):
+            self._near.send(number.to_bytes(4) + bytes(self._size - 4))
+        self.sent += count
+
+    @property
+    def arrived(self) -> list[int]:
+        return [int.from_bytes(payload[:4]) for payload in self._far.payloads]
+
+    @property
+    def counted(self) -> int:
+        """Messages of which the receiving end knows: those that came, and those that it counts as lost."""
+        counts = self._far.channel.counts()
+        return counts.newest if counts is not None else len(self.arrived)
+
+    def all_known(self) -> bool:
+        return bool(self.arrived) and self.arrived[-1] == self.sent - 1
+
+
+async def reopen(*sides: Side, names: tuple[str, ...] = ("small", "large"), two: bool = True) -> None:
+    """Open streams of these names between both sides, as a client does."""
+    for name in names:
+        number, ends = next(_NUMBERS), await by_sockets()
+        for side, stream in zip(sides, ends, strict=True):
+            old = getattr(side.pair, name)
+            side.pair.cut(old, "replaced")
+            stream.handler = side.pair.add(stream, number, small=name == "small", large=name == "large" or not two)
+            side.pair.go_on()
+
+
+def stream_of(side: Side, name: str) -> DataStream:
+    found = getattr(side.pair, name)
+    assert found is not None
+    return found  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("cut_by", [0, 1])
+@pytest.mark.parametrize(("name", "size"), [("small", 2_000), ("large", LARGE), ("large", 1 << 20)])
+async def test_a_route_goes_on_in_order_and_counts_what_was_lost(name: str, size: int, cut_by: int) -> None:
+    """Three times, amid messages, and noticed by either side first."""
+    async with connected(Route(1, outgoing=True), Route(2, outgoing=True)) as sides:
+        near, far = sides
+        numbers, others = Numbers(near, 1, size), Numbers(near, 2, 100)
+        for _ in range(3):
+            numbers.send(40)
+            others.send(40)
+            await until(lambda: numbers.arrived and others.arrived)
+            for side in sides:  # longer ago than a stream has to last
+                stream_of(side, name).since = float("-inf")
+            stream_of(sides[cut_by], name).stream.abort("cut")
+            await until(lambda: all(stream_of(side, name).over for side in sides))
+            numbers.send(10)
+            others.send(10)
+            await reopen(near, far, names=("small", "large") if name == "small" else ("large",))
+            await until(numbers.all_known)
+            await until(others.all_known)
+            for each in (numbers, others):
+                assert each.arrived == sorted(set(each.arrived))
+                assert each.counted == each.sent
+        assert len(others.arrived) == others.sent or name == "small"
+        assert not any(route.lost for side in sides for route in side.routes.values())
+        assert near.reopened == 3
+        assert far.keys.budget.held == 0
+        await far.acknowledges_all()
+
+
+async def test_what_waits_is_sent_and_what_was_under_way_begins_anew() -> None:
+    """Nothing that has not left is lost: here, nothing at all has."""
+    async with connected(Route(1, outgoing=True)) as (near, far):
+        numbers = Numbers(near, 1, 1 << 20)
+        stream_of(far, "large").stream.pause_reading()
+        numbers.send(8)
+        await asyncio.sleep(0.05)
+        stream_of(near, "large").stream.abort("cut")
+        stream_of(far, "large").stream.abort("cut")
+        await until(lambda: near.reopened)
+        assert near.routes[1].channel.trouble()
+        await reopen(near, far, names=("large",))
+        await until(lambda: len(numbers.arrived) == 8)
+        assert not near.routes[1].channel.trouble()
+        assert far.routes[1].channel.counts() is None
+
+
+async def test_routes_that_must_not_lose_a_message_are_closed() -> None:
+    calls, topic = Route(1, outgoing=True, duplex=True), Route(3, outgoing=True)
+    async with connected(calls, topic) as sides:
+        stream_of(sides[0], "small").stream.abort("cut")
+        await until(lambda: all(side.reopened for side in sides))
+        for side in sides:
+            assert side.routes[1].lost == ["cut"] or side is sides[1]
+            assert side.routes[1].lost
+            assert not side.routes[3].lost
+
+
+async def test_nobody_asks_for_streams_that_no_route_needs() -> None:
+    async with connected(Route(1, outgoing=True, duplex=True)) as sides:
+        stream_of(sides[0], "small").stream.abort("cut")
+        await until(lambda: all(side.pair.over for side in sides))
+        assert not any(side.reopened for side in sides)
+
+
+async def test_streams_that_are_lost_again_at_once_are_not_opened_again() -> None:
+    async with connected(Route(1, outgoing=True)) as sides:
+        stream_of(sides[0], "small").stream.abort("cut")
+        await until(lambda: all(side.reopened for side in sides))
+        await reopen(*sides)
+        stream_of(sides[0], "small").stream.abort("cut again")
+        await until(lambda: all(side.routes[1].lost for side in sides))
+        assert [side.reopened for side in sides] == [1, 1]
+
+
+async def test_a_stream_that_delivers_nothing_is_not_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where only large packets are lost: it would end the same way."""
+    async with connected(Route(1, outgoing=True)) as (near, far):
+        stream_of(far, "small").stream.pause_reading()
+        near.routes[1].send(b"x")
+        later = near.book.now() + near.scheduler.stalls_after
+        monkeypatch.setattr(near.book, "now", lambda: later)
+        stream_of(near, "small").stream.abort("timed out")
+        await until(lambda: near.routes[1].lost)
+        assert not near.reopened
+
+
+async def test_streams_that_do_not_come_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with connected(Route(1, outgoing=True)) as (near, _):
+        stream_of(near, "small").stream.abort("cut")
+        await until(lambda: near.reopened)
+        near.tick()
+        assert not near.routes[1].lost
+        later = near.book.now() + 16
+        monkeypatch.setattr(near.book, "now", lambda: later)
+        near.tick()
+        assert near.routes[1].lost == ["cut"]
+
+
+@pytest.mark.parametrize("breach", ["against the route", "of a route that does not resume", "fewer", "an earlier one"])
+async def test_a_peer_that_goes_on_wrongly_loses_the_stream(breach: str) -> None:
+    async with connected(Route(1, outgoing=True)) as (near, far):
+        role: Role = "server" if breach == "against the route" else "client"
+        keys = session_keys(CipherSuite.AESGCM, bytes(range(32)), routes=(1,))
+        writer = DataWriter(keys.route_sealer(1, role), 1)
+        sender, receiver = (far, near) if role == "server" else (near, far)
+        out = stream_of(sender, "small").stream
+        if breach == "of a route that does not resume":
+            receiver.routes[1].resumes = False
+        resumed = writer.write_resumed()
+        if breach in ("fewer", "an earlier one"):
+            out.write(resumed if breach == "an earlier one" else write_frame(writer, b"first", 0))
+            writer.messages = 0
+        out.write(resumed if breach == "an earlier one" else writer.write_resumed())
+        await until(lambda: receiver.routes[1].lost)

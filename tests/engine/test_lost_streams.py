@@ -1,0 +1,93 @@
+"""Data connections that end while the link stays: real topics go on, and nothing goes uncounted."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from std_srvs.srv import SetBool
+from tests.support.bridge import balance, carries, happened, linked, outgoing, route, settled
+from tests.support.domain import LATCHED, text
+from tests.support.inside import inside
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.model.session import Direction
+
+
+def cut(engine: Engine, *, large: bool) -> None:
+    """End one of the link's own data connections, as a firewall between does; the other side hears of it."""
+    (link,) = inside(engine).links()
+
+    def abort() -> None:
+        pair = link.channels.pair_of("tcp", link.shared_port())
+        assert pair is not None
+        stream = pair.large if large else pair.small
+        assert stream is not None
+        stream.stream.abort("reset by a firewall")
+
+    inside(engine).context.call(abort)
+
+
+@pytest.mark.parametrize("large", [False, True])
+@pytest.mark.parametrize("by_client", [False, True])
+def test_topics_go_on(bridge: Bridge, robot: Domain, pc: Domain, large: bool, by_client: bool) -> None:
+    """One each way, with small and large messages by turns, while they are published at 50 Hz."""
+    ways: dict[str, tuple[Domain, Domain, Direction]] = {
+        "/up": (robot, pc, "transmit"),
+        "/down": (pc, robot, "receive"),
+    }
+    there = {topic: to.listener(topic) for topic, (_, to, _) in ways.items()}
+    out = {topic: by.publisher(topic) for topic, (by, _, _) in ways.items()}
+    topics = [Topic(topic, way, qos={"depth": 1000}) for topic, (_, _, way) in ways.items()]
+    server, client = bridge.both(*topics)
+    receivers, senders = {"/up": server, "/down": client}, {"/up": client, "/down": server}
+    for topic, engine in receivers.items():
+        carries([out[topic]], engine, [topic])
+    openings = {topic: outgoing(engine, topic).id for topic, engine in senders.items()}
+
+    for number in range(200):
+        for each in out.values():
+            each.publish(text(f"{number}" + " " * (40_000 if number % 2 else 10)))
+        if number == 100:
+            cut(client if by_client else server, large=large)
+        time.sleep(0.02)
+    for side in (server, client):
+        eventually(lambda side=side: happened(side, EventCode.LINK_STREAM_REOPENED))
+    for topic, engine in senders.items():
+        ledger = settled(engine, topic, 200)
+        assert balance(ledger) == 200
+        assert ledger.delivered == 200 - ledger.dropped.get("lost on the way", 0), ledger
+        assert ledger.delivered > 150
+        numbers = [int(payload[8:].split(b" ")[0].rstrip(b"\0")) for payload in there[topic].payloads]
+        assert numbers == sorted(set(numbers))
+        eventually(lambda topic=topic, ledger=ledger: len(there[topic].payloads) == ledger.delivered)
+        assert outgoing(engine, topic).id == openings[topic]
+    for side in (server, client):
+        assert linked(side)
+        assert not happened(side, EventCode.ROUTE_CHANNEL_LOST)
+
+
+def test_what_must_be_whole_opens_again(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """A latched message that was lost comes with the next opening, and a service can be called again."""
+    pc.serve("/lamp", SetBool)
+    out, there = robot.publisher("/map", qos=LATCHED), pc.listener("/map", qos=LATCHED)
+    server, client = bridge.both(Topic("/map", "transmit"), Topic("/lamp", "transmit", kind="service"))
+    carries([out], server, ["/map"])
+    eventually(lambda: route(client, "/lamp").cause == "no_call")
+    opening = outgoing(client, "/map").id
+    cut(client, large=False)
+    out.publish(text("map"))
+    eventually(lambda: there.payloads)
+    assert outgoing(client, "/map").id not in (0, opening)
+    eventually(lambda: route(client, "/lamp").cause == "no_call")
+    assert linked(client)
+    assert linked(server)
