@@ -7,6 +7,7 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from tests.simulation.action_server import Plan
+from tests.simulation.faults import reset
 from tests.support import constants
 
 from rsb_bridge.link.refused_clients import ASKED_EVERY
@@ -236,6 +237,14 @@ async def restarted_while_cut(world: World) -> None:
                 robot.host.start()
             await asyncio.sleep(random.uniform(0.0, 8.0))
             world.network.heal(*ends)
+
+
+async def connections_reset(world: World) -> None:
+    """A firewall resets some of a robot's connections, again and again."""
+    random = world.random("resets")
+    while True:
+        await asyncio.sleep(random.uniform(5.0, 30.0))
+        await reset(world, random.choice(world.robots), random)
 
 
 @contextlib.contextmanager

@@ -15,6 +15,7 @@ import msgspec
 from tests.simulation.conditions import ACTIONS, CALLS, LIVELY, STILL, STORM, Conditions
 from tests.simulation.episodes import (
     cancelled_while_cut,
+    connections_reset,
     delayed,
     restarted_while_cut,
     server_away,
@@ -23,7 +24,7 @@ from tests.simulation.episodes import (
 )
 from tests.support import replaced
 
-from rsb_bridge.channel.data_stream import DataStream
+from rsb_bridge.channel.data_stream import DataStream, StreamSender
 from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.channel.window import Window
 from rsb_bridge.link.base_link import RouteIds
@@ -231,6 +232,8 @@ MUTATIONS = (
              ((Tasks, "_add", _kept),), "_tasks", STILL, 1, 3.0, _differs),
     Mutation("a stream is not closed with its link",
              ((DataStream, "end", nothing),), "left open", STORM, 2, 2.0),
+    Mutation("a route does not go on on the stream in place of a lost one",
+             ((StreamSender, "go_on", nothing),), "something is in flight", LIVELY, 1, 0.1, connections_reset),
     Mutation("what waits to be sent is not cleared when the channel is lost",
              ((SendQueue, "clear", SendQueue.__len__),), "a part of it is negative", STORM, 2, 1.0),
     Mutation("a new connection is not told what is paused",
@@ -255,7 +258,7 @@ MUTATIONS = (
              ((CallingRoute, "_withdraw", nothing),), "without a link|and the link is down", CALLS, 1, 1.0),
     Mutation("a goal in flight is sent to the server again",
              ((KeptAnswers, "decide", _ask_again_anyway),),
-             "came to the server 2 times", replace(ACTIONS, faults=20.0), 4, 0.1),
+             "came to the server 2 times", replace(ACTIONS, faults=20.0), 11, 0.1),
     Mutation("a result goes to the first caller",
              ((KeptAnswers, "answered", _answer_oldest),), "got the result of another goal", ACTIONS, 1, 1.0),
     Mutation("who waits for a result is given up when the link drops",
