@@ -247,7 +247,7 @@ LINKS = {
 _WIFI = LINKS["wifi"]
 # An operator who wants whole images sooner than pictures of the camera.
 LINKS["raw-first"] = _WIFI._replace(
-    topics=tuple(each._replace(priority="normal") if each.name == "/raw" else each for each in _WIFI.topics)
+    topics=tuple(each._replace(priority="high") if each.name == "/raw" else each for each in _WIFI.topics)
 )
 
 

@@ -166,7 +166,7 @@ async def test_streams_that_do_not_come_are_given_up(monkeypatch: pytest.MonkeyP
         await until(lambda: near.reopened)
         near.tick()
         assert not near.routes[1].lost
-        later = near.book.now() + 16
+        later = near.book.now() + 11
         monkeypatch.setattr(near.book, "now", lambda: later)
         near.tick()
         assert near.routes[1].lost == ["cut"]

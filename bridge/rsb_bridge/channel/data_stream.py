@@ -44,8 +44,8 @@ the largest, and without priorities their p99 rose from 0.4 and 0.5 s to 0.9 (be
 _LASTS = 5.0
 """s that a stream in place of a lost one has to last before there is another: where each one is lost at once, routes
 open again with delays of their own. A round figure, above the time that opening takes on a bad link."""
-_AWAITED_FOR = 15.0
-"""s that routes wait for a new stream: a client gives up after 10 s (`client_link`), and says so, if it can."""
+_AWAITED_FOR = 10.0
+"""s that routes wait for a new stream, as long as a client tries to open one (`client_link`)."""
 
 
 class RouteNumbers(Protocol):
