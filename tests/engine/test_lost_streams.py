@@ -65,7 +65,7 @@ def test_topics_go_on(bridge: Bridge, robot: Domain, pc: Domain, large: bool, by
     for topic, engine in senders.items():
         ledger = settled(engine, topic, 200)
         assert balance(ledger) == 200
-        assert ledger.delivered == 200 - ledger.dropped.get("lost on the way", 0), ledger
+        assert ledger.delivered == 200 - ledger.dropped.get("link lost", 0), ledger
         assert ledger.delivered > 150
         numbers = [int(payload[8:].split(b" ")[0].rstrip(b"\0")) for payload in there[topic].payloads]
         assert numbers == sorted(set(numbers))

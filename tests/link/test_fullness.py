@@ -50,6 +50,15 @@ def test_it_is_full_as_long_as_less_arrives_than_is_asked() -> None:
     assert bed.events == [EventCode.LINK_FULL, EventCode.LINK_ROOM]
 
 
+def test_a_map_each_few_seconds_that_does_not_fit_fills_the_link() -> None:
+    """In each period there is a second in which more arrives than is asked for."""
+    bed = Bed()
+    for asked in [48e3, 24e3, 12e3, 6e3, 3e3] * 3:
+        bed.fullness.judge([Asked("/map", "/map", asked)], 5e3, full=True, peer="the server")
+    assert bed.fullness.out is not None
+    assert bed.events == [EventCode.LINK_FULL]
+
+
 @pytest.mark.parametrize("part", [0.0, 0.3, 0.7])
 def test_a_stall_is_not_full(part: float) -> None:
     bed = Bed()

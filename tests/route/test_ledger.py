@@ -102,7 +102,7 @@ def test_true_reports_are_taken_as_they_are(sent: list[int], lost: list[int]) ->
         arrived = max(0, count - (lost[number] if number < len(lost) else 0))
         delivered += arrived
         if arrived:
-            before = ReceivedReport(route=route_id, received=arrived, delivered=arrived, newest=arrived)
+            before = ReceivedReport(route=route_id, received=arrived, delivered=arrived, newest=count)
         ledger.closed()
     ledger.settle(before, "first")
     final = ledger.ledger(0)

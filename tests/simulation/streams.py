@@ -305,8 +305,8 @@ class StreamTransport(asyncio.Transport):
 
     def reset(self) -> None:
         """Reset both ends, as a firewall between them does; what is on its way is lost."""
-        for end in (self, self.peer):
-            end._lose(os_error(errno.ECONNRESET))
+        self.refused()
+        self.peer.refused()
 
     def _close_descriptor(self, error: OSError | None) -> None:
         """The program lets go of it: what is in the kernel's buffer still goes out, and then the end.

@@ -222,7 +222,7 @@ def test_a_resumed_frame_is_as_the_document_says() -> None:
 
 
 @SUITES
-@pytest.mark.parametrize("ahead", [0, 3 << EPOCH_BITS])
+@pytest.mark.parametrize("ahead", [0, 1 << EPOCH_BITS])
 def test_after_a_lost_stream_messages_go_on_and_the_lost_ones_are_counted(suite: CipherSuite, ahead: int) -> None:
     """Some come, then half a message, and some are lost; the half one comes whole. Then all of it again."""
     budget = Budget(1 << 20)
@@ -253,8 +253,12 @@ def test_a_resumed_frame_that_cannot_be_is_refused() -> None:
     writer.messages = 0
     with pytest.raises(ProtocolError, match=pattern(Broken.RESUMED_WRONG)):
         reader.open_resumed(writer.write_resumed()[4:])
-    header = HEADER.pack(RESUMED, 0, ROUTE, 3)
-    sealer = Sealer(CipherSuite.AESGCM, KEY)
-    sealer.sequence = 3
-    with pytest.raises(ProtocolError, match=pattern(Broken.RESUMED_WRONG)):
-        reader.open_resumed(header + sealer.seal(b"short", header))
+    for content in (b"short", struct.pack(">Q", 2**64 - 1)):
+        sealer = Sealer(CipherSuite.AESGCM, KEY)
+        sealer.sequence = 3
+        header = HEADER.pack(RESUMED, 0, ROUTE, 3)
+        with pytest.raises(ProtocolError, match=pattern(Broken.RESUMED_WRONG)):
+            data_ends(CipherSuite.AESGCM)[1].open_resumed(header + sealer.seal(content, header))
+    header = HEADER.pack(RESUMED, 0, ROUTE, 2 << EPOCH_BITS)
+    with pytest.raises(SealError, match=pattern(InvalidSeal.EPOCH_TOO_FAR_AHEAD)):
+        reader.open_resumed(header + bytes(24))

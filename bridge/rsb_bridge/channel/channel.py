@@ -50,14 +50,16 @@ class Counts(NamedTuple):
     """Messages that a channel received in part or not at all.
 
     Attributes:
-        newest: number of the newest message seen, from 1.
+        newest: number of the newest message seen, from 1, or None on a stream, where none is overtaken.
+        lost: messages that were lost with a stream.
         incomplete: messages that wait for some of their fragments.
         expired: messages given up because fragments did not come in time.
     """
 
-    newest: int = 0
+    newest: int | None = 0
     incomplete: int = 0
     expired: int = 0
+    lost: int = 0
 
 
 class DataChannel(Protocol):
@@ -119,8 +121,8 @@ class SendingChannel(DataChannel, Protocol):
 class ReceivingChannel(DataChannel, Protocol):
     """The receiving end of a channel."""
 
-    def counts(self) -> Counts | None:
-        """Counts of missing messages, or None while none is missing on a stream."""
+    def counts(self) -> Counts:
+        """Counts of missing messages."""
 
 
 class DuplexChannel(SendingChannel, ReceivingChannel, Protocol):

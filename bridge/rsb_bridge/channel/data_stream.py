@@ -44,6 +44,8 @@ the largest, and without priorities their p99 rose from 0.4 and 0.5 s to 0.9 (be
 _LASTS = 5.0
 """s that a stream in place of a lost one has to last before there is another: where each one is lost at once, routes
 open again with delays of their own. A round figure, above the time that opening takes on a bad link."""
+_LONGEST_PAUSE = 60.0
+"""s between attempts to open a stream that the other side refuses, or the path does not carry. A round figure."""
 _AWAITED_FOR = 10.0
 """s that routes wait for a new stream, as long as a client tries to open one (`client_link`)."""
 
@@ -70,6 +72,7 @@ class DataStream(StreamHandler):
         acknowledged: bytes that have arrived.
         over: whether it is lost or closed.
         since: when (s) it was opened in place of a lost one; of a first one, long ago.
+        resumed: bytes with which routes have said that they go on on it.
     """
 
     def __init__(self, stream: Stream, number: int, pair: StreamPair) -> None:
@@ -81,6 +84,7 @@ class DataStream(StreamHandler):
         self.sent = self.acknowledged = 0
         self.over = False
         self.since = float("-inf")
+        self.resumed = 0
         self._written_off = 0  # the first bytes, which count as acknowledged in the window
         self._pair = pair
         self._frames = FrameReader(CONTROL_LIMIT, pair.keys.budget)
@@ -235,7 +239,8 @@ class StreamPair:
         self._routes = routes
         self._reopen = reopen
         self._lost_at = self._asked_at = float("-inf")
-        self._cut_for = ""
+        self._lost_for = ""
+        self._pause = _LASTS
         self.ends: dict[int, StreamSender | StreamReceiver] = {}
 
     @property
@@ -296,30 +301,36 @@ class StreamPair:
         for stream in self.streams():
             stream.resume()
 
-    def lost(self, stream: DataStream, reason: str) -> None:
-        """End a stream on which the peer broke the format; its routes are closed."""
-        if not (self.over or stream.over):
-            self._lose(stream, reason, resumes=False)
-
     def cut(self, stream: DataStream, reason: str) -> None:
         """Handle the end of a stream: routes go on on the next one, if they may, or are closed."""
         if self.over or stream.over:
             return
         now = self.book.now()
-        # One that delivered nothing any more, as where only large packets are lost, would do no better the next time.
-        delivered = stream.acknowledged == stream.sent or now - stream.moved_at < self.scheduler.stalls_after
-        resumes = delivered and now - stream.since > _LASTS
-        self._lose(stream, reason, resumes=resumes)
+        # One that delivered nothing, or nothing any more, would do no better the next time: as where only large packets
+        # are lost, or a firewall resets each connection once there is a message.
+        got_through = stream.acknowledged > stream.resumed and now - stream.moved_at < self.scheduler.stalls_after
+        resumes = (stream.acknowledged == stream.sent or got_through) and now - stream.since > _LASTS
+        self.lost(stream, reason, resumes=resumes)
         if resumes and self.ends:
-            self._cut_for = reason
+            self._pause = _LASTS
             self._reopen()
 
-    def _lose(self, stream: DataStream, reason: str, *, resumes: bool) -> None:
-        self._lost_at = self.book.now()
-        for each in self.streams() if stream is self.small else (stream,):
+    def lost(self, stream: DataStream, reason: str, *, resumes: bool = False) -> None:
+        """End a stream, as the peer broke the format on it; its routes are closed.
+
+        Args:
+            resumes: routes that may go on wait for another one.
+        """
+        if self.over or stream.over:
+            return
+        self._lost_at, self._lost_for = self.book.now(), reason
+        ended = self.streams() if stream is self.small else (stream,)
+        for each in ended:  # all before the first ends, which gives its room in the window to the others
+            each.over = True
+        for each in ended:
             self._end(each, reason)
         for end in tuple(self.ends.values()):  # each one that is lost leaves
-            if end.is_cut:
+            if end.uses(stream):
                 if resumes and end.route.resumes:
                     end.cut()
                 else:
@@ -345,12 +356,13 @@ class StreamPair:
                 end.go_on()
         self.resume()
         self.scheduler.run()
-        return self._cut_for
+        return self._lost_for
 
     def give_up(self, reason: str) -> None:
         """Close the routes that wait for a stream in place of a lost one."""
         for end in tuple(self.ends.values()):
             if end.is_cut:
+                end.ready = False  # it is no longer connected, and is shown so
                 end.lost(reason)
 
     def tick(self) -> None:
@@ -360,20 +372,20 @@ class StreamPair:
             return
         now = self.book.now()
         if self._waits and now - self._lost_at > _AWAITED_FOR:
-            self.give_up(self._cut_for)
-        elif now - max(self._lost_at, self._asked_at) > _LASTS:
+            self.give_up(self._lost_for)
+        elif now - max(self._lost_at, self._asked_at) > self._pause:
             # Nobody waits for it, or it was lost too soon. A route of the other side may need it.
-            self._asked_at = now
+            self._asked_at, self._pause = now, min(2 * self._pause, _LONGEST_PAUSE)
             self._reopen()
 
     def end(self, reason: str) -> None:
         """End both streams; the routes hear nothing."""
-        self.over = True
-        for stream in self.streams():
+        ended, self.over = self.streams(), True
+        for stream in ended:
+            stream.over = True
             self._end(stream, reason)
 
     def _end(self, stream: DataStream, reason: str) -> None:
-        stream.over = True
         stream.end(reason)
         self.book.forget(stream.number)
         self.scheduler.remove(stream)
@@ -524,7 +536,9 @@ class StreamSender(_StreamEnd, SendingEnd):
     def go_on(self) -> None:
         if self.via.over:
             self.via, self.start = self._next_stream(), 0
-            self._scheduler.write(self.via, self._writer.write_resumed())
+            resumed = self._writer.write_resumed()
+            self.via.resumed += len(resumed)
+            self._scheduler.write(self.via, resumed)
             if self.waits:
                 self._scheduler.join(self)
         super().go_on()
@@ -546,9 +560,8 @@ class StreamReceiver(_StreamEnd):
         self._reader = keys.stream_reader(route.id)
         self._from = self._small
 
-    def counts(self) -> Counts | None:
-        reader = self._reader
-        return Counts(newest=reader.messages + reader.lost) if reader.lost else None
+    def counts(self) -> Counts:
+        return Counts(newest=None, lost=self._reader.lost)
 
     def uses(self, stream: DataStream) -> bool:
         return stream is self._from or super().uses(stream)
@@ -587,9 +600,8 @@ class StreamReceiver(_StreamEnd):
         return True
 
     def _resumed(self, frames: Sequence[memoryview]) -> bool:
-        if not self.route.resumes or len(frames) > 1:
-            raise ProtocolError(Broken.DATA_AGAINST_ROUTE(route=self._route_id))
-        self._reader.open_resumed(frames[0])
+        for frame in frames:
+            self._reader.open_resumed(frame)
         return True
 
     def close(self, reason: str) -> None:

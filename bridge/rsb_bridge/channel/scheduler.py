@@ -122,6 +122,7 @@ class Scheduler:
 
     def add(self, carrier: Carrier) -> None:
         """Use a further stream."""
+        carrier.time = self._time  # else what joins it while it is congested would begin in the past
         self._carriers.append(carrier)
 
     def remove(self, carrier: Carrier) -> None:

@@ -51,6 +51,8 @@ longer has: the client calls again after 2 s, and not only after the 6 s of a si
 _LONGEST_DELAY = 8.0
 """s between attempts while the server refuses, before jitter: its answer seldom changes soon. A round figure, on which
 servers rely: they forget a client that has not tried for longer (`refused_clients.FORGOTTEN_AFTER`)."""
+_ROUNDS = 3
+"""Times that data streams are opened if others are lost meanwhile. A round figure."""
 _KEY_CHANGED = "the client has another key now"
 _NAME_MAY_BE_FREED = 5
 """Attempts that come soon although another client has this one's name. They take about 4.5 s, in which one that is dead
@@ -354,13 +356,34 @@ class ClientLink(Link):
             self._streams_opening[transport.name, port] = opening
 
     async def _open_streams(self, transport: StreamTransport, port: int) -> None:
-        """Open the stream of small messages, then that of large ones, and let the waiting routes use them."""
+        """Open the streams that are lacking, and let the waiting routes use them."""
         failure: Failure | None = None
-        lacks = self.channels.lacks(transport.name, port)
-        wanted = [large for large in ((True,) if transport.multiplexed else (False, True)) if lacks[large]]
+        try:
+            # A firewall that has forgotten one connection has mostly forgotten the other one, too, and that may show a
+            # little later.
+            for _ in range(_ROUNDS):
+                lacks = self.channels.lacks(transport.name, port)
+                wanted = [large for large in ((True,) if transport.multiplexed else (False, True)) if lacks[large]]
+                if not wanted or (failure := await self._open_each(transport, port, wanted)) is not None:
+                    break
+        finally:
+            self._streams_opening.pop((transport.name, port), None)
+        if failure is None and self.channels.pair_of(transport.name, port) is None:
+            failure = Failure(StreamProblem.CLOSED_HERE())
+        if failure is None:
+            self.route_channels.streams_opened(transport.name, port)
+        else:
+            self.route_channels.streams_failed(transport.name, port, failure.reason)
+            self.channels.give_up(transport.name, port, failure.reason)
+        # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
+        self.channels.end_unused(transport.name, port)
+
+    async def _open_each(self, transport: StreamTransport, port: int, wanted: list[bool]) -> Failure | None:
+        """Open the stream of small messages, then that of large ones, or those of them that are wanted."""
         # Where all topics open their first streams before any opens its second one, none may get that.
         if descriptors.left() < self._streams_wanted + len(wanted):
-            failure, wanted = Failure(descriptors.scarcity_message("client")), []
+            return Failure(descriptors.scarcity_message("client"))
+        failure: Failure | None = None
         self._streams_wanted += len(wanted)
         try:
             while wanted and failure is None:
@@ -369,16 +392,7 @@ class ClientLink(Link):
                 self._streams_wanted -= 1
         finally:
             self._streams_wanted -= len(wanted)
-            self._streams_opening.pop((transport.name, port), None)
-        if failure is None and self.channels.pair_of(transport.name, port) is None:
-            failure = Failure(StreamProblem.CLOSED_HERE())  # the first one was lost before the second one came
-        if failure is None:
-            self.route_channels.streams_opened(transport.name, port)
-        else:
-            self.route_channels.streams_failed(transport.name, port, failure.reason)
-            self.channels.give_up(transport.name, port, failure.reason)
-        # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
-        self.channels.end_unused(transport.name, port)
+        return failure
 
     async def _open_data_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
         assert self.keys is not None

@@ -240,9 +240,9 @@ class DataChannels:
         added = pair.add(stream, name.number, large=name.large or both, small=both or not name.large)
         stream.handler = added
         if reason := pair.go_on():
-            text = f"a data connection broke ({reason}) and was opened again; messages that were on it are lost"
+            text = f"a data connection broke ({reason}) and was opened again; messages that were on it may be lost"
             self._log(Level.WARNING, EventCode.LINK_STREAM_REOPENED, text)
-        if beginning:
+        if beginning and not added.over:
             added.received(beginning)
 
     def give_up(self, transport: str, port: int, reason: str) -> None:

@@ -38,7 +38,8 @@ _STALLS = 2
 _AFTER_STALL = 6
 """Ticks after a stall in which the arriving bytes say nothing about the link's capacity. A round figure."""
 _AVERAGED_OVER = 6
-"""Ticks over which the figure of the arriving bytes is averaged. A round figure."""
+"""Ticks over which asked and arriving bytes are averaged, so that a map each few seconds is no demand that comes and
+goes. A round figure."""
 _NEVER_EMPTY = 1.0
 """s for which something has waited all the time on a full link. A round figure."""
 _NAMED = 3
@@ -76,7 +77,7 @@ class LinkFullness:
         self._other = 0
         self._stalled = 0  # ticks for which the last stall explains the arriving bytes
         self._silent = 0  # ticks in which nothing has arrived of what is asked for
-        self._arrived: deque[float] = deque(maxlen=_AVERAGED_OVER)  # since it seems full
+        self._ticks: deque[tuple[float, float]] = deque(maxlen=_AVERAGED_OVER)  # bytes asked for, and arrived
         self._sent = FullRecord()
         self._record = FullRecord()
 
@@ -96,12 +97,11 @@ class LinkFullness:
             self._stalled, self._other = _AFTER_STALL, 0
         if self._silent and (was or not self._other):
             return  # a gap does not show how much the link carries: its last figures stay
-        if not was and not self._other:
-            self._arrived.clear()  # it carried what it was asked for
-        self._arrived.append(arrived)
-        carried = sum(self._arrived) / len(self._arrived)
+        self._ticks.append((asked, arrived))
+        asks = asked > 0.0  # if not, all that waits does so for a path that takes nothing
+        asked, carried = (sum(each) / len(self._ticks) for each in zip(*self._ticks, strict=True))
         carries_all = carried >= _CARRIED_SHARE * asked
-        over = full and carried > 0.0 and not carries_all and (was or not self._stalled)
+        over = full and asks and carried > 0.0 and not carries_all and (was or not self._stalled)
         self._other = self._other + 1 if over != was else 0
         if (was and carries_all) or self._other >= _TICKS:
             self._other = 0  # the decision is made: the next one takes as many ticks again
@@ -113,7 +113,7 @@ class LinkFullness:
             self.out, self._record = None, FullRecord()
             return
         most = sorted(topics, key=lambda each: -each.bytes_per_second)[:_NAMED]
-        figures = min(carried, asked), asked  # the two are averaged over different times
+        figures = min(carried, asked), asked  # what has arrived may have been asked for before
         begins = self.out is None
         self.out = Fullness(*figures, tuple(each.topic for each in most))
         names = tuple(sanitize_text(each.remote_topic, TEXT_LENGTH) for each in most)
@@ -148,7 +148,7 @@ class LinkFullness:
         """Forget everything: the next connection may go another way."""
         self.out = self.into = None
         self._other = self._stalled = self._silent = 0
-        self._arrived.clear()
+        self._ticks.clear()
         self._sent = self._record = FullRecord()
 
     def warning(self, peer: str) -> str:

@@ -162,10 +162,10 @@ def stage(name: str, passed: bool, reason: str = "", *, failed: bool = False, no
 def link_and_acceptance(status: RouteStatus) -> tuple[Stage, Stage]:
     """Return the stages of the link, which needs a working channel, and of the peer's acceptance."""
     trouble = status.no_path or status.link_down or ""
-    failed = bool(status.no_path) or status.link_down is not None
+    failed = status.no_path not in ("", REOPENS) or status.link_down is not None
     refused = status.accepted is False
     return (
-        stage(_LINK_STAGE, not failed, trouble, failed=failed),
+        stage(_LINK_STAGE, not (failed or status.no_path), trouble, failed=failed),
         stage(ACCEPTED, bool(status.accepted), status.refusal if refused else "", failed=refused),
     )
 

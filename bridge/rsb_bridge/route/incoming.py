@@ -11,7 +11,7 @@ import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.cdr.description import CompareTypes, TypeClash, TypeVersion, unknown_difference
-from rsb_bridge.channel.channel import ReceivingChannel
+from rsb_bridge.channel.channel import Counts, ReceivingChannel
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
@@ -442,8 +442,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.outputs.tick()
         if self.purpose.in_graph:  # else no node knows the type
             self.check.ask_subscribers(self.remote_topic, self.endpoints)
-        counts = self.channel.counts() if self.channel is not None else None
-        expired = counts.expired if counts else 0
+        expired = self.channel.counts().expired if self.channel is not None else 0
         if self._received != self._received_before:
             self._received_before, self._expired_before = self._received, expired
         elif expired - self._expired_before >= _INCOMPLETE_IN_A_ROW:
@@ -494,14 +493,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return msgspec.structs.replace(report, verdict=verdict)
 
     def _received_report(self) -> ReceivedReport:
-        counts = self.channel.counts() if self.channel is not None else None
+        counts = self.channel.counts() if self.channel is not None else Counts(newest=None)
         return ReceivedReport(
             route=self.id,
             received=self._received,
             delivered=self._delivered,
-            expired=counts.expired if counts else 0,
-            incomplete=counts.incomplete if counts else 0,
-            newest=counts.newest if counts else self._received,
+            expired=counts.expired,
+            incomplete=counts.incomplete,
+            newest=self._received + counts.lost if counts.newest is None else counts.newest,
             dropped=dict(self._dropped),
             subscribers=self._subscribers,
             subscriber_qos=self._subscriber_qos,

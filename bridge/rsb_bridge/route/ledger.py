@@ -36,7 +36,7 @@ CAUSES = {
 """The causes under which messages count that a gate keeps back (`rsb_bridge.route.gates`)."""
 INCOMPLETE = "incomplete"
 """The receiver gave these up because parts of them did not come."""
-_ON_THE_WAY = "lost on the way"
+_ON_THE_WAY, _LINK_LOST = "lost on the way", "link lost"
 _LARGEST = 2**53
 """The largest count that is kept or sent; anything beyond it is a mistake."""
 
@@ -118,7 +118,7 @@ class _Opening:
     sent: int = 0
     counted: _Counted | None = None
     overdue: int = 0
-    lost_as: str = "link lost"
+    lost_as: str = _LINK_LOST
     marks: deque[tuple[float, int]] = field(default_factory=deque)
 
 
@@ -132,8 +132,8 @@ class RouteLedger:
     delivered nor lost.
 
     Args:
-        numbered: whether the channel numbers its messages and may lose any of them; on a stream, those are lost that a
-            report leaves out.
+        numbered: whether the channel numbers its messages and may lose any of them; on a stream, they are lost
+            with it.
 
     Attributes:
         offered: messages taken from ROS.
@@ -150,6 +150,7 @@ class RouteLedger:
         self.unknown = 0
         self.missed = MissedWhileDown()
         self._numbered = numbered
+        self._missing_as = _ON_THE_WAY if numbered else _LINK_LOST
         self.expired = 0
         self._delivered = 0
         self._opening = _Opening()
@@ -256,9 +257,9 @@ class RouteLedger:
             self._delivered += counted.delivered
             self.dropped.update(counted.dropped)
             self.drop(INCOMPLETE, counted.expired)
-            on_the_way = self._lost(opening, counted)
-            self.drop(_ON_THE_WAY, on_the_way)
-            left -= counted.settled + on_the_way
+            overtaken = self._lost(opening, counted)
+            self.drop(self._missing_as, overtaken)
+            left -= counted.settled + overtaken
         if same_process:
             self.drop(opening.lost_as, left)
         else:
@@ -282,7 +283,7 @@ class RouteLedger:
                 for cause, count in opening.counted.dropped.items():
                     drop(cause, count)
                 if lost := self._lost(opening, opening.counted):
-                    drop(_ON_THE_WAY, lost)
+                    drop(self._missing_as, lost)
         # The receiver lists these among its drops; here they have parts of their own.
         throttled = self.throttled + dropped.pop(THROTTLED, 0)
         expired = self.expired + dropped.pop(EXPIRED, 0)

@@ -147,6 +147,7 @@ LENGTH = struct.Struct(">I")
 HEADER = struct.Struct(">BBIQ")
 """type, flags, route, stamp."""
 _COUNT = struct.Struct(">Q")
+_MOST_MESSAGES = 2**53
 _HEADER_SIZE = HEADER.size
 _LENGTH_SIZE = LENGTH.size
 STRANGER_LIMIT = PREAMBLE_LIMIT + _LENGTH_SIZE
@@ -379,7 +380,7 @@ class DataReader:
         """Open the frame with which the route goes on on a stream in place of a lost one, and count what is lost.
 
         Raises:
-            ProtocolError: the peer has sealed fewer messages than have come.
+            ProtocolError: the peer has sealed fewer messages than have come, or more than there can be.
             SealError: its seal is invalid, or its number is an earlier one.
         """
         header = frame[:_HEADER_SIZE]
@@ -388,7 +389,7 @@ class DataReader:
         self._opener.skip_to(sequence)
         content = self._open(frame[_HEADER_SIZE:], header)
         told = _COUNT.unpack(content)[0] if len(content) == _COUNT.size else -1
-        if told < self.messages + self.lost:
+        if not self.messages + self.lost <= told <= _MOST_MESSAGES:
             raise ProtocolError(Broken.RESUMED_WRONG(route=route, told=told))
         self.lost = told - self.messages
 

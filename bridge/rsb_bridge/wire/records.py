@@ -130,7 +130,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         received: whole messages that arrived.
         expired: datagram messages given up incomplete.
         incomplete: datagram messages that wait for fragments.
-        newest: the highest message number seen on datagrams.
+        newest: the highest message number seen on datagrams; on streams, the messages that came or were lost.
         subscriber_qos: their combined request, or None without subscribers.
         type: the topic's type in the receiver's graph, while the sender has described none.
         latency: s, one way, of the last second's messages, corrected by the clock offset, or None without a figure.

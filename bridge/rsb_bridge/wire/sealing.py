@@ -225,12 +225,12 @@ class StreamOpener(_StreamState):
         """Go on with a later content: those before it are lost.
 
         Raises:
-            SealError: it is not later, or has an epoch too far ahead.
+            SealError: it is not later, or more than an epoch ahead, which costs time and is never lost in one stream.
         """
         if sequence < self.sequence:
             raise SealError(InvalidSeal.REPLAYED(sequence=sequence))
-        if sequence >> EPOCH_BITS != self._epoch:
-            self._enter_epoch(sequence >> EPOCH_BITS)
+        if (sequence >> EPOCH_BITS) - self._epoch > 1:
+            raise SealError(InvalidSeal.EPOCH_TOO_FAR_AHEAD(epoch=sequence >> EPOCH_BITS))
         self.sequence = sequence
 
     def _forged(self) -> SealError:
