@@ -77,3 +77,30 @@ def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
     assert not bridge.server.happened(EventCode.ROUTE_ABANDONED)
     bridge.robot.hush()
     bridge.settled("/scan", "/odom")
+
+
+def test_a_topic_goes_on_after_a_firewall_has_reset_its_data_connections(
+    network: Network, robot: Host, pc: Host, cable: Cable
+) -> None:
+    """The kernel of the robot hears of it, and that of the PC when something comes or goes next."""
+    scan, odom, *others = EACH_WAY
+    bridge = network.bridge(robot, pc, _PC, scan, odom | {"port": 49153}, *others)
+    bridge.all_talk()
+    for _ in range(2):
+        began = time.time()
+        found = robot.run("ss", "--tcp", "--numeric", "--no-header", "state", "established", "dst", ":49153")
+        own_ends = ", ".join(line.split()[2].rpartition(":")[2] for line in found.splitlines())
+        pc.nft(
+            "add table inet wall;"
+            "add chain inet wall in { type filter hook input priority 0; };"
+            f"add rule inet wall in iif eth0 tcp sport {{ {own_ends} }} reject with tcp reset"
+        )
+        for side in (bridge.client, bridge.server):
+            side.happens(EventCode.LINK_STREAM_REOPENED, since=began)
+        pc.nft("delete table inet wall")
+        bridge.all_flow(_BACK_WITHIN)
+    for side in (bridge.client, bridge.server):
+        assert not side.happened(EventCode.ROUTE_CHANNEL_LOST)
+        assert not side.happened(EventCode.LINK_LOST)
+    bridge.robot.hush()
+    assert set(bridge.settled("/odom")["/odom"].dropped) <= {"link lost"}

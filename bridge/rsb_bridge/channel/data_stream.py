@@ -16,6 +16,7 @@ channel that is the control connection's.
 from __future__ import annotations
 
 import struct
+from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.channel import REOPENS, Counts
@@ -41,9 +42,11 @@ LARGE = 16 * 1024
 """Bytes of a message from which on its route uses the stream for large messages: more than 6 ms of a link of 20
 Mbit/s, and about as much as TCP keeps unsent. Others were not measured. Messages of 20 and 40 kB share a stream with
 the largest, and without priorities their p99 rose from 0.4 and 0.5 s to 0.9 (bench/README.md, *Thin links*)."""
-_LASTS = 5.0
-"""s that a stream in place of a lost one has to last before there is another: where each one is lost at once, routes
-open again with delays of their own. A round figure, above the time that opening takes on a bad link."""
+_MOST_CUTS, _CUTS_WITHIN = 3, 15.0
+"""Losses of a pair within so many s after which its routes go on: where each stream is lost at once, they open again
+with delays of their own. Round figures; three, because a firewall that forgets both shows it one by one."""
+_SHORTEST_PAUSE = 5.0
+"""s until a stream is opened that no route of this side waits for. A round figure."""
 _LONGEST_PAUSE = 60.0
 """s between attempts to open a stream that the other side refuses, or the path does not carry. A round figure."""
 _AWAITED_FOR = 10.0
@@ -71,7 +74,6 @@ class DataStream(StreamHandler):
         queue: see `rsb_bridge.channel.scheduler.Carrier`, and so for `time`, `behind` and `moved_at`.
         acknowledged: bytes that have arrived.
         over: whether it is lost or closed.
-        since: when (s) it was opened in place of a lost one; of a first one, long ago.
         resumed: bytes with which routes have said that they go on on it.
     """
 
@@ -83,7 +85,6 @@ class DataStream(StreamHandler):
         self.moved_at = float("-inf")
         self.sent = self.acknowledged = 0
         self.over = False
-        self.since = float("-inf")
         self.resumed = 0
         self._written_off = 0  # the first bytes, which count as acknowledged in the window
         self._pair = pair
@@ -240,7 +241,8 @@ class StreamPair:
         self._reopen = reopen
         self._lost_at = self._asked_at = float("-inf")
         self._lost_for = ""
-        self._pause = _LASTS
+        self._pause = _SHORTEST_PAUSE
+        self._cuts: deque[float] = deque(maxlen=_MOST_CUTS)  # the times (s)
         self.ends: dict[int, StreamSender | StreamReceiver] = {}
 
     @property
@@ -255,8 +257,6 @@ class StreamPair:
     def add(self, stream: Stream, number: int, *, large: bool, small: bool) -> DataStream:
         """Use an accepted stream for large messages, for small ones, or for both."""
         added = DataStream(stream, number, self)
-        if (self.small if small else self.large) is not None:
-            added.since = self.book.now()
         if small:
             self.small = added
         if large:
@@ -308,11 +308,15 @@ class StreamPair:
         now = self.book.now()
         # One that delivered nothing, or nothing any more, would do no better the next time: as where only large packets
         # are lost, or a firewall resets each connection once there is a message.
+        owes = stream.sent > max(stream.acknowledged, stream.resumed)
         got_through = stream.acknowledged > stream.resumed and now - stream.moved_at < self.scheduler.stalls_after
-        resumes = (stream.acknowledged == stream.sent or got_through) and now - stream.since > _LASTS
+        resumes = got_through or not owes
+        if self.ready:  # else it belongs to the loss before
+            resumes = resumes and not (len(self._cuts) == _MOST_CUTS and now - self._cuts[0] < _CUTS_WITHIN)
+            self._cuts.append(now)
         self.lost(stream, reason, resumes=resumes)
         if resumes and self.ends:
-            self._pause = _LASTS
+            self._pause = _SHORTEST_PAUSE
             self._reopen()
 
     def lost(self, stream: DataStream, reason: str, *, resumes: bool = False) -> None:
