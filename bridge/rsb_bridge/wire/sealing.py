@@ -188,7 +188,7 @@ class Sealer(_StreamState):
 
 
 class StreamOpener(_StreamState):
-    """Opens what a `Sealer` sealed, in order and without gaps.
+    """Opens what a `Sealer` sealed, in order and, except after `skip_to`, without gaps.
 
     Attributes:
         sequence: the next sequence number.
