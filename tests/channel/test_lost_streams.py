@@ -1,4 +1,4 @@
-"""Streams that are lost while the link stays: routes go on on the next ones, without what was on its way."""
+"""Streams that are lost while the link stays: routes go on on the next ones, without the messages in transit."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Numbers:
 
     @property
     def counted(self) -> int:
-        """Messages of which the receiving end knows: those that came, and those that it counts as lost."""
+        """Messages that came, or that the receiving end counts as lost."""
         return len(self.arrived) + int(self._far.channel.counts().lost)
 
     def all_known(self) -> bool:
@@ -153,7 +153,7 @@ async def test_streams_that_are_lost_again_and_again_are_not_opened_again() -> N
 
 @pytest.mark.parametrize("ever", [False, True])
 async def test_a_stream_that_delivers_nothing_is_not_opened_again(ever: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where only large packets are lost: it would end the same way. Or nothing has ever got through."""
+    """The next one would end the same way: it delivers no more, or nothing has ever got through."""
     async with connected(Route(1, outgoing=True)) as (near, far):
         if ever:
             near.routes[1].send(b"x")

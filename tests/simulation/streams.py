@@ -304,7 +304,7 @@ class StreamTransport(asyncio.Transport):
     # --- how it ends
 
     def reset(self) -> None:
-        """Reset both ends, as a firewall between them does; what is on its way is lost."""
+        """Reset both ends, as a firewall between them does; bytes in transit are lost."""
         self.refused()
         self.peer.refused()
 

@@ -5,9 +5,9 @@ that is lost holds up all that follows on its stream: with 2 % loss, joint state
 over Zenoh, where all share one connection (bench/README.md, *Thin links*). Not one for each route, because then the
 kernel would decide which topic goes next.
 
-A stream that is lost is opened again, and most routes go on on the new one, with what waits in their queues; only what
-was on its way is lost. Where each message counts (calls, latched topics), and where a break has to show (what moves
-robots), the route is closed, and opens again.
+A stream that is lost is opened again. Most routes go on on the new one, with the messages in their queues, and lose
+those in transit. Routes of calls, of latched topics and of topics that have to be armed are closed instead, and open
+again: each message of the first two counts, and a robot must notice the break.
 
 A transport whose streams are scarce (Bluetooth: one for each channel) has one stream for both, and on the link's own
 channel that is the control connection's.
@@ -534,7 +534,7 @@ class StreamSender(_StreamEnd, SendingEnd):
 
     def cut(self) -> None:
         super().cut()
-        self._at = 0  # the message under way is sent again from its beginning
+        self._at = 0  # the message that was begun is sent again in full
         self.waits_since, self.turned = None, False
 
     def go_on(self) -> None:

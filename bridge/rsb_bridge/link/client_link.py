@@ -379,7 +379,7 @@ class ClientLink(Link):
         self.channels.end_unused(transport.name, port)
 
     async def _open_each(self, transport: StreamTransport, port: int, wanted: list[bool]) -> Failure | None:
-        """Open the stream of small messages, then that of large ones, or those of them that are wanted."""
+        """Open the wanted streams, by whether they are for large messages. The small one comes first."""
         # Where all topics open their first streams before any opens its second one, none may get that.
         if descriptors.left() < self._streams_wanted + len(wanted):
             return Failure(descriptors.scarcity_message("client"))
