@@ -120,13 +120,13 @@ class Side:
             asyncio.get_running_loop().call_soon(self.other.take_receipts, message)
 
     def take_receipts(self, message: Receipts) -> None:
-        for stream in self.pair.streams():  # not ended ones, which receipts may cross
-            for number, every in message.every:
-                if number == stream.number:
-                    stream.set_interval(every)
-            for number, received in message.received:
-                if number == stream.number:
-                    stream.receipt(received)
+        streams = {each.number: each for each in self.pair.streams()}  # not ended ones, which receipts may cross
+        for number, every in message.every:
+            if number in streams:
+                streams[number].set_interval(every)
+        for number, received in message.received:
+            if number in streams:
+                streams[number].receipt(received)
 
     async def acknowledges_all(self) -> None:
         """Wait until all that the other side has sent is here, and it knows that."""

@@ -74,6 +74,11 @@ class Host:
         """Add to its firewall (nft(8))."""
         self.run("nft", rules)
 
+    def wall(self, *rules: str) -> None:
+        """Filter what comes to it, until its table ``inet wall`` is deleted."""
+        chain = "add table inet wall; add chain inet wall in { type filter hook input priority 0; };"
+        self.nft(chain + ";".join(f"add rule inet wall in {rule}" for rule in rules))
+
     def count(self, counter: str) -> int:
         """One of the kernel's counters, like ``Ip6FragCreates`` (snmp(7) names)."""
         words = self.run("cat", "/proc/net/snmp6").split()

@@ -19,6 +19,12 @@ _PC = "10.99.1.1"
 _BACK_WITHIN = 60.0
 
 
+def own_ends(host: Host, destination: str) -> list[str]:
+    """Return the ports of a host's connections to another port."""
+    found = host.run("ss", "--tcp", "--numeric", "--no-header", "state", "established", "dst", destination)
+    return [line.split()[2].rpartition(":")[2] for line in found.splitlines()]
+
+
 def test_a_short_cut_is_survived_and_a_long_one_comes_back(
     network: Network, robot: Host, pc: Host, cable: Cable
 ) -> None:
@@ -56,13 +62,8 @@ def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
     scan, odom, *others = EACH_WAY
     bridge = network.bridge(robot, pc, _PC, scan, odom | {"port": 49153}, *others)
     bridge.all_talk()
-    own_end = robot.run("ss", "--tcp", "--numeric", "--no-header", "dst", ":49153").split()[3]
-    pc.nft(
-        "add table inet wall;"
-        "add chain inet wall in { type filter hook input priority 0; };"
-        f"add rule inet wall in iif eth0 tcp sport {own_end.rpartition(':')[2]} drop;"
-        "add rule inet wall in iif eth0 meta l4proto udp drop"
-    )
+    own_end, *_ = own_ends(robot, ":49153")
+    pc.wall(f"iif eth0 tcp sport {own_end} drop", "iif eth0 meta l4proto udp drop")
     bridge.client.happens(EventCode.ROUTE_CHANNEL_LOST, "/odom")
     bridge.client.happens(EventCode.LINK_UDP_BLOCKED, Silence.NO_ANSWER(port=49152, host="10.99.1.1"))
     bridge.server.happens(EventCode.LINK_UDP_BLOCKED, Silence.NOTHING_MORE)
@@ -88,13 +89,7 @@ def test_a_topic_goes_on_after_a_firewall_has_reset_its_data_connections(
     bridge.all_talk()
     for _ in range(2):
         began = time.time()
-        found = robot.run("ss", "--tcp", "--numeric", "--no-header", "state", "established", "dst", ":49153")
-        own_ends = ", ".join(line.split()[2].rpartition(":")[2] for line in found.splitlines())
-        pc.nft(
-            "add table inet wall;"
-            "add chain inet wall in { type filter hook input priority 0; };"
-            f"add rule inet wall in iif eth0 tcp sport {{ {own_ends} }} reject with tcp reset"
-        )
+        pc.wall(f"iif eth0 tcp sport {{ {', '.join(own_ends(robot, ':49153'))} }} reject with tcp reset")
         for side in (bridge.client, bridge.server):
             side.happens(EventCode.LINK_STREAM_REOPENED, since=began)
         pc.nft("delete table inet wall")

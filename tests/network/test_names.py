@@ -19,11 +19,7 @@ def test_a_silent_name_server_is_named_and_holds_up_no_stop(robot: Host, tmp_pat
     servers = tmp_path / "resolv.conf"
     servers.write_text("nameserver 127.0.0.2\n")
     robot.run("mount", "--bind", str(servers), "/etc/resolv.conf")
-    robot.nft(
-        "add table inet wall;"
-        "add chain inet wall in { type filter hook input priority 0; };"
-        "add rule inet wall in udp dport 53 drop"
-    )
+    robot.wall("udp dport 53 drop")
     client = Program(robot, Sessions(tmp_path, "pc.example", domains=(80, 81)).client)
     client.happens(EventCode.LINK_UNREACHABLE, LookUpProblem.NO_NAME_SERVER(seconds=5))
     client.happens(EventCode.LINK_CONNECTING)

@@ -213,7 +213,7 @@ class StreamPair:
     the stream of small messages, both end.
 
     Args:
-        reopen: called when routes wait for streams in place of lost ones.
+        reopen: opens the streams that it lacks; a server waits for its client.
 
     Attributes:
         small: the stream of small messages, or None until it is accepted.
@@ -320,10 +320,10 @@ class StreamPair:
             self._reopen()
 
     def lost(self, stream: DataStream, reason: str, *, resumes: bool = False) -> None:
-        """End a stream, as the peer broke the format on it; its routes are closed.
+        """End a stream, and close its routes: without `cut`, the peer has broken the format on it.
 
         Args:
-            resumes: routes that may go on wait for another one.
+            resumes: routes that may go on wait for another stream instead.
         """
         if self.over or stream.over:
             return

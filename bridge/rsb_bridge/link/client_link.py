@@ -383,16 +383,17 @@ class ClientLink(Link):
         # Where all topics open their first streams before any opens its second one, none may get that.
         if descriptors.left() < self._streams_wanted + len(wanted):
             return Failure(descriptors.scarcity_message("client"))
-        failure: Failure | None = None
-        self._streams_wanted += len(wanted)
+        left = len(wanted)
+        self._streams_wanted += left
         try:
-            while wanted and failure is None:
-                failure = await self._open_data_stream(transport, port, large=wanted[0])
-                del wanted[0]
+            for large in wanted:
+                if (failure := await self._open_data_stream(transport, port, large=large)) is not None:
+                    return failure
+                left -= 1
                 self._streams_wanted -= 1
         finally:
-            self._streams_wanted -= len(wanted)
-        return failure
+            self._streams_wanted -= left
+        return None
 
     async def _open_data_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
         assert self.keys is not None

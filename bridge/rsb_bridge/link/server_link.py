@@ -428,12 +428,12 @@ class ServerLink(Link):
 
     def _stream_users(self) -> dict[tuple[StreamTransport, int], bool]:
         """Return the transports and ports of routes over streams, and whether one of these waits for them."""
-        users: dict[tuple[StreamTransport, int], bool] = {}
-        for route in self.ids.open_routes():
-            if isinstance(route.transport, StreamTransport):
-                at = route.transport, route.proposal.port or self.shared_port()
-                users[at] = users.get(at, False) or self.channels.pair_of(at[0].name, at[1]) is None
-        return users
+        users = {
+            (route.transport, route.proposal.port or self.shared_port())
+            for route in self.ids.open_routes()
+            if isinstance(route.transport, StreamTransport)
+        }
+        return {(each, port): self.channels.pair_of(each.name, port) is None for each, port in users}
 
     def take_stream(self, event: Attach) -> tuple[StreamTransport, int]:
         """Return the transport and the port of a stream that the client opens; raise Refusal if no route needs it."""
