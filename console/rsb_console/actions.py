@@ -121,7 +121,7 @@ ACTIONS: tuple[Action, ...] = (
     Action("save", "w", "save", "Save the session with its present topics", Group.SESSION, changes=True),
     Action("save_as", "W", "save as", "Save the session to another file", Group.SESSION, changes=True),
     Action("new_session", "f2", "new", "Write a new session", Group.SESSION, changes=True),
-    Action("import_session", "f3", "import", "Import a bringup.yaml of the thesis's bridge",
+    Action("import_session", "f3", "import", "Import a file of another bridge",
            Group.SESSION, changes=True),
     Action("demo", "f4", "demo", "Run the demo: a simulated robot on this machine", Group.SESSION, changes=True),
     Action("welcome", "f5", "welcome", "Show the welcome screen", Group.SESSION, changes=True),

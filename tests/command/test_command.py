@@ -352,7 +352,9 @@ def test_a_thesis_file_in_place_of_a_session_leads_to_the_import(command: tuple[
     Path("bringup.yaml").write_text(BRINGUP)
     run = rsb_console(*command, "bringup.yaml")
     assert run.returncode == 2
-    assert run.stderr == (f"rsb-console: bringup.yaml: {SavingProblem.THESIS(path='bringup.yaml')}\n")
+    assert run.stderr == (
+        f"rsb-console: bringup.yaml: {SavingProblem.FOREIGN(origin='ros2_socket_bridge', path='bringup.yaml')}\n"
+    )
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 import pytest
 from tests.command.test_command import BRINGUP
+from tests.config.test_imports import DOMAINS
 from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, call_route, route
 from tests.support import constants, replaced, surroundings
 from tests.support.commands import parser_and_commands
@@ -278,6 +279,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("control.yaml", "control-pc.yaml"):
         save(server, tmp_path / name)
     (tmp_path / "bringup.yaml").write_text(BRINGUP)
+    (tmp_path / "bridge.yaml").write_text(DOMAINS)
+    for name in ("robot.json5", "control.json5"):
+        role = "connect" if name == "robot.json5" else "listen"
+        (tmp_path / name).write_text(f'{{plugins: {{ros2dds: {{}}}}, {role}: {{endpoints: ["tcp/10.0.0.1:7447"]}}}}')
     (tmp_path / "setup.bash").touch()
     return tmp_path
 

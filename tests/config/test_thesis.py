@@ -7,8 +7,10 @@ import pytest
 from tests.support.wording import says
 
 from rsb_bridge.config.decoding import ValueMistake
+from rsb_bridge.config.imports.importing import ImportMistake, import_file
+from rsb_bridge.config.imports.other_bridges import Choices
+from rsb_bridge.config.imports.thesis import BringupMistake, BringupNote
 from rsb_bridge.config.session_file import SessionError, dump, parse, validate
-from rsb_bridge.config.thesis import BringupMistake, BringupNote, import_bringup
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.names import TypeNameProblem
@@ -53,6 +55,12 @@ client_node:
 SERVER = "server_node:\n  ros__parameters:\n    server_ip: '192.168.10.250'\n"
 
 
+def imported(path: Path, **choices: Any) -> tuple[Session, list[str]]:
+    sessions, notes, _ = import_file(path, Choices(**choices))
+    (session,) = sessions.values()
+    return session, notes
+
+
 @pytest.fixture
 def bringup(tmp_path: Path) -> Path:
     path = tmp_path / "bringup.yaml"
@@ -61,7 +69,7 @@ def bringup(tmp_path: Path) -> Path:
 
 
 def test_a_client(bringup: Path) -> None:
-    session, notes = import_bringup(bringup, name="fleet1/robot1", key_file="key.txt", domain_id=3)
+    session, notes = imported(bringup, name="fleet1/robot1", key_file="key.txt", domain_id=3)
     assert session == Session(
         name="fleet1/robot1",
         role="client",
@@ -85,7 +93,7 @@ def test_a_client(bringup: Path) -> None:
 
 
 def test_the_other_side_of_a_clients_file(bringup: Path) -> None:
-    session, notes = import_bringup(bringup, name="robot1", role="server", key_file="key.txt", use_name=True)
+    session, notes = imported(bringup, name="robot1", role="server", key_file="key.txt", use_name=True)
     assert (session.role, session.server_ip, session.server_port) == ("server", "192.168.10.250", 3000)
     assert session.topics == ()
     assert notes == [BringupNote.TOPICS_LEFT_OUT()]
@@ -93,17 +101,17 @@ def test_the_other_side_of_a_clients_file(bringup: Path) -> None:
 
 def test_a_server(bringup: Path) -> None:
     bringup.write_text(SERVER)
-    session, _ = import_bringup(bringup, name="robot1", server_port=13001, use_encryption=False)
+    session, _ = imported(bringup, name="robot1", server_port=13001, use_encryption=False)
     assert session == Session(
         name="robot1", role="server", server_ip="192.168.10.250", server_port=13001, use_encryption=False
     )
     with pytest.raises(SessionError, match="server_port: "):
-        import_bringup(bringup, name="robot1", key_file="key.txt")
+        imported(bringup, name="robot1", key_file="key.txt")
 
 
 def test_bluetooth_leaves_out_what_rfcomm_or_the_session_does_itself(bringup: Path) -> None:
     bringup.write_text(BLUETOOTH)
-    session, notes = import_bringup(bringup, name="robot1", key_file="key.txt")
+    session, notes = imported(bringup, name="robot1", key_file="key.txt")
     assert session.is_bluetooth
     assert [(topic.topic, topic.port) for topic in session.topics] == [("/scan", None), ("/goal_pose", 14)]
     assert notes == [BringupNote.NOT_A_CHANNEL(name="/scan", port=12001), BringupNote.SHUTDOWN_LEFT_OUT()]
@@ -111,7 +119,7 @@ def test_bluetooth_leaves_out_what_rfcomm_or_the_session_does_itself(bringup: Pa
 
 def test_what_changed_is_said(bringup: Path) -> None:
     bringup.write_text(CLIENT + "    use_sim_time: true\n")
-    _, notes = import_bringup(bringup, name="robot1", key_file="key.txt", use_name=True)
+    _, notes = imported(bringup, name="robot1", key_file="key.txt", use_name=True)
     assert notes == [BringupNote.NOT_A_PARAMETER(key="use_sim_time"), BringupNote.PREFIX(name="robot1")]
 
 
@@ -130,11 +138,11 @@ def test_what_changed_is_said(bringup: Path) -> None:
         ("12006", "12004", 14, "transmit_ports[2]", SessionMistake.PORT_TAKEN, {"protocol": "tcp", "port": 12004}),
         ("'192.168.10.250'", "'192.168.10'",
          3, "server_ip", SessionMistake.ADDRESS_INVALID, {"address": "'192.168.10'"}),
-        ("ros__parameters", "parameters", None, None, BringupMistake.NO_NODE, {}),
+        ("ros__parameters", "parameters", None, None, ImportMistake.UNKNOWN, {}),
         (CLIENT,
          "client_node:\n  ros__parameters:\n    server_ip: '10.0.0.1'\n    server_port: 3000\n    topics: [scan]\n",
          2, "", BringupMistake.NO_TOPICS, {}),
-        (CLIENT, "- a list\n", None, None, BringupMistake.NO_NODE, {}),
+        (CLIENT, "- a list\n", None, None, ImportMistake.UNKNOWN, {}),
         (CLIENT, CLIENT + SERVER,
          None, None, BringupMistake.SEVERAL_NODES, {"count": 2, "nodes": "client_node, server_node"}),
     ],
@@ -144,7 +152,7 @@ def test_mistakes_are_placed_in_the_thesis_file(
 ) -> None:
     bringup.write_text(CLIENT.replace(old, new))
     with pytest.raises(SessionError) as caught:
-        import_bringup(bringup, name="robot1", key_file="key.txt")
+        imported(bringup, name="robot1", key_file="key.txt")
     (problem,) = caught.value.problems
     assert problem.line == line
     assert problem.location == ("" if location is None else f"client_node.ros__parameters.{location}".rstrip("."))
@@ -153,7 +161,7 @@ def test_mistakes_are_placed_in_the_thesis_file(
 
 def test_mistakes_of_the_arguments_have_no_line(bringup: Path) -> None:
     with pytest.raises(SessionError) as caught:
-        import_bringup(bringup, name="robot1", server_port=0)
+        imported(bringup, name="robot1", server_port=0)
     assert {(problem.location, problem.line) for problem in caught.value.problems} == {
         ("client_node.ros__parameters.server_port", 4),
         ("key_file", None),

@@ -7,21 +7,25 @@ import os
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
 from rsb_bridge.config.decoding import join, read
 from rsb_bridge.config.file_form import as_written, locations
 from rsb_bridge.config.files import replace_file, stat_of, why_not_written
+from rsb_bridge.config.imports.other_bridges import origin_of
 from rsb_bridge.config.keys import Key, key_path, read_key
 from rsb_bridge.config.rights import operator_name_problem
-from rsb_bridge.config.thesis import bridge_nodes
 from rsb_bridge.config.validation import build, placed, settings_problems, validate, validate_topic
 from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read_yaml, text_if_there
 from rsb_bridge.model.demands import SourceKey, sources_of_names
 from rsb_bridge.model.session import Problem, Session, Topic, ZenohSettings
+from rsb_bridge.model.text import one_line
 from rsb_bridge.model.wording import Wording
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
 
@@ -30,7 +34,7 @@ class SavingProblem(Wording):
     """The reason why a session file cannot be read as such, or be saved."""
 
     CHANGED = "was changed on disk after it was opened: open it again, or save under another name"
-    THESIS = "this is a configuration of ros2_socket_bridge: convert it with `rsb-console import {path} --name NAME`"
+    FOREIGN = "this is a file of {origin}: convert it with `rsb-console import {path}`"
     NOT_WRITTEN = "cannot be written: {problem}"
     READ_ONLY = "it is read-only: run `chmod u+w {path}` to save it"
     LAYOUT = "its layout cannot be edited in place: save under another name, or rewrite the whole file"
@@ -96,8 +100,8 @@ def parse(text: str, path: Path) -> Session:
         SessionError: it has mistakes.
     """
     document = read_yaml(text, path)
-    if bridge_nodes(document.data):
-        raise SessionError(path, [Problem("", SavingProblem.THESIS(path=path))])
+    if origin := origin_of(document.data):
+        raise SessionError(path, [Problem("", SavingProblem.FOREIGN(origin=origin.value, path=path))])
     session, problems = build(document.data)
     if document.problems or problems:
         in_text = [placed(problem, document.data) for problem in document.problems]
@@ -139,9 +143,14 @@ def demand_lines(text: str, path: Path) -> dict[SourceKey, int]:
     return found
 
 
-def dump(session: Session) -> str:
-    """Return the text of a new session file, without the values that are at their defaults."""
-    return dump_yaml(msgspec.to_builtins(as_written(session)))
+def dump(session: Session, notes: Iterable[str] = ()) -> str:
+    """Return the text of a new session file, without the values that are at their defaults.
+
+    Args:
+        notes: comments at its head, one line each.
+    """
+    head = "".join(f"# {one_line(note)}\n" for note in notes)
+    return head + dump_yaml(msgspec.to_builtins(as_written(session)))
 
 
 def same(one: Session, other: Session) -> bool:
@@ -162,7 +171,7 @@ def _sorted(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
     return tuple(sorted(topics, key=lambda topic: topic.identity))
 
 
-def save(session: Session, path: Path, opened: SessionFile | None = None) -> SessionFile:
+def save(session: Session, path: Path, opened: SessionFile | None = None, notes: Iterable[str] = ()) -> SessionFile:
     """Write a session file: whole, or not at all.
 
     A file that is replaced keeps its mode, owner and group, and its previous contents are kept in `backup_path`. A new
@@ -171,6 +180,7 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
     Args:
         session: what the file is to say.
         opened: as in `edited_text`.
+        notes: as in `dump`, of a new file.
 
     Returns:
         The file as it is now.
@@ -180,7 +190,7 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
         UnwritableError: it cannot be written.
         SessionError: the session has mistakes. In all cases the old file is as it was.
     """
-    text = edited_text(session, path, opened)
+    text = edited_text(session, path, opened, notes)
     if opened is not None and opened.is_at(path):
         opened.check_unchanged()
     try:
@@ -195,13 +205,14 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
     return SessionFile(path, text, session)
 
 
-def edited_text(session: Session, path: Path, opened: SessionFile | None = None) -> str:
+def edited_text(session: Session, path: Path, opened: SessionFile | None = None, notes: Iterable[str] = ()) -> str:
     """Return the text that `save` writes.
 
     Args:
         session: what the file is to say.
         opened: the file that the session came from, or None for a new text. Comments, order, layout and all values that
             did not change are kept.
+        notes: as in `dump`, of a new text.
 
     Raises:
         UneditableError: the changes cannot be put into the opened file's text.
@@ -212,7 +223,7 @@ def edited_text(session: Session, path: Path, opened: SessionFile | None = None)
         raise SessionError(path, problems)
     if opened is not None:
         return _merged(opened, session)
-    text = dump(session)
+    text = dump(session, notes)
     if not _says(text, session, path):
         raise SessionError(path, [Problem("", "not saved: the file would not load again as this session")])
     return text

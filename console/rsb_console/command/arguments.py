@@ -96,9 +96,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="key file (%(default)s)"
     )
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
-    _import_arguments(
-        command("import", local_commands.import_thesis, "convert the thesis's bringup.yaml to a session file")
-    )
+    _import_arguments(command("import", local_commands.import_sessions, "convert another bridge's file to a session"))
     scan = command("bt-scan", lazily("bt-scan", "bt_scan"), "list Bluetooth adapters and their busy RFCOMM channels")
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
     _complete(only, "adapters")
@@ -193,19 +191,26 @@ def _console_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _import_arguments(parser: argparse.ArgumentParser) -> None:
-    _complete(
-        parser.add_argument("bringup", type=Path, metavar="BRINGUP", help="config/bringup.yaml of ros2_socket_bridge"),
-        "yaml_files",
+    parser.description = (
+        "FILE is config/bringup.yaml of ros2_socket_bridge, a configuration of domain_bridge (of which each pair of "
+        "domains becomes two sessions), or one of zenoh-bridge-ros2dds. What cannot be carried over is printed, and "
+        "written into the session as comments."
     )
-    parser.add_argument("--name", required=True, help="name of the bridge, as in the launch file")
-    parser.add_argument("--role", choices=("client", "server"), help="default: as the node in the file")
-    parser.add_argument("--key-file", type=Path, metavar="PATH", help="file with the launch file's key")
-    parser.add_argument("--port", type=int, help="port of the server, as in its launch file")
-    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain; default: $ROS_DOMAIN_ID at run time")
+    _complete(parser.add_argument("file", type=Path, metavar="FILE", help="file to convert"), "yaml_files")
+    parser.add_argument("--name", help="name of the bridge; default: the file's, if it has one")
+    parser.add_argument("--role", choices=("client", "server"), help="default: as the file has it")
+    parser.add_argument("--key-file", type=Path, metavar="PATH", help="file with the key")
+    parser.add_argument("--port", type=int, help="port of the server; default: the file's, or 7060")
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain; default: the file's, or $ROS_DOMAIN_ID")
     parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")
     parser.add_argument("--no-encryption", action="store_true", help="all data crosses unencrypted")
-    parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="file to write; default: standard output")
-    parser.add_argument("--force", action="store_true", help="replace an existing session file")
+    _complete(
+        parser.add_argument(
+            "-o", "--output", type=Path, metavar="PATH", help="file, or folder for several; default: standard output"
+        ),
+        "yaml_files",
+    )
+    parser.add_argument("--force", action="store_true", help="replace existing session files")
 
 
 class _Version(argparse.Action):

@@ -162,7 +162,7 @@ class SessionOperations:
             await self._console.run_session(new.session, new.path)
 
     async def import_session(self) -> None:
-        """Import a bringup.yaml of the thesis."""
+        """Import a file of another bridge."""
         from rsb_console.screens.new_session import ImportScreen  # noqa: PLC0415 -- keeps the start short
 
         imported = await self._console.ask(ImportScreen(self._console, self._may_run))

@@ -1,4 +1,4 @@
-"""A new session: a form that writes a valid file and makes or takes the key, and the import of a bringup.yaml."""
+"""A new session: a form that writes a valid file and makes or takes the key, or imports another bridge's file."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from textual import on, work
 from textual.widgets import Button, Input
 
 from rsb_bridge.config.files import is_there, typed_path
+from rsb_bridge.config.imports.importing import import_file
+from rsb_bridge.config.imports.other_bridges import Choices
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, validate
-from rsb_bridge.config.thesis import import_bringup
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.limits import CHANNEL, DEFAULT_PORT, SAFE_DOMAIN
 from rsb_bridge.model.session import Client, Session
@@ -66,7 +67,7 @@ FIELDS = (
 )  # fmt: skip
 ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
 MOST_PROBLEMS = 4
-BRINGUP = Spec("bringup", "File", "config/bringup.yaml of ros2_socket_bridge: a client's or a server's.",
+BRINGUP = Spec("bringup", "File", "Of ros2_socket_bridge (config/bringup.yaml) or zenoh-bridge-ros2dds.",
                blank="type to look for a file", edited=True)  # fmt: skip
 IMPORT_FIELDS = (
     Spec("name", "Name", "As in the launch file (-name)."),
@@ -315,8 +316,7 @@ class ImportScreen(FormScreen[OpenedFile]):
         """Make the session; show mistakes of the file at the file's field, others at their own."""
         encrypted = values["use_encryption"] == "yes"
         try:
-            self._made, self._notes = import_bringup(
-                typed_path(values["bringup"]),
+            choices = Choices(
                 name=values["name"],
                 role=ROLES[values["role"]],
                 server_port=number(values["server_port"]) if values["server_port"] else None,
@@ -325,6 +325,7 @@ class ImportScreen(FormScreen[OpenedFile]):
                 use_encryption=encrypted,
                 domain_id=number(values["domain_id"]) if values["domain_id"] else None,
             )
+            imported = import_file(typed_path(values["bringup"]), choices)
         except SessionError as error:
             problems: dict[str, list[str]] = {}
             for problem in error.problems:
@@ -332,6 +333,9 @@ class ImportScreen(FormScreen[OpenedFile]):
                 line = f"line {problem.line}: " if problem.line else ""
                 problems.setdefault(key, []).append(problem.message if key == problem.location else f"{line}{problem}")
             return {key: _few(lines) for key, lines in problems.items()}
+        if len(imported.sessions) > 1:
+            return {"bringup": FileText.SEVERAL_SESSIONS(path=values["bringup"])}
+        (self._made,), self._notes = imported.sessions.values(), imported.notes
         return {}
 
     def result(self, values: Mapping[str, str]) -> OpenedFile:
@@ -343,7 +347,7 @@ class ImportScreen(FormScreen[OpenedFile]):
         """Save the session, show the differences, and ask whether to run it."""
         if await save_asking(self.console, result.session, result.path):
             summary = "\n".join(
-                ["What differs from the thesis's bridge:", *self._notes] if self._notes else ["All was imported."]
+                ["What differs from the other bridge:", *self._notes] if self._notes else ["All was imported."]
             )
             question = ConfirmScreen(f"Imported. Run {result.path.name}?", summary, "Run", Effect.MOVES)
             if await self.console.ask(question) and await self._may_run(result.path):

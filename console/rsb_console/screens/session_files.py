@@ -50,6 +50,7 @@ class FileText(Wording):
 
     EXISTS = "the file exists: ⏎ picks it"
     MISSING = "missing: name the file"
+    SEVERAL_SESSIONS = "several sessions: run `rsb-console import {path} -o FOLDER`"
     RELATIVE_KEYS = "Key files are relative to its folder."
 
 
@@ -67,7 +68,7 @@ CHOICES = {
     "demo": ("d", "Demo", "a simulated robot, bridged on this machine"),
     "new_session": ("n", "New session", "a form that creates the session file and the key"),
     "sessions": ("o", "Open a session", "a recent one, or any file"),
-    "import_session": ("i", "Import", "a bringup.yaml of the thesis's ros2_socket_bridge"),
+    "import_session": ("i", "Import", "a file of ros2_socket_bridge or zenoh-bridge-ros2dds"),
     "quit": ("q", "Quit", ""),
 }
 WATCHING = ("demo", "sessions", "quit")

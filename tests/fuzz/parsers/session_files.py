@@ -1,4 +1,4 @@
-"""Session files, the thesis's files, and keys: what an operator wrote, or was sent by mail."""
+"""Session files, files of other bridges, and keys: what an operator wrote, or was sent by mail."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from tests.fuzz.editing import edit_text
 from tests.fuzz.parser import Parser
 from tests.fuzz.scratch import scratch_folder
 
+from rsb_bridge.config.imports.importing import import_file
+from rsb_bridge.config.imports.other_bridges import Choices
 from rsb_bridge.config.keys import KEY_BYTES, KeyFileError, generate, is_key, is_key_file, read_key
 from rsb_bridge.config.session_file import (
     SessionError,
@@ -20,7 +22,6 @@ from rsb_bridge.config.session_file import (
     parse,
     same,
 )
-from rsb_bridge.config.thesis import import_bringup
 from rsb_bridge.model.session import Session, Topic
 
 _CONFIGS = Path(__file__).parents[3] / "configs"
@@ -70,15 +71,19 @@ def _edit(opened: SessionFile) -> None:
         _check_problems(error)
 
 
-def _read_thesis(data: bytes) -> None:
+def _read_foreign(data: bytes) -> None:
     path = _file(data)
     for role in (None, "server"):
+        choices = Choices("robot1", role=role, key_file="robot1.key", server_port="7060")
         try:
-            session, notes = import_bringup(path, name="robot1", role=role, key_file="robot1.key", server_port="7060")
+            sessions, notes, _ = import_file(path, choices)
         except SessionError as error:
             _check_problems(error)
         else:
-            _check_session(session, path)
+            assert sessions
+            for session in sessions.values():
+                _check_session(session, path)
+                assert same(parse(dump(session, notes), path), session)
             assert all(len(note) <= 2000 for note in notes)
 
 
@@ -111,12 +116,33 @@ _THESIS = b"""client_node:
     receive_qos: [qos_profile_default]
 """
 
+_DOMAIN_BRIDGE = b"""name: hall
+from_domain: 2
+to_domain: 3
+topics:
+  scan: {type: sensor_msgs/msg/LaserScan, qos: {reliability: best_effort, depth: 5}}
+  scan: {type: sensor_msgs/msg/LaserScan, to_domain: 4, remap: /hall/scan}
+  goal_pose: {type: geometry_msgs/msg/PoseStamped, reversed: True}
+"""
+_ZENOH_BRIDGE = b"""plugins:
+  ros2dds:
+    namespace: /robot1
+    domain: 2
+    allow: {publishers: [".*/scan", "/(map|tf)"], subscribers: ["/cmd_vel"], service_servers: [".*"]}
+    pub_max_frequencies: [".*/scan=5"]
+    pub_priorities: ["/map=7", "/tf=1:express"]
+connect: {endpoints: [tcp/192.168.1.10:7447]}
+"""
+
 PARSERS = (
     Parser(
         "session_file", _read_session, tuple(path.read_bytes() for path in sorted(_CONFIGS.glob("*.yaml"))), edit_text
     ),
     Parser(
-        "thesis_file", _read_thesis, (_THESIS, b"server_node:\n  ros__parameters:\n    server_ip: 0.0.0.0\n"), edit_text
+        "foreign_file",
+        _read_foreign,
+        (_THESIS, b"server_node:\n  ros__parameters:\n    server_ip: 0.0.0.0\n", _DOMAIN_BRIDGE, _ZENOH_BRIDGE),
+        edit_text,
     ),
     Parser("key_file", _read_key, (_KEY, b"2021-03-04 12:00:00\n" + _KEY + b"\n", _KEY[:-1])),
 )

@@ -12,23 +12,25 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.decoding import join, show
+from rsb_bridge.config.imports.other_bridges import Choices, Imported, bridge_nodes
 from rsb_bridge.config.validation import build
-from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
+from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.names import SHORT_NAMES
-from rsb_bridge.model.session import Direction, Problem, Role, Session
+from rsb_bridge.model.session import Direction, Problem
 from rsb_bridge.model.transports import is_mac
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from rsb_bridge.config.yaml_text import Document
+
 
 class BringupMistake(Wording):
     """The reason why a thesis's configuration cannot be imported."""
 
     NO_TOPICS = "no topics: a client has the lists {lists}"
-    NO_NODE = "not a bringup.yaml of ros2_socket_bridge: no node has ros__parameters with a server_ip"
     SEVERAL_NODES = "{count} nodes have a server_ip: {nodes}. Keep one in the file, and import one at a time"
     NOT_A_LIST = "{value} is not a list"
     LENGTHS_DIFFER = "{count} entries for {topics} {list}: give one for each"
@@ -47,20 +49,6 @@ class BringupNote(Wording):
     NOT_A_CHANNEL = "{name}: {port} is not an RFCOMM channel; the topic shares the link's"
 
 
-def bridge_nodes(data: object) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each bridge node, by the node's name.
-
-    Args:
-        data: the file as plain data, of any shape.
-    """
-    nodes = {}
-    for node, content in (data if isinstance(data, dict) else {}).items():
-        parameters = content.get("ros__parameters") if isinstance(content, dict) else None
-        if isinstance(parameters, dict) and "server_ip" in parameters:
-            nodes[node] = parameters
-    return nodes
-
-
 _DIRECTIONS: tuple[Direction, ...] = ("transmit", "receive")
 _LISTS = {"topic": "topics", "type": "msg_types", "port": "ports", "protocol": "protocols", "qos": "qos"}
 # rclpy.qos of Foxy; a string of digits is a depth.
@@ -75,37 +63,17 @@ _QOS = {
 }
 
 
-def import_bringup(
-    path: Path,
-    *,
-    name: str,
-    role: Role | None = None,
-    server_port: int | str | None = None,
-    key_file: str | None = None,
-    use_name: bool = False,
-    use_encryption: bool = True,
-    domain_id: int | str | None = None,
-) -> tuple[Session, list[str]]:
-    """Make a session of a thesis ``bringup.yaml``.
+def import_bringup(document: Document, path: Path, choices: Choices) -> Imported:
+    """Make a session of a thesis ``bringup.yaml``, of a client or a server.
 
-    Args:
-        path: the file of a client or a server. A client's makes a server's session too, without the topics.
-        name: as on the other side.
-        role: None: the role of the file's node, ``client_node`` or ``server_node``.
-        server_port: None: the file's own. Text that is no number is a problem like any other.
-        key_file: the key's path, relative to the session's future file.
-        use_name: prefix the client's topics on the server.
-        domain_id: None: ``$ROS_DOMAIN_ID``, as in the thesis. Text as for `server_port`.
-
-    Returns:
-        The session, and notes on what differs from the thesis's bridge, one line each.
+    A client's file makes a server's session too, without the topics. The role is by default that of the file's node,
+    ``client_node`` or ``server_node``, and the domain ``$ROS_DOMAIN_ID``.
 
     Raises:
-        SessionError: it is no such file, or it makes no valid session; locations and lines are the file's.
+        SessionError: it makes no valid session; locations and lines are the file's.
     """
-    document = read_yaml(read_text(path), path)
     node, parameters = _bridge_node(document.data, path)
-    role = role or ("server" if "server" in node else "client")
+    role = choices.role or ("server" if "server" in node else "client")
     bringup = _Bringup(join(node, "ros__parameters"), parameters)
     if role == "client":
         if not any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
@@ -114,26 +82,24 @@ def import_bringup(
         bringup.add_topics()
     elif any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
         bringup.notes.append(BringupNote.TOPICS_LEFT_OUT())
-    if use_name and any(topic["direction"] == "receive" for topic in bringup.topics):
-        bringup.notes.append(BringupNote.PREFIX(name=name))
+    if choices.use_name and any(topic["direction"] == "receive" for topic in bringup.topics):
+        bringup.notes.append(BringupNote.PREFIX(name=choices.name))
     data: dict[str, Any] = {key: parameters[key] for key in ("server_ip", "server_port") if key in parameters}
-    given = {"server_port": server_port, "key_file": key_file, "domain_id": domain_id}
+    given = {each: getattr(choices, each) for each in ("name", "server_port", "key_file", "domain_id")}
     data |= {key: value for key, value in given.items() if value is not None}
-    data |= {"name": name, "role": role, "use_name": use_name, "use_encryption": use_encryption}
+    data |= {"role": role, "use_name": choices.use_name, "use_encryption": choices.use_encryption}
     session, problems = build(data | {"topics": bringup.topics})
     problems = document.problems + bringup.problems + [bringup.translate(problem) for problem in problems]
     if problems:
         raise SessionError(
             path, [document.locate(each) if each.location.startswith(node) else each for each in problems]
         )
-    return session, bringup.notes
+    return Imported({"": session}, bringup.notes)
 
 
 def _bridge_node(data: object, path: Path) -> tuple[str, dict[str, Any]]:
     """Return the name and parameters of the only bridge node in the file."""
     nodes = bridge_nodes(data)
-    if not nodes:
-        raise SessionError(path, [Problem("", BringupMistake.NO_NODE())])
     if len(nodes) > 1:
         message = BringupMistake.SEVERAL_NODES(count=len(nodes), nodes=", ".join(nodes))
         raise SessionError(path, [Problem("", message)])

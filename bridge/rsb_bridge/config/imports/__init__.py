@@ -1,0 +1,1 @@
+"""Turns configurations of other bridges into sessions: one module a bridge, and `importing` tells whose a file is."""
