@@ -66,7 +66,7 @@ def run(ran: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
 
 
 def test_a_robot_is_added_with_all_that_it_needs(path: Path, run: Run) -> None:
-    ran = run("add", "robot2", str(path), "--deny", "/camera/*")
+    ran = run("add", str(path), "robot2", "--deny", "/camera/*")
     assert ran.code == 0
     assert path.read_text() == TEXT + "  - {name: robot2, key_file: robot2.key, deny: [/camera/*]}\n"
     assert path.with_name("pc.yaml~").read_text() == TEXT
@@ -79,15 +79,15 @@ def test_a_robot_is_added_with_all_that_it_needs(path: Path, run: Run) -> None:
     assert says(ran.err, ClientEffect.NOT_RUNNING)
     assert says(ran.err, RobotFileText.SAVE_AS, file="robot2.yaml")
     assert says(ran.err, RobotFileText.COPY_SECRET, files=key_at)
-    shown = run("show", "robot2", str(path))
+    shown = run("show", str(path), "robot2")
     assert (shown.code, shown.out) == (0, ran.out)
     assert "is saved" not in shown.err
 
 
 def test_the_robots_file_is_written_where_it_is_wanted(path: Path, run: Run) -> None:
-    assert run("add", "robot2", str(path), "-o", "robot2.yaml", "--address", "pc.local").out == ""
+    assert run("add", str(path), "robot2", "-o", "robot2.yaml", "--address", "pc.local").out == ""
     assert load(Path("robot2.yaml")).server_ip == "pc.local"
-    again = run("add", "robot3", str(path), "-o", "robot2.yaml")
+    again = run("add", str(path), "robot3", "-o", "robot2.yaml")
     assert (again.code, says(again.err, ClientCommandProblem.OUTPUT_EXISTS, path="robot2.yaml")) == (2, True)
     assert "robot3" not in path.read_text()
     assert not Path("robot3.key").exists()
@@ -99,8 +99,8 @@ def test_a_running_server_is_told(path: Path, run: Run, machine: Machine) -> Non
     assert ran.code == 0
     assert ran.json["session"] == str(path)
     assert says(ran.json["running"], ClientEffect.ADDED)
-    assert "pid" in run("rekey", "robot2", str(path)).err
-    assert says(run("remove", "robot1", str(path)).err, ClientEffect.REMOVED_LINK_CLOSED, name="robot1")
+    assert "pid" in run("rekey", str(path), "robot2").err
+    assert says(run("remove", str(path), "robot1").err, ClientEffect.REMOVED_LINK_CLOSED, name="robot1")
     assert engine.commands == [("add client", ROBOT2), ("change client", ROBOT2), ("remove client", "robot1")]
     assert load(path).clients == (ROBOT2,)
     assert path.with_name("robot1.key").exists()
@@ -112,10 +112,10 @@ def test_nothing_is_closed_of_a_client_that_was_not_linked(path: Path, run: Run,
         engine.now, links=(LINK, dataclasses.replace(LINK, name="robot2", state=State.WAITING))
     )
     machine.serve(engine, file=path)
-    run("add", "robot2", str(path))
-    assert says(run("rekey", "robot1", str(path)).err, ClientEffect.REKEYED_LINK_CLOSED)
+    run("add", str(path), "robot2")
+    assert says(run("rekey", str(path), "robot1").err, ClientEffect.REKEYED_LINK_CLOSED)
     for command, words in (("rekey", f"{ClientEffect.REKEYED()}\n"), ("remove", ClientEffect.REMOVED(name="robot2"))):
-        said = run(command, "robot2", str(path)).err
+        said = run(command, str(path), "robot2").err
         assert words in said
         assert not says(said, ClientEffect.REKEYED_LINK_CLOSED)
         assert not says(said, ClientEffect.REMOVED_LINK_CLOSED)
@@ -126,10 +126,10 @@ def test_a_server_of_one_client_renews_its_key_in_place_and_keeps_letting_it_in(
     path = tmp_path / "robot1.yaml"
     before = write_key(tmp_path / "robot1.key")
     save(replace(SERVER, name="robot1", key_file="robot1.key", clients=None), path)
-    assert run("rekey", "robot1", str(path)).code == 0
+    assert run("rekey", str(path), "robot1").code == 0
     assert read_key(tmp_path / "robot1.key") != before
     assert load(path).clients is None
-    assert run("add", "robot2", str(path)).code == 0
+    assert run("add", str(path), "robot2").code == 0
     assert load(path).clients == (Client("robot1"), ROBOT2)
 
 
@@ -145,7 +145,7 @@ def test_a_server_of_one_client_renews_its_key_in_place_and_keeps_letting_it_in(
 )
 def test_an_address_may_have_a_port(address: str, host: str, port: int, path: Path, run: Run) -> None:
     """`check` accepts the written file."""
-    assert run("add", "robot2", str(path), "-o", "robot2.yaml", "--address", address).code == 0
+    assert run("add", str(path), "robot2", "-o", "robot2.yaml", "--address", address).code == 0
     session = load(Path("robot2.yaml"))
     assert (session.server_ip, session.server_port) == (host, port)
 
@@ -162,7 +162,7 @@ def test_a_bridge_is_named_as_elsewhere(path: Path, run: Run, machine: Machine, 
     """By its name in place of the file; if the other bridge is a client's, the server needs none."""
     machine.serve(ScriptedEngine(SERVER), file=path)
     machine.serve(ScriptedEngine(), file=tmp_path / "robot1.yaml")
-    for words in (("list", "pc"), ("list",), ("list", "--bridge", "pc"), ("show", "robot1", "pc")):
+    for words in (("list", "pc"), ("list",), ("list", "--bridge", "pc"), ("show", "pc", "robot1")):
         assert run(*words).code == 0, words
     assert run("list", "nobody").code == 2
 
@@ -171,7 +171,7 @@ def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machi
     old = read_key(path.with_name("robot1.key"))
     engine = machine.have(ScriptedEngine(SERVER), file=path)
 
-    begun = run("rekey", "robot1", str(path), "--keep-old")
+    begun = run("rekey", str(path), "robot1", "--keep-old")
     new = read_key(path.with_name("robot1-next.key"))
     both = replace(ROBOT1, next_key_file="robot1-next.key")
     assert begun.code == 0
@@ -181,11 +181,11 @@ def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machi
     assert says(begun.err, ClientEffect.BOTH_KEYS_LINK_STAYS)
     assert f"scp -p {path.with_name('robot1-next.key')} USER@ROBOT:robot1.key" in begun.err
     assert says(begun.err, ClientEffect.STEP_FINISH, name="robot1")
-    assert (run("rekey", "robot1", str(path), "--keep-old").code, load(path).clients) == (2, (both,))
+    assert (run("rekey", str(path), "robot1", "--keep-old").code, load(path).clients) == (2, (both,))
 
     used = dataclasses.replace(LINK, fingerprint=fingerprint(old), next_fingerprint=fingerprint(new))
     engine.now = dataclasses.replace(engine.now, links=(used,))
-    refused = run("rekey", "robot1", str(path), "--finish")
+    refused = run("rekey", str(path), "robot1", "--finish")
     assert (
         refused.code,
         says(refused.err, ClientCommandProblem.OLD_KEY_IN_USE, name="robot1", fingerprint=fingerprint(old)),
@@ -195,13 +195,13 @@ def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machi
     assert (row["fingerprint"], row["next_fingerprint"], row["problem"]) == (fingerprint(old), fingerprint(new), "")
 
     engine.now = dataclasses.replace(engine.now, links=(dataclasses.replace(used, fingerprint=fingerprint(new)),))
-    finished = run("rekey", "robot1", str(path), "--finish", "--json")
+    finished = run("rekey", str(path), "robot1", "--finish", "--json")
     assert (finished.code, finished.json["fingerprint"]) == (0, fingerprint(new))
     assert path.read_text() == TEXT
     assert read_key(path.with_name("robot1.key")) == new
     assert not path.with_name("robot1-next.key").exists()
     assert engine.commands == [("change client", both), ("change client", ROBOT1)]
-    again = run("rekey", "robot1", str(path), "--finish")
+    again = run("rekey", str(path), "robot1", "--finish")
     assert (again.code, says(again.err, ClientFileProblem.NO_NEXT_KEY, name="robot1")) == (2, True)
 
 
@@ -220,24 +220,24 @@ def test_a_finish_asks_if_the_client_may_not_have_the_new_key(
         engine = ScriptedEngine(SERVER)
         engine.now = dataclasses.replace(engine.now, links=(dataclasses.replace(LINK, state=State.DOWN),))
         machine.serve(engine, file=path)
-    run("rekey", "robot1", str(path), "--keep-old")
+    run("rekey", str(path), "robot1", "--keep-old")
     before = path.read_text()
     surroundings.set_stdin(monkeypatch, answer or "", is_terminal=answer is not None)
-    ran = run("rekey", "robot1", str(path), "--finish")
+    ran = run("rekey", str(path), "robot1", "--finish")
     assert (ran.code == 0, path.read_text() == TEXT) == (finished, finished)
     if not finished:
         assert path.read_text() == before
         problem = Asking.NOBODY if answer is None else ClientCommandProblem.NOT_FINISHED
         assert says(ran.err, problem)
         assert ran.code == (2 if answer is None else 1)
-        assert run("rekey", "robot1", str(path), "--finish", "--json").code == 2
+        assert run("rekey", str(path), "robot1", "--finish", "--json").code == 2
 
 
 @pytest.mark.parametrize(("used", "code"), [(("old", "next"), 0), (("next", "old"), 2), (("next of robot2",), 2)])
 def test_a_finish_knows_from_the_servers_log_which_key_was_used_last(
     path: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, used: tuple[str, ...], code: int
 ) -> None:
-    run("rekey", "robot1", str(path), "--keep-old")
+    run("rekey", str(path), "robot1", "--keep-old")
     marks = {
         name: fingerprint(read_key(path.with_name(f"robot1{end}.key")))
         for name, end in (("old", ""), ("next", "-next"))
@@ -253,17 +253,17 @@ def test_a_finish_knows_from_the_servers_log_which_key_was_used_last(
         )  # the clock is set back in between
         log.write([event])
     log.close()
-    ran = run("rekey", "robot1", str(path), "--finish", "--json")
+    ran = run("rekey", str(path), "robot1", "--finish", "--json")
     assert (ran.code, path.read_text() == TEXT) == (code, code == 0)
     assert says(ran.err, ClientEffect.USED, name="robot1", when=clock(1e9 - 1)) is (code == 0)
 
 
 def test_a_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:
     """The new key was put in place, and the session was not saved."""
-    run("rekey", "robot1", str(path), "--keep-old")
+    run("rekey", str(path), "robot1", "--keep-old")
     new = path.with_name("robot1-next.key")
     path.with_name("robot1.key").write_bytes(new.read_bytes())
-    assert run("rekey", "robot1", str(path), "--finish", "--yes").code == 0
+    assert run("rekey", str(path), "robot1", "--finish", "--yes").code == 0
     assert path.read_text() == TEXT
     assert not new.exists()
 
@@ -271,17 +271,17 @@ def test_a_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:
 def test_a_key_that_others_share_stays_theirs(path: Path, run: Run) -> None:
     shared = write_key(path.with_name("all.key"))
     save(replace(SERVER, key_file="all.key", shared_keys=True, clients=(Client("robot1"), Client("robot2"))), path)
-    assert run("rekey", "robot2", str(path), "--keep-old").code == 0
+    assert run("rekey", str(path), "robot2", "--keep-old").code == 0
     own = read_key(path.with_name("all-next.key"))
-    assert run("rekey", "robot2", str(path), "--finish", "--yes").code == 0
+    assert run("rekey", str(path), "robot2", "--finish", "--yes").code == 0
     assert load(path).clients == (Client("robot1"), Client("robot2", "all-next.key"))
     assert read_key(path.with_name("all.key")) == shared
     assert read_key(path.with_name("all-next.key")) == own
 
 
 def test_a_new_key_gives_up_the_next_one(path: Path, run: Run) -> None:
-    run("rekey", "robot1", str(path), "--keep-old")
-    assert run("rekey", "robot1", str(path)).code == 0
+    run("rekey", str(path), "robot1", "--keep-old")
+    assert run("rekey", str(path), "robot1").code == 0
     assert path.read_text() == TEXT
 
 
@@ -292,7 +292,7 @@ def test_the_next_key_of_a_whole_server_is_replaced_by_hand(tmp_path: Path, run:
     save(replace(SERVER, name="robot1", key_file="robot1.key", next_key_file="new.key", clients=None), path)
     text = path.read_text()
     for options in ((), ("--finish",)):
-        ran = run("rekey", "robot1", str(path), *options)
+        ran = run("rekey", str(path), "robot1", *options)
         assert (ran.code, says(ran.err, ClientFileProblem.NEXT_KEY_OF_SERVER, name="robot1")) == (2, True)
     assert path.read_text() == text
 
@@ -301,8 +301,8 @@ def test_the_next_key_of_a_whole_server_is_replaced_by_hand(tmp_path: Path, run:
 def test_the_keys_that_root_makes_belong_to_whoever_runs_the_server(path: Path, run: Run) -> None:
     for file in (path, path.with_name("robot1.key")):
         os.chown(file, 1234, 5678)
-    assert run("add", "robot2", str(path)).code == 0
-    assert run("rekey", "robot1", str(path)).code == 0
+    assert run("add", str(path), "robot2").code == 0
+    assert run("rekey", str(path), "robot1").code == 0
     for name in ("pc.yaml", "pc.yaml~", "robot1.key", "robot2.key"):
         status = path.with_name(name).stat()
         assert (name, status.st_uid, status.st_gid) == (name, 1234, 5678)
@@ -313,7 +313,7 @@ def test_a_client_that_shares_a_key_gets_one_of_its_own(path: Path, run: Run) ->
     shared = write_key(path.with_name("all.key"))
     save(replace(SERVER, key_file="all.key", clients=(Client("robot1"), Client("robot2"))), path)
     path.with_name("robot2.key").write_text("somebody else's")
-    assert run("rekey", "robot2", str(path)).code == 0
+    assert run("rekey", str(path), "robot2").code == 0
     assert load(path).clients == (Client("robot1"), Client("robot2", "robot2-2.key"))
     assert read_key(path.with_name("all.key")) == shared
 
@@ -359,28 +359,28 @@ def test_refusals_are_in_words_and_change_nothing(
 ) -> None:
     before = sorted(path.parent.rglob("*"))
     name, *options = arguments[1:]
-    ran = run(arguments[0], name, str(path), *options)
+    ran = run(arguments[0], str(path), name, *options)
     assert ran.code == code
     assert words in ran.err
     assert path.read_text() == TEXT
     assert sorted(path.parent.rglob("*")) == before
-    assert json.loads(run(arguments[0], name, str(path), *options, "--json").out)["ok"] is False
+    assert json.loads(run(arguments[0], str(path), name, *options, "--json").out)["ok"] is False
 
 
 def test_files_that_cannot_take_a_client(path: Path, run: Run) -> None:
     path.with_name("robot2.key").write_text("mine")
-    ran = run("add", "robot2", str(path))
+    ran = run("add", str(path), "robot2")
     assert (ran.code, says(ran.err, ClientFileProblem.KEY_EXISTS, path=path.with_name("robot2.key"))) == (2, True)
     path.with_name("robot2.key").unlink()
 
     path.chmod(0o444)
-    ran = run("add", "robot2", str(path))
+    ran = run("add", str(path), "robot2")
     assert (ran.code, says(ran.err, SavingProblem.READ_ONLY)) == (1, True)
     assert not path.with_name("robot2.key").exists(), "a key for nobody"
 
     robot = path.with_name("robot1.yaml")
     robot.write_text(dump(Session(name="robot1", role="client", server_ip="a", server_port=1, key_file="robot1.key")))
-    ran = run("add", "robot2", str(robot))
+    ran = run("add", str(robot), "robot2")
     assert (ran.code, says(ran.err, ClientFileProblem.NOT_A_SERVER, path=robot)) == (2, True)
     ran = run("list")
     assert (ran.code, says(ran.err, ClientCommandProblem.SESSION_UNKNOWN)) == (3, True)
@@ -388,14 +388,14 @@ def test_files_that_cannot_take_a_client(path: Path, run: Run) -> None:
 
 def test_an_existing_key_is_used_where_it_is_named(path: Path, run: Run) -> None:
     key = write_key(path.with_name("other.key"))
-    assert run("add", "robot2", str(path), "--key-file", "other.key").code == 0
+    assert run("add", str(path), "robot2", "--key-file", "other.key").code == 0
     assert load(path).listed_clients[1].key_file == "other.key"
     assert read_key(path.with_name("other.key")) == key
 
 
 def test_where_the_server_binds_every_address_the_robots_file_has_a_guess(path: Path, run: Run) -> None:
     path.write_text(TEXT.replace("10.0.0.20", "0.0.0.0"))
-    ran = run("add", "robot2", str(path))
+    ran = run("add", str(path), "robot2")
     assert "server_ip" in ran.out
     assert says(ran.out, RobotFileText.ADDRESS_GUESSED)
     assert parse(ran.out, Path("robot2.yaml")).server_ip != "0.0.0.0"
@@ -403,12 +403,12 @@ def test_where_the_server_binds_every_address_the_robots_file_has_a_guess(path: 
 
 def test_without_encryption_there_is_no_key(path: Path, run: Run) -> None:
     path.write_text(f"{TEXT}use_encryption: false\n".replace(", key_file: robot1.key", ""))
-    ran = run("add", "robot2", str(path))
+    ran = run("add", str(path), "robot2")
     assert ran.code == 0
     assert not path.with_name("robot2.key").exists()
     assert "key" not in ran.err
     assert parse(ran.out, Path("robot2.yaml")).use_encryption is False
-    assert run("rekey", "robot2", str(path)).code == 2
+    assert run("rekey", str(path), "robot2").code == 2
 
 
 def test_a_server_begins_without_clients(tmp_path: Path, run: Run) -> None:
@@ -417,9 +417,9 @@ def test_a_server_begins_without_clients(tmp_path: Path, run: Run) -> None:
     assert "clients: []" in path.read_text()
     empty = path.read_text()
     assert run("list", str(path), "--json").json["clients"] == []
-    assert run("show", "robot1", str(path)).code == 2
-    assert run("add", "robot1", str(path)).code == 0
+    assert run("show", str(path), "robot1").code == 2
+    assert run("add", str(path), "robot1").code == 0
     assert load(path).clients == (Client("robot1", "robot1.key"),)
-    assert run("remove", "robot1", str(path)).code == 0
+    assert run("remove", str(path), "robot1").code == 0
     assert load(path).clients == ()
     assert path.read_text() == empty

@@ -357,12 +357,12 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
     def client(name: str, summary: str, *, named: bool = True, hands_out: bool = False) -> argparse.ArgumentParser:
         parser = commands.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         parser.set_defaults(command=lazily(name, "client_command"), saves=name != "show")
+        which = "the server's session file, or its bridge's name; default: the server that runs here"
+        complete(parser.add_argument("session", type=Path, metavar="SERVER", nargs="?", help=which), "yaml_files")
         if named:
             its_name = parser.add_argument("name", metavar="NAME", help="name of the client")
             if name != "add":
                 complete(its_name, "links")
-        which = "the server's session file, or its bridge's name; default: the server that runs here"
-        complete(parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help=which), "yaml_files")
         complete(
             parser.add_argument("--bridge", metavar="BRIDGE", help="the server's bridge; needed where several run"),
             "bridge_names",
