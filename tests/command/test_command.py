@@ -9,19 +9,20 @@ import stat
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
 
 import pytest
 from tests.support import replaced, surroundings
-from tests.support.commands import rsb_console
+from tests.support.commands import Ran, rsb_console
 from tests.support.long import long
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice
 from rsb_bridge.config.decoding import Hint, ValueMistake
 from rsb_bridge.config.files import FileRefused
-from rsb_bridge.config.keys import KeyFileProblem, KeyWarning
+from rsb_bridge.config.keys import KeyFileProblem, KeyWarning, write_key
 from rsb_bridge.config.session_file import SavingProblem, load
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import YamlMistake
@@ -43,6 +44,14 @@ server_port: 49152
 key_file: key.txt
 topics:
   - {topic: /scan, direction: transmit, protocol: udp, max_rate: 5}
+"""
+CLIENT_WITHOUT_KEY = """\
+name: robot1
+role: client
+server_ip: 10.0.0.1
+server_port: 7060
+key_file: robot1.key
+topics: [{topic: /scan, direction: transmit}]
 """
 BRINGUP = """\
 client_node:
@@ -312,6 +321,26 @@ def test_keygen_makes_key_txt_and_never_prints_it() -> None:
     assert Path("key.txt").read_text().strip() != key
     assert rsb_console("keygen", "robot1.key").returncode == 0
     assert Path("robot1.key").stat().st_mode & 0o777 == 0o600
+
+
+def test_check_as_json_names_effects_and_missing_key(ran: Callable[..., Ran], tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    path.write_text(CLIENT_WITHOUT_KEY)
+    without = ran("check", str(path), "--json")
+    assert (without.code, without.json["ok"], without.json["role"]) == (3, False, "client")
+    assert "robot1.key" in without.json["error"]
+    write_key(tmp_path / "robot1.key")
+    found = ran("check", str(path), "--json")
+    assert (found.code, found.json["ok"], found.json["mistakes"]) == (0, True, [])
+    assert any("/scan" in line for line in found.json["effects"])
+
+
+def test_check_as_json_places_mistakes(ran: Callable[..., Ran], tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    path.write_text(CLIENT_WITHOUT_KEY.replace("7060", "x"))
+    found = ran("check", str(path), "--json")
+    assert (found.code, found.json["ok"]) == (2, False)
+    assert [(each["line"], each["key"]) for each in found.json["mistakes"]] == [(4, "server_port")]
 
 
 def test_import_writes_a_session_that_loads() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from tests.console.scripted import EVENTS, ScriptedEngine, route
+from tests.support.commands import documented_commands, parser_and_commands, subcommands_of
 
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.verdict import LinkCause
@@ -56,6 +57,14 @@ def test_the_fields_of_calls_that_are_documented_are_printed() -> None:
 
 def called_section() -> str:
     return re.split(r"\n#+ ", HEADLESS.partition("### A route of calls\n")[2])[0]
+
+
+def test_every_command_with_json_has_a_row() -> None:
+    # What stop, save and the like print has no more than `ok`.
+    only_ok = {"stop", "restart", "shutdown", "bench", "attach", "run", "fleet", "events", "save"}
+    commands = subcommands_of(parser_and_commands()[0])
+    with_json = {name for name, parser in commands.items() if "--json" in parser.format_help()}
+    assert with_json - only_ok <= documented_commands()
 
 
 def test_exit_codes_stand_in_one_table_and_in_the_help() -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import re
 import signal
 import subprocess
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -34,6 +36,7 @@ def subcommands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.Argume
 class Ran:
     def __init__(self, capsys: pytest.CaptureFixture[str], *words: str) -> None:
         parsed = parser_and_commands()[0].parse_args(words)
+        self.words = words
         self.code = parsed.command(parsed)
         self.out, self.err = capsys.readouterr()
 
@@ -42,8 +45,44 @@ class Ran:
 
     @property
     def json(self) -> Any:
-        """The output, one object."""
-        return json.loads(self.out)
+        """The output, one object, with keys that docs/headless.md lists."""
+        found = json.loads(self.out)
+        if "--json" in self.words and isinstance(found, dict):
+            assert isinstance(found.get("ok"), bool) or self.words[0] in ONE_A_LINE, found
+            assert found.keys() <= documented_keys(self.words[0]), found.keys() - documented_keys(self.words[0])
+        return found
+
+
+ONE_A_LINE = ("events", "echo", "hz", "bw")
+_HEADLESS = Path(__file__).parents[2] / "docs" / "headless.md"
+
+
+def documented_keys(command: str) -> set[str]:
+    """Return the keys of a command's object of JSON, and the codes that stand in its rows beside them."""
+    return set[str]().union(*(keys for names, keys in _documented() if command in names or "any" in names))
+
+
+def documented_commands() -> set[str]:
+    """Return the commands that have a row of their own."""
+    return set[str]().union(*(names for names, _ in _documented()))
+
+
+@cache
+def _documented() -> list[tuple[set[str], set[str]]]:
+    text = _HEADLESS.read_text(encoding="utf-8")
+    table = text.partition("### Objects of the commands\n")[2].partition("\n#")[0]
+    fleet = text.partition("### A robot of a fleet\n")[2].partition("\n|")[0]
+    rows = [(first, keys) for first, _, keys in re.findall(r"^\| ([^|]+) (\|) (.+)\|$", table, re.MULTILINE)]
+    rows += [
+        ("`info`", _section(text, "A route") + _section(text, "A route of calls")),
+        ("`events`", _section(text, "An event")),
+        ("`fleet`", fleet),
+    ]
+    return [(set(re.findall(r"\w[\w-]*", each)), set(re.findall(r"`(\w+)`", keys))) for each, keys in rows]
+
+
+def _section(text: str, heading: str) -> str:
+    return text.partition(f"### {heading}\n")[2].partition("\n#")[0]
 
 
 def rsb_console(*words: str, may_crash: bool = False) -> subprocess.CompletedProcess[str]:

@@ -205,9 +205,17 @@ def _shared_memory(folder: Path) -> Iterator[Finding]:
             Grade.NOTE,
             "shared memory",
             f"killed programs have left {len(left)} files of Fast DDS ({taken // _MEGABYTE} MB) in {folder}",
-            f"stop all ROS nodes of this machine, then run: rm {folder}/fast*",
+            _cleaning(folder),
             {"files": len(left), "bytes": taken},
         )
+
+
+def _cleaning(folder: Path) -> str:
+    """Return how to remove what killed programs have left: Fast DDS's own tool spares the nodes that run."""
+    beside = Path(sys.executable).with_name("fastdds")  # of the wheels, whose folder need not be in $PATH
+    if tool := "fastdds" if shutil.which("fastdds") else str(beside) if beside.exists() else "":
+        return f"run: {tool} shm clean"
+    return f"stop all ROS nodes of this machine, then run: rm {folder}/fast* {folder}/sem.fast*"
 
 
 def _is_locked(path: Path) -> bool | None:

@@ -83,6 +83,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     _run_arguments(command("run", local_commands.run, "bridge a session, with or without the console"))
     check = command("check", check_session, "describe a session and its mistakes")
     _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
+    check.add_argument("--json", action="store_true", help="print JSON, for programs")
     doctor = command("doctor", local_commands.doctor, "examine this machine: ROS, network, memory, clock, terminal")
     _complete(
         doctor.add_argument(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, ChannelUse, Scan, scan
-from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
+from rsb_console.command.formatting import json_line
+from rsb_console.command.shell import FAILURE, OK, print_error, print_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -19,14 +19,14 @@ def run_bt_scan(adapter: str | None, as_json: bool) -> int:
 
     Args:
         adapter: name or address of the adapter to scan with, or None for all.
-        as_json: print one JSON object with the fields of `Scan`.
+        as_json: print one JSON object: whether Bluetooth can be used (`ok`), and the fields of `Scan`.
 
     Returns:
         0, or 1 if Bluetooth cannot be used in its present state.
     """
     found = asyncio.run(scan(adapter))
     if as_json:
-        print_lines(json.dumps(asdict(found), indent=2))
+        print_line(json_line({"ok": found.usable, **asdict(found)}))
     else:
         for line in _lines(found):
             print_line(line)

@@ -36,6 +36,7 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import PROFILES, compression_of, profile_of, profile_text
 from rsb_bridge.model.wording import Wording
+from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import NO_KEY, OK, USAGE, print_error, print_line
 
 if TYPE_CHECKING:
@@ -274,21 +275,29 @@ def check_session(arguments: Namespace) -> int:
     try:
         session = load(path)
     except SessionError as error:
-        return print_mistakes(error)
-    for line in summary(session, demand_places(path)):
-        print_line(line)
-    for line in chain(rights(session), hints(session)):
-        print_line(line)
+        if not arguments.json:
+            return print_mistakes(error)
+        mistakes = [{"line": each.line, "key": each.location, "text": each.message} for each in error.problems]
+        print_line(json_line({"ok": False, "file": str(path), "error": str(error), "mistakes": mistakes}))
+        return USAGE
     # Each key is read once, so that lines and exit code agree even if a file changes meanwhile.
     keys = dict(session_keys(session, path.parent))
-    for line in _key_lines(session, keys):
+    effects = [*summary(session, demand_places(path)), *rights(session), *hints(session), *_key_lines(session, keys)]
+    warnings = [*_warnings(session, keys), *fault_command_warnings(session, path)]
+    problem = _shared_keys(session, keys)
+    problem = problem and f"the bridge does not start: {problem}"
+    missing = any(isinstance(key, KeyFileError) for key in keys.values())
+    code = USAGE if problem else NO_KEY if missing else OK
+    if arguments.json:
+        found: dict[str, object] = {"ok": code == OK, "file": str(path), "name": session.name, "role": session.role}
+        found |= {"mistakes": [], "effects": [line.strip() for line in effects], "warnings": warnings}
+        print_line(json_line(found | ({"error": problem or warnings[0]} if code != OK else {})))
+        return code
+    for line in chain(effects, (f"warning: {warning}" for warning in warnings)):
         print_line(line)
-    for warning in chain(_warnings(session, keys), fault_command_warnings(session, path)):
-        print_line(f"warning: {warning}")
-    if problem := _shared_keys(session, keys):
-        print_error(f"the bridge does not start: {problem}")
-        return USAGE
-    return NO_KEY if any(isinstance(key, KeyFileError) for key in keys.values()) else OK
+    if problem:
+        print_error(problem)
+    return code
 
 
 def print_mistakes(error: SessionError) -> int:

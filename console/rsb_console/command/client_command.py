@@ -263,7 +263,7 @@ def _list(arguments: Namespace) -> int:
             }
         )
     if arguments.json:
-        print_line(json_line({"session": str(file.path), "clients": rows}))
+        print_line(json_line({"ok": True, "session": str(file.path), "clients": rows}))
         return OK
     for row in rows:
         next_key = f", next {row['next_fingerprint']}" if row["next_fingerprint"] else ""

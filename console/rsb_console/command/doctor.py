@@ -42,7 +42,7 @@ def run_doctor(path: Path | None, *, as_json: bool) -> int:
         checks += session_needs.checks(session, path, os.environ)
     found = list(examine(checks))
     if as_json:
-        print_line(json_line(report(found)))
+        print_line(json_line({"ok": worst(found) != Grade.ERROR, **report(found)}))
     else:
         for line in lines(found, shutil.get_terminal_size().columns):
             print_line(line)

@@ -287,7 +287,7 @@ def moment(at: float, now: float) -> str:
 def json_report(report: HistoryReport, **more: object) -> str:
     """Convert the report to one object, with `more` members."""
     tracks = [{**asdict(track), "up_ratio": track.up_ratio} for track in report.tracks]
-    members = {**asdict(report), "start": report.start, "tracks": tracks, **more}
+    members = {"ok": True, **asdict(report), "start": report.start, "tracks": tracks, **more}
     return escape_json(json.dumps(members, ensure_ascii=False))
 
 
