@@ -102,19 +102,24 @@ def test_what_a_robot_gets_when_its_arming_ends_is_shown_with_the_line(tmp_path:
         "  - {topic: /cmd_vel, direction: receive, type: Twist, arm: true}\n"
         "  - {topic: /light, direction: receive, type: Bool, arm: true}\n"
         "  - {topic: /go, direction: receive, arm: true, on_end: none}\n"
+        "  - {topic: /far, direction: transmit, type: Twist, arm: true, on_end: {linear: {x: 1}}}\n"
+        "  - {topic: /far_light, direction: transmit, type: Bool, arm: true, on_end: zero}\n"
         "actions:\n"
         "  - {action: /dock, provider: client, arm: true, on_end: cancel}\n"
         "  - {action: /spin, provider: client, arm: true}\n"
     )
     session = load_file(path).session
-    shown = {line.split()[1]: line for line in summary(session, demand_places(path)) if line.startswith("  receive")}
+    described = summary(session, demand_places(path))
+    shown = {line.split()[1]: line for line in described if line.startswith(("  receive", "  transmit"))}
     assert '{"x": 1}' in shown["/helm"]
     assert "robot.yaml:6" in shown["/helm"].rpartition('{"x": 1}')[2]
     assert SessionCheckText.ENDS_WITH_ZERO() in shown["/cmd_vel"]
     assert SessionCheckText.ENDS_WITH_NOTHING() in shown["/light"]
     assert SessionCheckText.ENDS_WITH(message="none", line="robot.yaml:11") in shown["/go"]
+    assert SessionCheckText.ENDS_AS_THERE_OR_ZERO() in shown["/far"]
+    assert SessionCheckText.ENDS_AS_THERE() in shown["/far_light"]
     actions = [line for line in summary(session, demand_places(path)) if "/dock" in line or "/spin" in line]
-    assert any(SessionCheckText.CANCELS(line="robot.yaml:13") in line for line in actions)
+    assert any(SessionCheckText.CANCELS(line="robot.yaml:15") in line for line in actions)
     assert any(SessionCheckText.GOALS_GO_ON() in line for line in actions)
     (alone,) = [line for line in hints(session) if "/cmd_vel" in line]
     assert alone == SessionCheckText.NO_OTHER_GUARD(names="/cmd_vel")

@@ -5,14 +5,16 @@ from __future__ import annotations
 import asyncio
 import struct
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
+import msgspec
 import pytest
-from tests.link.test_arming import CONSOLE, arm, let_time_pass, propose, route
+from tests.link.test_arming import CONSOLE, arm, events, let_time_pass, propose, route
 from tests.link.test_route_table import hear_all, pair_of
 
 from rsb_bridge.cdr.known_types import resting, stamped, velocity_of
 from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import ArmedName, Topic
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
+    from rsb_bridge.model.session import Direction
     from rsb_bridge.route.route import Route
 
 BEGIN = b"\0\1\0\0"
@@ -44,6 +47,8 @@ RESTS = BEGIN + bytes(48)
 STAYS = BEGIN + struct.pack("<6d", 0.1, 0, 0, 0, 0, 0)
 DEADMAN = 30.0
 REST_OVER = EVERY * TIMES
+OnEnd: TypeAlias = "str | dict[str, Any] | None"
+SILENT = "demands nothing"
 
 
 class Heard(NamedTuple):
@@ -125,26 +130,39 @@ class Driven:
         loop: VirtualLoop,
         make_context: Callable[..., Context],
         kind: str = TWIST,
-        on_end: str | dict[str, Any] | None = None,
-        there: str | dict[str, Any] | None = None,
+        on_end: OnEnd = None,
+        there: OnEnd = SILENT,
+        *,
+        serves: bool = False,
     ) -> None:
         """Arm it.
 
         Args:
-            on_end: of the robot's session.
-            there: of the control PC's.
+            on_end: of the robot's session, or None if it only demands that the topic is armed.
+            there: of the control PC's, likewise.
+            serves: whether the robot is the server. A client demands it by an entry, a server by a pattern.
         """
         self.robot, self._loop = Robot(loop), loop
-        armed = () if there is None else (ArmedName("/cmd_vel", on_end=there),)
-        self.pair = here, pc = pair_of(make_context(ros=self.robot), make_context(role="server", armed=armed))
-        propose(here, Topic("/cmd_vel", "receive", arm=True, deadman=DEADMAN, type=kind, on_end=on_end))
+        of_client, of_server = (there, on_end) if serves else (on_end, there)
+        armed = () if of_server == SILENT else (ArmedName("/cmd_*", deadman=DEADMAN, on_end=of_server),)
+        client = make_context(ros=None if serves else self.robot)
+        server = make_context(ros=self.robot if serves else None, role="server", armed=armed)
+        self.pair = pair_of(client, server)
+        propose(self.pair[0], self.entry(kind, of_client, direction="transmit" if serves else "receive"))
         hear_all(self.pair)
+        _, pc = self.pair = self.pair[::-1] if serves else self.pair
         self.kind = kind
         self.describe()
         if not self.half.id:
             return  # it is refused
         arm(pc).result()
         let_time_pass(self.pair, 0.5)
+
+    @staticmethod
+    def entry(kind: str, on_end: OnEnd, direction: Direction = "receive") -> Topic:
+        if on_end == SILENT:
+            return Topic("/cmd_vel", direction, type=kind)
+        return Topic("/cmd_vel", direction, arm=True, deadman=DEADMAN, type=kind, on_end=on_end)
 
     def describe(self, qos: Qos | None = None) -> None:
         description = Describe(self.half.id, self.kind, "RIHS01_" + "0" * 64, qos or Qos(), (Source(("there",)),))
@@ -376,34 +394,111 @@ def test_a_type_that_moves_nothing_has_no_rest(make_driven: Callable[..., Driven
     assert len(driven.payloads) == 1
 
 
-@pytest.mark.parametrize(
-    ("on_end", "there", "rest", "shown"),
-    [
-        (None, None, RESTS, "zero"),
-        ("zero", "none", RESTS, "zero"),
-        ("none", "zero", RESTS, "zero"),
-        ("none", None, None, "none"),
-        (None, "none", None, "none"),
-        ({"x": 0.1}, "zero", STAYS, '{"x": 0.1}'),
-        ("zero", {"x": 0.1}, RESTS, "zero"),
-        (None, {"x": 0.1}, STAYS, '{"x": 0.1}'),
-        ("none", {"x": 0.1}, STAYS, '{"x": 0.1}'),
-    ],
-)
-def test_the_more_careful_session_says_what_follows(
-    on_end: str | dict[str, Any] | None,
-    there: str | dict[str, Any] | None,
-    rest: bytes | None,
-    shown: str,
+ENDS: list[tuple[str, OnEnd, OnEnd, str]] = [
+    (TWIST, None, SILENT, "zero"),
+    (TWIST, None, None, "zero"),
+    (TWIST, None, "none", "zero"),
+    (TWIST, None, {"x": 1.0}, "zero"),
+    (TWIST, SILENT, None, "zero"),
+    (TWIST, SILENT, "zero", "zero"),
+    (TWIST, SILENT, "none", "zero"),
+    (TWIST, SILENT, {"x": 1.0}, "zero"),
+    (TWIST, "zero", "none", "zero"),
+    (TWIST, "zero", {"x": 1.0}, "zero"),
+    (TWIST, "none", SILENT, "none"),
+    (TWIST, "none", None, "zero"),
+    (TWIST, "none", "none", "none"),
+    (TWIST, "none", "zero", "zero"),
+    (TWIST, "none", {"x": 1.0}, "zero"),
+    (TWIST, {"x": 0.1}, SILENT, '{"x": 0.1}'),
+    (TWIST, {"x": 0.1}, "zero", '{"x": 0.1}'),
+    (TWIST, {"x": 0.1}, {"x": 1.0}, '{"x": 0.1}'),
+    (POSE, None, {"x": 1.0}, "none"),
+    (POSE, None, "zero", "none"),
+    (POSE, "none", {"x": 1.0}, "none"),
+    (POSE, SILENT, {"x": 1.0}, "none"),
+    (POSE, "zero", {"x": 1.0}, "zero"),
+    (POSE, {"x": 0.1}, {"x": 1.0}, '{"x": 0.1}'),
+]
+"""Types, the words of the robot's and the control PC's session, and what the robot gets."""
+RESTS_OF = {"zero": RESTS, '{"x": 0.1}': STAYS}
+"""The rests that the robot hears."""
+
+
+@pytest.mark.parametrize("serves", [False, True], ids=["client", "server"])
+@pytest.mark.parametrize(("kind", "on_end", "there", "gets"), ENDS)
+def test_a_peer_may_only_stop_the_robot(
+    kind: str,
+    on_end: OnEnd,
+    there: OnEnd,
+    gets: str,
+    serves: bool,
     make_driven: Callable[..., Driven],
 ) -> None:
-    """The robot's message counts; both sides show it."""
-    driven = make_driven(on_end=on_end, there=there)
+    driven = make_driven(kind, on_end, there, serves=serves)
     driven.drive()
-    assert driven.half.on_end == shown
+    assert driven.half.on_end == gets
     by_an_operator(driven, 0)
     driven.wait(1.0)
-    assert driven.payloads == [MOVES] + ([] if rest is None else [rest] * TIMES)
+    bodies = [BEGIN + each[-48:] for each in driven.payloads[1:]]
+    assert bodies == ([RESTS_OF[gets]] * TIMES if gets in RESTS_OF else [])
+
+
+@pytest.mark.parametrize(("kind", "on_end", "there", "gets"), ENDS)
+def test_both_sides_show_the_same_end(
+    kind: str, on_end: OnEnd, there: OnEnd, gets: str, make_driven: Callable[..., Driven]
+) -> None:
+    driven = make_driven(kind, on_end, there)
+    sending = route(driven.pair[1])
+    assert isinstance(sending, OutgoingRoute)
+    assert sending.on_end_of(kind) == gets == driven.half.on_end
+
+
+@pytest.mark.parametrize("serves", [False, True], ids=["client", "server"])
+def test_a_foreign_edit_gives_no_motion(serves: bool, make_driven: Callable[..., Driven]) -> None:
+    """The control PC's operator edits its entry, or its session is read again, while the topic is armed."""
+    driven = make_driven(TWIST, None, "zero", serves=serves)
+    driven.drive()
+    pc = driven.pair[1]
+    if serves:
+        pc.add(driven.entry(TWIST, {"x": 1.0}, "transmit"), route(pc))
+    else:
+        session = msgspec.structs.replace(pc.context.session, armed=(ArmedName("/cmd_*", on_end={"x": 1.0}),))
+        pc.context.session = session
+        pc.context.demands.changed()
+        pc.context.demands.apply()
+    for _ in range(5):  # until the proposing side opens it again
+        let_time_pass(driven.pair, 1.0)
+    hear_all(driven.pair)
+    driven.describe()
+    arm(pc).result()
+    let_time_pass(driven.pair, 0.5)
+    driven.drive()
+    by_an_operator(driven, 0)
+    driven.wait(1.0)
+    assert driven.payloads == [MOVES, *[RESTS] * TIMES] * 2
+
+
+@pytest.mark.parametrize(
+    ("on_end", "there", "is_logged"),
+    [
+        (None, SILENT, False),
+        (None, None, False),
+        (None, "zero", False),
+        (None, "none", True),
+        (None, {"x": 1.0}, True),
+        (SILENT, "zero", True),
+        ("none", "zero", True),
+        ("none", None, True),
+        ({"x": 0.1}, SILENT, False),
+    ],
+)
+def test_a_foreign_end_is_logged(
+    on_end: OnEnd, there: OnEnd, is_logged: bool, make_driven: Callable[..., Driven]
+) -> None:
+    driven = make_driven(TWIST, on_end, there)
+    driven.describe()
+    assert len(events(driven.pair[0], EventCode.ROUTE_OTHER_END)) == is_logged
 
 
 def test_a_message_has_a_fresh_stamp_each_time(make_driven: Callable[..., Driven]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.budgets import TokenBucket
-from rsb_bridge.model.by_hand import can_end
+from rsb_bridge.model.by_hand import can_end, end_text
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import (
     NO_DEMAND,
@@ -209,6 +209,7 @@ class LinkArming:
         route.arming.lease = self.lease.state
         own = route.arming.own = self._own(route)
         # A proposal of this side has its own demands; the peer's come with Accept.
+        route.arming.peer_arm = proposal.arm and not route.proposed_here
         route.arming.peer_on_end = "" if route.proposed_here else _suiting(route, proposal.on_end)
         route.arming.peer_limits = None if route.proposed_here else proposal.limits
         route.arming.demand(required=own.arm, deadman=own.deadman)
@@ -239,7 +240,7 @@ class LinkArming:
     def accepted(self, route: Route, message: Accept) -> None:
         """Note that the other side accepts an opening, and what it demands."""
         route.arming.demand(required=message.arm, deadman=message.deadman)
-        route.arming.peer_on_end = _suiting(route, message.on_end)
+        route.arming.peer_arm, route.arming.peer_on_end = message.arm, _suiting(route, message.on_end)
         route.arming.peer_limits = message.limits
         self._say_who_demands(route)
 
@@ -261,7 +262,10 @@ class LinkArming:
     def keep_demand(self, route: Route, topic: Topic) -> None:
         """Keep the demand of an entry that is not added because the other side bridges the same."""
         key, max_age = ("", route.local_topic), default_max_age(topic.max_age, armed=True)
-        source = DemandSource(key, route.local_topic, topic.deadman_seconds, max_age=max_age, limits=topic.limits)
+        on_end = end_text(topic.on_end)
+        source = DemandSource(
+            key, route.local_topic, topic.deadman_seconds, max_age=max_age, on_end=on_end, limits=topic.limits
+        )
         self._context.demands.keep(source)
 
     def demand_dropped(self, source: DemandSource) -> None:

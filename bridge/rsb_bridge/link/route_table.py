@@ -520,10 +520,8 @@ class RouteTable(Extension):
                 self._refuse(proposal, "port_taken", str(error))
             return
         if current():  # else it was closed while its port was being bound
-            arming = route.arming
-            own = arming.own
-            required, deadman = arming.required, arming.deadman
-            demands = required, deadman, own.max_age, own.on_end, own.limits
+            own = route.arming.own
+            demands = own.arm, own.deadman, own.max_age, own.on_end, own.limits
             self._link.send(Accept(route.id, route.local_topic, *demands))
             self._accepted(route)
 

@@ -156,6 +156,19 @@ def can_end(kind: str, text: str) -> bool:
     return kind == "topic" and (text in (END_ZERO, END_NONE) or is_end_message(text))
 
 
+def agreed_end(receiving: str, sending: str, *, drives: bool) -> str:
+    """Return what the robot gets when the arming of a topic ends. The sending side can only have it stop.
+
+    Args:
+        receiving: the end that the session on the robot's side wants, or empty if it says nothing.
+        sending: likewise, of the other side.
+        drives: whether the topic's type drives robots. Zeros of another type may be a command.
+    """
+    if not drives or is_end_message(receiving):
+        return receiving or END_NONE
+    return END_NONE if receiving == END_NONE and sending in ("", END_NONE) else END_ZERO
+
+
 def more_careful_end(texts: Iterable[str]) -> str:
     """Return which of several lines holds, the first one's of equals: ``none`` loses against any message."""
     given = [each for each in texts if each]

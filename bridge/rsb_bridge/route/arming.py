@@ -131,7 +131,8 @@ class Arming:
         switched: called whenever `required` may have changed.
         deadman: s without a key after which it disarms, or 0 for no limit.
         own: the demand of this side's session.
-        peer_on_end: what the other side's session wants when it ends.
+        peer_arm: whether the other side's session demands arming.
+        peer_on_end: what that session wants when it ends, or empty if it does not say.
         peer_limits: what a hand may ask by the other side's session, or None for any velocity.
         limited_by: the lines that have a number of `limits`, in words.
         demanded_by: the lines that demand arming, in words.
@@ -147,7 +148,7 @@ class Arming:
         self.required, self.deadman = False, 0.0
         self.switched: Callable[[], None] = lambda: None
         self.own: Demand = NO_DEMAND
-        self.peer_on_end = ""
+        self.peer_arm, self.peer_on_end = False, ""
         self.peer_limits: VelocityLimits | None = None
         self.limited_by: tuple[str, ...] = ()
         self.demanded_by: tuple[str, ...] = ()

@@ -191,6 +191,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         newest: dict[bytes, int] = {}
         if first:
             newest = self.outputs.opened()
+            self.log_other_end(description.type)
             self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
         self.peer.send(Ready(route=self.id, sources=len(self.outputs), before=self._counted_before(), newest=newest))
         self.life.handle(RouteEvent.READY)

@@ -241,6 +241,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._described = described
         self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
         self.settle_age()
+        self.log_other_end(self.type_name)
         self._loop_filter.table.described()
         self._present = None  # the peer may have new outputs
         self.peer.send(described)

@@ -280,17 +280,13 @@ class RestAfterArming:
         try:
             rest = RestMessage(self._context, self._link, spec, on_end, self._failed, self._overdue)
         except (RosError, FieldError) as error:
-            raise RosError(f"on_end: {error}; correct it in {self._who_says(on_end)}") from None
+            lines = ", ".join(map(self._context.demands.origin, self._arming.own.sources))
+            raise RosError(f"on_end: {error}; correct it in {lines or PEER_DEMANDS}") from None
         # Before `close`, which forgets the motion.
         if before is not None:
             rest.replaces(before)
         self.close()
         self.message = rest
-
-    def _who_says(self, on_end: str) -> str:
-        own = self._arming.own
-        lines = ", ".join(map(self._context.demands.origin, own.sources)) if own.on_end == on_end else ""
-        return lines or PEER_DEMANDS
 
     def moved_by_hand(self, message: bytes) -> None:
         """Note a message that an operator of this side has published by the route's arming, after `prepare`."""

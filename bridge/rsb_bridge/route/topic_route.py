@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
-from rsb_bridge.model.by_hand import END_NONE, END_ZERO, more_careful_end
+from rsb_bridge.model.by_hand import END_ZERO, agreed_end
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import EXPIRES, Cause
@@ -223,6 +223,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.traffic = TrafficMeter(context.now())
         self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
         self._idling = Idling(context)
+        self._logged_ends: tuple[str, str, str] | None = None
 
     # --- what the halves do differently
 
@@ -251,12 +252,32 @@ class TopicRoute(Route, Generic[ChannelT]):
         return self.on_end_of(self.type_name)
 
     def on_end_of(self, type_name: str) -> str:
-        """Return what it publishes for a type, or an empty string for an unknown one; its own session's of two."""
-        own, peer = self.arming.own.on_end, self.arming.peer_on_end
-        wanted = more_careful_end((peer, own) if self.outgoing else (own, peer))
-        if wanted or not type_name:
-            return wanted
-        return END_ZERO if type_name in DRIVING_TYPES else END_NONE
+        """Return what it publishes for a type, or an empty string for an unknown one."""
+        if not type_name:
+            return ""
+        own, peer = self._ends_of(type_name)
+        receiving, sending = (peer, own) if self.outgoing else (own, peer)
+        return agreed_end(receiving, sending, drives=type_name in DRIVING_TYPES)
+
+    def _ends_of(self, type_name: str) -> tuple[str, str]:
+        """Return how an arming ends for this side's session and for the peer's, each empty if it says nothing."""
+        arming, unset = self.arming, END_ZERO if type_name in DRIVING_TYPES else ""
+        return (
+            arming.own.on_end or (unset if arming.own.arm else ""),
+            arming.peer_on_end or (unset if arming.peer_arm else ""),
+        )
+
+    def log_other_end(self, type_name: str) -> None:
+        """Log once that the two sessions want different ends of an arming, and which one the robot gets."""
+        arming, agreed = self.arming, self.on_end_of(type_name)
+        set_here, set_there = arming.own.on_end, arming.peer_on_end
+        own, peer = self._ends_of(type_name)
+        differs = set_there not in ("", own) or set_here not in ("", agreed)
+        ends = (own, peer, agreed) if arming.required and differs else None
+        if ends is not None and ends != self._logged_ends:
+            text = f"on_end: {own or 'nothing'} here, {peer or 'nothing'} on the other side; the robot gets {agreed}"
+            self.log(Level.WARNING, EventCode.ROUTE_OTHER_END, text)
+        self._logged_ends = ends
 
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""

@@ -162,11 +162,7 @@ class Accept(ControlMessageBase, frozen=True):
 
     Attributes:
         topic: its name on the acceptor's side, which may add a prefix to the proposed one.
-        arm: the acceptor wants it to be armed before anything crosses, be it by its session or by the proposal.
-        deadman: as in `Propose`.
-        max_age: as in `Propose`, by the acceptor's session.
-        on_end: as in `Propose`, by the acceptor's session.
-        limits: as in `Propose`, by the acceptor's session.
+        arm, deadman, max_age, on_end, limits: as in `Propose`, by the acceptor's session.
     """
 
     route: RouteId

@@ -69,6 +69,8 @@ class SessionCheckText(Wording):
     CANCELS = "; when that ends, its goals are cancelled ({line})"
     GOALS_GO_ON = "; when that ends, its goals go on, unless on_end is cancel"
     ENDS_WITH_NOTHING = "; when that ends, the robot gets nothing"
+    ENDS_AS_THERE = "; when that ends, the robot gets what its own session says"
+    ENDS_AS_THERE_OR_ZERO = "; when that ends, the robot gets zero, or what its own session says"
     MAY_MEASURE = (
         "{peer} may measure the link (rsb-console bench): {seconds:g} s, {rate:g} messages/s, {megabytes:g} MB in an "
         "hour"
@@ -128,13 +130,17 @@ def _demands_on(
         return limit
     keys = f"within {demand.deadman:g} s" if demand.deadman else "never"
     lines = ", ".join(describe(source, places) for source in demand.sources)
-    return f"{limit}, has to be armed ({lines}; keys needed: {keys}){_end_of(demand, topic, places)}"
+    return f"{limit}, has to be armed ({lines}; keys needed: {keys}){_end_of(demand, topic, client, places)}"
 
 
-def _end_of(demand: Demand, topic: Topic, places: Mapping[SourceKey, str]) -> str:
+def _end_of(demand: Demand, topic: Topic, client: Client | None, places: Mapping[SourceKey, str]) -> str:
     """Return what follows once the arming ends, with the line that wants it, or an empty string."""
     if topic.kind not in ("topic", "action"):
         return ""
+    type_name = full_type(topic.type)
+    if topic.kind == "topic" and (topic.direction == "transmit") == (client is None):
+        drives = not type_name or type_name in DRIVING_TYPES
+        return SessionCheckText.ENDS_AS_THERE_OR_ZERO() if drives else SessionCheckText.ENDS_AS_THERE()
     line = next((each for each in demand.sources if demand.on_end and each.on_end == demand.on_end), None)
     if line is not None:
         place = describe(line, places)
@@ -143,7 +149,6 @@ def _end_of(demand: Demand, topic: Topic, places: Mapping[SourceKey, str]) -> st
         return SessionCheckText.ENDS_WITH(message=demand.on_end, line=place) if topic.kind == "topic" else ""
     if topic.kind == "action":
         return SessionCheckText.GOALS_GO_ON()
-    type_name = full_type(topic.type)
     if not type_name:
         return "; when that ends, the robot gets zero if the type drives robots"
     return SessionCheckText.ENDS_WITH_ZERO() if type_name in DRIVING_TYPES else SessionCheckText.ENDS_WITH_NOTHING()
