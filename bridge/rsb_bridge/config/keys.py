@@ -13,7 +13,7 @@ import re
 import stat
 import time
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 KEY_BYTES = 32
 DIFFERENT_BYTES = 12
-"""Least number of different bytes in a key. Of random keys, one in 10^25 has fewer."""
+"""Least number of different bytes in a key, and of different steps from one byte to the next: bytes that count up have
+one. Of random keys, one in 10^25 has fewer."""
 DEFAULT_KEY_FILE = "key.txt"
 _MAX_FILE = 4096  # bytes; a key file is 45, and one of the thesis has a date before the key
 # The second form is a key that lost its padding.
@@ -55,8 +56,8 @@ class KeyFileProblem(Wording):
         "has {length} characters"
     )
     WEAK = (
-        "{path}: holds no random key, because it has only {count} different bytes: make one with "
-        "`rsb-console keygen {path} --force`, and copy it to the other side"
+        "{path}: holds no random key, because its bytes, or the steps between them, have only {count} values: make one "
+        "with `rsb-console keygen {path} --force`, and copy it to the other side"
     )
     NOT_GIVEN = "no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
     SHARED = (
@@ -239,7 +240,8 @@ def _parse(text: str, path: Path) -> Key:
     secret = _decode(words[-1])
     if secret is None:
         raise KeyFileError(KeyFileProblem.NO_KEY(path=path, bytes=KEY_BYTES, length=len(words[-1])))
-    if (count := len(set(secret))) < DIFFERENT_BYTES:
+    steps = {(following - byte) % 256 for byte, following in pairwise(secret)}
+    if (count := min(len(set(secret)), len(steps))) < DIFFERENT_BYTES:
         raise KeyFileError(KeyFileProblem.WEAK(path=path, count=count))
     return Key(secret)
 
