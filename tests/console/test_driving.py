@@ -37,6 +37,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, limits_on, why_not_driven
 from rsb_console.screens.take_over import HandOverText
 from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, velocity
+from rsb_console.terminal.pulse import Pulse
 
 # -- what keys mean
 
@@ -599,14 +600,20 @@ async def test_leaving_the_screen_asks_no_longer(app: ConsoleApp, pilot: Pilot[N
 async def test_the_holder_sees_the_question_while_driving_and_answers(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock, key: str, gives: bool
 ) -> None:
-    """The keys that drive and stop do so meanwhile. A key that was pressed before the question came is no answer."""
+    """The keys that drive and stop do so meanwhile. A key that came before the question is no answer."""
+    clock.now += 60.0
     put(app, ASKED)
     await shown(pilot, DriveText.ASKS, who="bert on pts/2", seconds=7.0)
+    clock.now -= 60.0
     await pilot.press(key)
     await pressed(pilot, clock, "up")
     await until(pilot, lambda: sent(app), "a command")
     assert not [command for command in engine_of(app).commands if command[0] == "answer_asker"]
-    clock.now += 1.0
+    put(app, ARMED)
+    await gone(pilot, "asks for it")
+    clock.now = time.monotonic() - 1.0
+    put(app, ASKED)
+    await shown(pilot, DriveText.ASKS, who="bert on pts/2", seconds=7.0)
     await pilot.press(key)
     await until(pilot, lambda: ("answer_asker", "/cmd_vel", gives) in engine_of(app).commands, "the answer")
     assert isinstance(app.screen, DriveScreen)
@@ -623,6 +630,14 @@ async def test_a_refusal_is_gone_once_another_operator_holds_the_topic(
     await rests(app, pilot, clock)
     put(app, ARMED)
     await gone(pilot, "no luck")
+
+
+@driven()
+async def test_a_multiplexer_asks_for_held_keys(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    screen = app.screen
+    assert isinstance(screen, DriveScreen)
+    app.input_gate.pulse = Pulse({"TMUX": "1"})
+    await until(pilot, lambda: "hold" in str(screen.query_one("#drive").border_subtitle), "the keys")
 
 
 # -- limits

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,9 +22,17 @@ from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.drive_screen import Steering
 from rsb_console.screens.links_screen import LinkText
 from rsb_console.screens.take_over import HandOverScreen
-from rsb_console.terminal.driver import KeyParser
+from rsb_console.terminal.driver import ConsoleDriver, KeyParser
 from rsb_console.terminal.input_queue import SEEN_AFTER, GuardedScreen, InputGate, LateInput, is_guarded
-from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, WHO_ARE_YOU, Pulse, heard_before
+from rsb_console.terminal.pulse import (
+    ANSWERS_WITHIN,
+    ASKED_EVERY,
+    FRESH_FOR,
+    WHO_ARE_YOU,
+    Pulse,
+    heard_before,
+    without_answers,
+)
 
 if TYPE_CHECKING:
     from textual.message import Message
@@ -229,11 +238,18 @@ def test_a_terminal_that_never_answers_is_as_a_multiplexer() -> None:
 
 
 def test_answers_in_a_paste_are_taken_out() -> None:
-    clock = Time()
-    pulse = Pulse({}, clock)
-    row, column = place_in(pulse.question())
-    assert pulse.without_answers(f"a: 1\x1b[{row};{column}R\nb: 2") == "a: 1\nb: 2"
-    assert pulse.heard == 100.0
+    assert without_answers("a: 1\x1b[3;4R\nb: 2") == "a: 1\nb: 2"
+
+
+@on_main()
+async def test_a_paste_answers_no_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """It may contain reports of every place, which would make itself and late keys look young."""
+    driver = ConsoleDriver(app)
+    row, column = place_in(driver.pulse.question())
+    paste = events.Paste(f"y\x1b[{row};{column}R")
+    driver.process_message(paste)
+    assert paste.text == "y"
+    assert driver.pulse.heard == heard_before(paste) == float("-inf")
 
 
 def test_the_kind_of_a_terminal_is_no_key() -> None:
@@ -254,12 +270,15 @@ def moves(*presses: tuple[str, float], at: float) -> bool:
     return steering.at(at) != (0.0, 0.0)
 
 
-def test_a_motion_begins_with_the_second_key_of_a_held_one() -> None:
+def test_a_motion_begins_with_a_held_keys_third() -> None:
     assert not moves(("up", 10.0), at=10.0)
-    assert moves(("up", 10.0), ("up", 10.5), at=10.5)
-    assert moves(("up", 10.0), ("up", 10.5), ("left", 10.6), at=11.15)
-    assert not moves(("up", 10.0), ("down", 10.5), at=10.5)
-    assert not moves(("up", 10.0), ("up", 11.0), at=11.0)
+    assert not moves(("up", 10.0), ("up", 10.5), at=10.5)
+    assert moves(("up", 10.0), ("up", 10.5), ("up", 10.53), at=10.53)
+    assert moves(("up", 10.0), ("up", 10.2), ("up", 10.25), ("left", 10.4), at=10.8)
+    assert not moves(("up", 10.0), ("up", 10.5), ("down", 10.53), at=10.53)
+    assert not moves(("up", 10.0), ("up", 10.9), ("up", 10.93), at=10.93)
+    assert not moves(("up", 10.0), ("up", 10.03), ("up", 10.06), at=10.06)
+    assert not moves(("up", 10.0), ("up", 10.3), ("up", 10.6), ("up", 10.9), at=10.9)
 
 
 def test_a_held_key_goes_on() -> None:
@@ -268,37 +287,59 @@ def test_a_held_key_goes_on() -> None:
     for number in range(100):
         now = 10.5 + number / 30
         steering.press("up", now)
-        assert steering.at(now) == (0.2, 0.0)
+        assert steering.at(now) == ((0.2, 0.0) if number else (0.0, 0.0))
 
 
-@pytest.mark.parametrize("count", [1, 3, 9, 240])
-@pytest.mark.parametrize("parts", [1, 2, 5])
-def test_keys_that_come_together_move_nothing(count: int, parts: int) -> None:
-    """They come in one piece, or in some a round trip apart, as TCP repeats lost segments."""
+def test_a_held_key_begins_over_a_shaky_line() -> None:
+    gaps = [0.5, 0.005, 0.055, 0.03, 0.03, 0.03]
+    presses = [("up", 10.0 + sum(gaps[:count])) for count in range(len(gaps) + 1)]
+    assert not moves(*presses[:-1], at=presses[-2][1])
+    assert moves(*presses, at=presses[-1][1])
+
+
+@pytest.mark.parametrize("count", [1, 3, 6, 9, 240])
+@pytest.mark.parametrize("parts", [1, 2, 3, 5])
+@pytest.mark.parametrize("apart", [0.05, 0.08, 0.1, 0.2, 0.3, 0.5, 0.8])
+def test_late_keys_in_parts_move_nothing(count: int, parts: int, apart: float) -> None:
+    """TCP repeats lost segments a round trip apart, or more; the keys of each come together."""
     steering = Steering(lambda: True)
     for number in range(count):
-        now = 10.0 + number * 1e-4 + (number * min(parts, count) // count) * 0.08
+        now = 10.0 + number * 1e-4 + (number * min(parts, count) // count) * apart
         steering.press("up", now)
         assert steering.at(now) == (0.0, 0.0)
 
 
+def test_keys_that_come_at_once_have_one_time() -> None:
+    parser = KeyParser()
+    times = []
+    for message in parser.feed("iii"):
+        times.append(message.time)
+        time.sleep(0.03)  # the thread that reads them stands still
+    assert len(times) == 3
+    assert len(set(times)) == 1
+
+
 def test_a_stop_counts_at_once_behind_a_multiplexer() -> None:
-    assert not moves(("up", 10.0), ("up", 10.5), ("space", 10.501), at=10.501)
+    assert not moves(("up", 10.0), ("up", 10.5), ("up", 10.53), ("space", 10.531), at=10.531)
 
 
 # -- screens
 
 
-def gate_of(clock: Time) -> InputGate:
+def gate_of(clock: Time, environ: dict[str, str] | None = None, *, answers: bool = True) -> InputGate:
     app = scripted_app()
     app.notify = lambda *_, **__: None  # type: ignore[method-assign]
     gate = InputGate(app, clock)
-    gate.pulse = Pulse({}, clock)
+    gate.pulse = pulse = Pulse(environ or {}, clock)
+    if answers:
+        pulse.answered(*place_in(pulse.question()))
     return gate
 
 
-def key(name: str, heard: float) -> events.Key:
+def key(name: str, heard: float, came_at: float = float("inf")) -> events.Key:
+    """Return a key that came long after anything was drawn, or at a time."""
     event = events.Key(name, None)
+    event.time = came_at
     vars(event)["heard"] = heard
     return event
 
@@ -310,9 +351,10 @@ def test_a_guarded_screen_takes_young_keys_and_all_safe_ones() -> None:
     assert not gate.refuses(key("n", 0.0), screen)
     screen.drawn_at = 100.0
     clock.now = 100.0 + SEEN_AFTER - 0.1
-    assert gate.refuses(key("y", clock.now), screen)
+    assert gate.refuses(key("y", clock.now, clock.now), screen)
     clock.now = 100.0 + SEEN_AFTER
-    assert not gate.refuses(key("y", clock.now), screen)
+    assert gate.refuses(key("y", clock.now, clock.now - 0.1), screen)  # handled later than it came
+    assert not gate.refuses(key("y", clock.now, clock.now), screen)
     assert gate.refuses(key("y", 99.9), screen)  # pressed before the terminal had the picture, for all we know
     assert not gate.refuses(key("y", 100.2), screen)
     clock.now = 103.0
@@ -361,9 +403,43 @@ def test_a_question_that_opens_by_itself_waits_until_the_operator_has_stopped_ty
     screen.opens_itself, screen.drawn_at = True, clock.now
     for _ in range(10):
         clock.now += 0.2
-        assert gate.refuses(key("y", clock.now), screen)
+        assert gate.refuses(key("y", clock.now, clock.now), screen)
     clock.now += SEEN_AFTER
-    assert not gate.refuses(key("y", clock.now), screen)
+    assert not gate.refuses(key("y", clock.now, clock.now), screen)
+
+
+@pytest.mark.parametrize("environ", [{"TMUX": "1"}, {}], ids=["tmux", "no answers"])
+def test_a_late_answer_behind_a_multiplexer_does_nothing(environ: dict[str, str]) -> None:
+    """Nothing tells its age, but the question stands for long."""
+    clock = Time()
+    gate, screen = gate_of(clock, environ, answers=bool(environ)), ConfirmScreen("Arm?", "", "Arm", Effect.MOVES)
+    clock.now += ANSWERS_WITHIN + 0.1
+    screen.drawn_at = clock.now
+    clock.now += 8.0
+    assert gate.waits_for_key(screen)
+    for _ in range(3):
+        assert gate.refuses(key("y", clock.now, clock.now), screen)
+        assert not gate.takes_keys(screen)
+    clock.now += SEEN_AFTER
+    assert not gate.waits_for_key(screen)
+    assert not gate.refuses(key("y", clock.now, clock.now), screen)
+
+
+def test_an_answer_that_proves_its_age_may_take_its_time() -> None:
+    clock = Time()
+    gate, screen = gate_of(clock), ConfirmScreen("Arm?", "", "Arm", Effect.MOVES)
+    screen.drawn_at = clock.now
+    clock.now += 60.0
+    assert not gate.refuses(key("y", clock.now, clock.now), screen)
+
+
+def test_a_list_that_slid_after_a_key_came_refuses_it() -> None:
+    clock = Time()
+    gate = gate_of(clock)
+    gate.refuses(key("p", clock.now, clock.now), GuardedScreen.__mro__[1]())
+    clock.now += 2 * SEEN_AFTER
+    assert not gate.was_seen(clock.now - 1.5 * SEEN_AFTER)
+    assert gate.was_seen(100.0 - SEEN_AFTER)
 
 
 @pytest.mark.parametrize("name", ["n", "escape"])
@@ -385,7 +461,7 @@ async def test_questions_with_an_effect_take_no_late_keys(app: ConsoleApp, pilot
 
 def test_the_gate_knows_whether_the_newest_input_is_young() -> None:
     clock = Time()
-    gate = gate_of(clock)
+    gate = gate_of(clock, answers=False)
     screen = GuardedScreen.__mro__[1]()
     gate.refuses(key("p", clock.now - FRESH_FOR), screen)
     assert not gate.is_young

@@ -46,6 +46,7 @@ _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
 """Limits of the part of an operator's YAML that a question shows, as much as a person can read."""
 RUNNING = "◌"
 _NO_KEYS_YET = "…"
+_KEYS_AGAIN = "press a key, and then answer"
 _LOOK_EVERY = 0.1
 """s between two looks whether the keys of a question count: so much later, at most, it says that they do."""
 
@@ -116,7 +117,7 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
         self.moves = Effect.MOVES in effect
         # Not to be focused: ← and → go from button to button.
         self._scrolled = VerticalScroll(classes="message", can_focus=False)
-        self._takes_keys = True
+        self._instead_of_keys = ""
         self._keys = Static(_NO_KEYS_YET, classes="hint keys", markup=False)
 
     def compose(self) -> ComposeResult:
@@ -135,7 +136,7 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
 
     def _show_keys(self) -> None:
         keys = self.KEYS + self.SCROLL_KEYS * (self._scrolled.max_scroll_y > 0)
-        self._keys.update(keys if self._takes_keys else _NO_KEYS_YET)
+        self._keys.update(self._instead_of_keys or keys)
 
     def action_scroll(self, to: str) -> None:
         """Show other lines of the message.
@@ -162,18 +163,19 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
         """Name the keys only once they count."""
         # Without a terminal, as in tests, no input is late.
         if self.is_guarded and InputGate.of(self.app).is_on:
-            self._takes_keys = False
+            self._instead_of_keys = _NO_KEYS_YET
             # The time counts from the picture on: earlier, there is no question to answer.
             self.call_after_refresh(self._is_drawn)
 
     def _is_drawn(self) -> None:
         self.drawn_at = time.monotonic()
-        self._waiting = self.set_interval(_LOOK_EVERY, self._name_keys_once_they_count)
+        self.set_interval(_LOOK_EVERY, self._name_keys_while_they_count)
 
-    def _name_keys_once_they_count(self) -> None:
-        if InputGate.of(self.app).takes_keys(self):
-            self._waiting.stop()
-            self._takes_keys = True
+    def _name_keys_while_they_count(self) -> None:
+        gate, before = InputGate.of(self.app), self._instead_of_keys
+        waits = _KEYS_AGAIN if gate.waits_for_key(self) else _NO_KEYS_YET
+        self._instead_of_keys = "" if gate.takes_keys(self) else waits
+        if self._instead_of_keys != before:
             self._show_keys()
 
 

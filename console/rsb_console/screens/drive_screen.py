@@ -3,7 +3,7 @@
 A key counts for `_KEY_LASTS`, and the engine ends a motion by itself if no further command comes
 (`rsb_bridge.model.commands.Publish.rest`). So the robot stops if the operator lets the key go, if the terminal or the
 console hangs, or if the way to the bridge does. Keys that come late never arrive here (`GuardedScreen`), unless a
-terminal multiplexer hides that they are late: then `Steering` is stricter.
+terminal multiplexer hides that they are late: then `Steering` asks for the rhythm of a key that a hand holds.
 """
 
 from __future__ import annotations
@@ -59,7 +59,12 @@ _TOGETHER, _MANY_TOGETHER = 0.02, 4
 0.03 s, and a connection that does not hang passes one on before the next."""
 _HELD = 0.15, 0.7
 """s until a held key repeats for the first time, at least and at most: 0.66 is X11's default, the longest of the usual
-ones. Parts of a burst that TCP sends again come one round trip apart, mostly sooner than that."""
+ones."""
+_REPEATS = _TOGETHER, 0.1
+"""s from one repeat of a held key to the next, at least and at most; 0.03 to 0.04 are usual. A burst may come in parts
+that are as far apart as a key's first repeat, but it has no such rhythm: the keys of a part come together."""
+_UNEVEN = 4
+"""Even repeats with which a motion begins after an uneven one, as the line shakes: more than a burst has parts."""
 _STOOD_STILL = 1.0
 """s without a look at the keys after which this process stood still: keys that waited for it are ignored."""
 _TICKETS = 3
@@ -80,7 +85,7 @@ _LANDING_LASTS = 10.0
 """s without a report after which the count of landed messages starts again at 0."""
 _NAMED = 4
 """Robots in one line."""
-_KEYS = "↑↓←→ uiojlm,. drive · space stop · +- speed · A arm · esc leave"
+_WAYS_SHOWN, _KEYS = "↑↓←→ uiojlm,.", "space stop · +- speed · A arm · esc leave"
 
 
 class DriveText(Wording):
@@ -193,7 +198,7 @@ class Steering:
     def __init__(self, relayed: Callable[[], bool] = lambda: False) -> None:
         self._relayed = relayed
         self._pressed = ("", float("-inf"))
-        self._together = 0
+        self._together = self._repeats_due = 0
         self.speed, self.turn = _SPEED, _TURN
         self._forward = self._left = 0
         self._forward_until = self._left_until = 0.0
@@ -219,15 +224,29 @@ class Steering:
             self._left, self._left_until = left, now + _KEY_LASTS
 
     def _is_held(self, key: str, now: float) -> bool:
-        """Whether a key counts though it may have come late: it stops, or the robot moves, or the key repeats."""
+        """Whether a key counts though it may have come late: it stops, or the robot moves, or a hand holds the key."""
         (before, at), self._pressed = self._pressed, (key, now)
         self._together = self._together + 1 if now - at < _TOGETHER else 1
+        repeats = self._repeats(now - at if key == before else float("inf"))
         if self._together >= _MANY_TOGETHER:
             self._ignored_until = now + _IGNORED_FOR
         if key in _STOPS or now < self._ignored_until:
             return True
         moves = now < max(self._forward_until, self._left_until)
-        return self._together == 1 and (moves or (key == before and _HELD[0] < now - at < _HELD[1]))
+        return self._together == 1 and (moves or repeats)
+
+    def _repeats(self, after: float) -> bool:
+        """Whether the same key has the rhythm of a held one: a pause, and then even repeats."""
+        if _HELD[0] < after < _HELD[1]:
+            self._repeats_due = 1
+            return False
+        if not self._repeats_due:
+            return False
+        if _REPEATS[0] <= after <= _REPEATS[1]:
+            self._repeats_due -= 1
+            return not self._repeats_due
+        self._repeats_due = _UNEVEN if after <= _HELD[0] else 0
+        return False
 
     def _note_time(self, now: float) -> None:
         if now - self._looked_at > _STOOD_STILL:
@@ -287,7 +306,6 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
     def compose(self) -> ComposeResult:
         # Content is plain text: in a str, Textual reads brackets of a name as markup.
         self._pane.border_title = Content(f" Drive {escape_text(self._route.topic)} ")
-        self._pane.border_subtitle = Content(f" {_KEYS} ")
         yield self._pane
 
     def on_mount(self) -> None:
@@ -407,8 +425,8 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
 
     def action_answer(self, gives: bool) -> None:
         """Answer an operator who asks for what this console holds, once the question was to be read."""
-        engine, who = self.console.engine, self._asker
-        if engine is not None and who and time.monotonic() - self._asked_since > SEEN_AFTER:
+        engine, who, came_at = self.console.engine, self._asker, InputGate.of(self.app).came_at
+        if engine is not None and who and came_at - self._asked_since > SEEN_AFTER:
             self._answer(engine.answer_asker(self._route.key, gives=gives, who=who))
 
     @work
@@ -454,6 +472,8 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         lines = (f"{moves}   ({speed})", self._moved(), motion, "" if self._detached else problem)
         first, *others = map(escape_text, lines)
         self._pane.update(Content("\n".join((first, self._state(), *self._limited(), *others))))
+        drive = f"hold {_WAYS_SHOWN} to drive" if self._is_relayed() else f"{_WAYS_SHOWN} drive"
+        self._pane.border_subtitle = Content(f" {drive} · {_KEYS} ")
 
     def _forget_refusal(self, route: RouteSnapshot | None) -> None:
         """Show a refusal no longer than the topic is held by the same operator: it names who held it then."""

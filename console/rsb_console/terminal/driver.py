@@ -22,7 +22,7 @@ from textual.drivers import linux_driver
 from textual.drivers.linux_driver import LinuxDriver
 from textual.screen import Screen
 
-from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse
+from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse, without_answers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -49,6 +49,13 @@ class KeyParser(XTermParser):
     _after_escape = False
 
     def feed(self, data: str) -> Iterator[Message]:
+        """Read what has come at once: its keys have the same time, however long this takes."""
+        came_at = time.monotonic()
+        for message in self._read(data):
+            message.time = came_at
+            yield message
+
+    def _read(self, data: str) -> Iterator[Message]:
         # An empty text is the end of the input to Textual, and the loop below would leave it out.
         if not data:
             yield from super().feed(data)
@@ -226,7 +233,7 @@ class ConsoleDriver(LinuxDriver):
                 self.pulse.is_kind(KIND.fullmatch(message.character or "")["kind"])  # type: ignore[index]
                 return
             case events.Paste():
-                message.text = self.pulse.without_answers(message.text)
+                message.text = without_answers(message.text)
         self.pulse.stamp(message)
         super().process_message(message)
 

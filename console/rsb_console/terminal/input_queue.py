@@ -38,6 +38,9 @@ _LOOK_EVERY = 0.005
 """s between two looks whether the app has finished: at most so much later comes a key of a burst."""
 SEEN_AFTER = 0.5
 """s from the picture of a question until its keys count: nobody reads and answers it earlier."""
+ANSWERED_WITHIN = 5.0
+"""s from that picture in which an answer counts whose age nothing proves. A round figure: an operator who reads for
+longer presses one key more."""
 _TOLD_EVERY = 3.0
 """s between two notes about late keys, and for which one stays: a held key would fill the screen with them."""
 
@@ -192,11 +195,13 @@ class InputGate:
     Attributes:
         pulse: the terminal's, or None without a terminal: then no input is late.
         is_young: whether the newest input, which the app handles now, is certainly young.
+        came_at: s, when that input came to this process.
     """
 
     def __init__(self, app: App[Any], clock: Callable[[], float] = time.monotonic) -> None:
         self.pulse: Pulse | None = None
         self.is_young = True
+        self.came_at = float("inf")
         self._app = app
         self._clock = clock
         self._told_at = float("-inf")
@@ -218,7 +223,10 @@ class InputGate:
 
     def refuses(self, event: Message, screen: Screen[Any]) -> bool:
         """Whether a screen must not get an event; the operator gets the reason."""
-        if self.pulse is None or not _is_pressed(event):
+        if not _is_pressed(event):
+            return False
+        self.came_at = event.time
+        if self.pulse is None:
             return False
         # A form that splits a paste makes events of its own: these are as young as the paste.
         if is_from_terminal(event):
@@ -229,8 +237,8 @@ class InputGate:
             return False
         # Without a note: while a question's keys do not count yet, it shows … in their place.
         if not (screen.moves and self.is_late(event)):
-            seen = self._was_seen(screen, heard_before(event))
-            if not seen and screen.opens_itself and screen.drawn_at is not None:
+            seen = self._was_seen(screen, event.time, heard_before(event))
+            if not seen and (screen.opens_itself or self.waits_for_key(screen)):
                 screen.drawn_at = self._clock()  # an operator who types on has not read it
             return not seen
         if self._clock() - self._told_at > _TOLD_EVERY:
@@ -239,23 +247,36 @@ class InputGate:
         return True
 
     def was_seen(self, changed_at: float) -> bool:
-        """Whether the operator may have seen what changed at a time (s); if not, they get a note."""
-        if not self.is_on or self._clock() - changed_at >= SEEN_AFTER:
+        """Whether the newest input came after the operator may have seen a change (s); if not, they get a note."""
+        if not self.is_on or self.came_at - changed_at >= SEEN_AFTER:
             return True
         self._app.notify(LateInput.LIST_MOVED(), severity="warning", timeout=_TOLD_EVERY)
         return False
 
     def takes_keys(self, screen: GuardedScreen) -> bool:
         """Whether a key that is pressed now would count."""
-        return self.pulse is None or self._was_seen(screen, self.pulse.heard_now)
+        return self.pulse is None or self._was_seen(screen, self._clock(), self.pulse.heard_now)
 
-    def _was_seen(self, screen: GuardedScreen, heard: float) -> bool:
-        """Whether the operator may have read a screen before input that came after an answer."""
+    def waits_for_key(self, screen: GuardedScreen) -> bool:
+        """Whether a question has to be shown anew, at any key, before it can be answered.
+
+        Nothing proves that an answer behind a multiplexer is young. But once a question stands for long, an answer may
+        be from long before, too.
+        """
+        return screen.drawn_at is not None and self._is_open_too_long(screen, screen.drawn_at, self._clock())
+
+    def _is_open_too_long(self, screen: GuardedScreen, drawn_at: float, now: float) -> bool:
+        relayed = self.pulse is not None and self.pulse.relayed
+        return relayed and screen.moves and screen.seen_after > 0.0 and now - drawn_at > ANSWERED_WITHIN
+
+    def _was_seen(self, screen: GuardedScreen, came_at: float, heard: float) -> bool:
+        """Whether the operator may have read a screen before input that came at a time (s), after an answer."""
         if screen.seen_after == 0.0:
             return True
-        drawn_at = screen.drawn_at
+        if (drawn_at := screen.drawn_at) is None or self._is_open_too_long(screen, drawn_at, came_at):
+            return False
         # An answer to a question after the picture proves that the terminal has it.
-        return drawn_at is not None and self._clock() - drawn_at >= screen.seen_after and heard >= drawn_at
+        return came_at - drawn_at >= screen.seen_after and heard >= drawn_at
 
 
 def is_guarded(screen: Screen[Any]) -> TypeGuard[GuardedScreen]:

@@ -46,7 +46,7 @@ beyond, and its keys would count as late. In the first row, the answer could be 
 WHO_ARE_YOU: Final = "\x1b[>c"
 """Asks for the kind of the terminal (DA2)."""
 KIND = re.compile(r"\x1b\[>(?P<kind>[\d;]*)c")
-_POSITION = re.compile(r"\x1b\[(\d+);(\d+)R")
+_POSITION = re.compile(r"\x1b\[\d+;\d+R")
 _MULTIPLEXERS: Final = re.compile(r"(84|83)(;|$)|1;10;0$")
 """The kinds of tmux, GNU screen, and mosh."""
 _ENVIRONMENT: Final = ("TMUX", "STY", "ZELLIJ")
@@ -131,18 +131,18 @@ class Pulse:
         """Take the terminal's kind, as it answers `WHO_ARE_YOU`."""
         self._is_multiplexer |= _MULTIPLEXERS.match(kind) is not None
 
-    def without_answers(self, pasted: str) -> str:
-        """Return a pasted text without the answers that came in the midst of it, and take these."""
-
-        def take(found: re.Match[str]) -> str:
-            self.answered(int(found[1]), int(found[2]))
-            return ""
-
-        return _POSITION.sub(take, pasted)
-
     def stamp(self, event: object) -> None:
         """Note how young an event from the terminal is, for `heard_before`."""
         vars(event)["heard"] = self.heard_now
+
+
+def without_answers(pasted: str) -> str:
+    """Return a pasted text without answers to questions.
+
+    The terminal may have given them in the midst of it, or the text contains them: so they prove nothing, and count as
+    lost.
+    """
+    return _POSITION.sub("", pasted)
 
 
 def is_from_terminal(event: object) -> bool:

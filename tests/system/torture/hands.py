@@ -3,9 +3,10 @@
 ``python -m tests.system.torture.hands [CASE ...] [--hang SECONDS]``
 
 An operator's terminal, emulated here, is connected to a console by a process that passes bytes on, as sshd does. The
-console runs in that process's pseudo-terminal, or in tmux (``behind-tmux``). It is attached to the control PC's bridge.
-The process is stopped (SIGSTOP), keys are typed, and the process goes on some seconds later. Before, the same keys move
-the robot, arm its topic, or publish: a case in which they do not is no proof.
+console runs in that process's pseudo-terminal, in tmux (``behind-tmux``), or in a terminal that answers nothing
+(``mute``). It is attached to the control PC's bridge. The process is stopped (SIGSTOP), keys are typed, and the process
+goes on some seconds later, or they come then in several parts. Before, a held key moves the robot: a case in which it
+does not is no proof.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import RouteSnapshot
 
-Place = Literal["direct", "behind-tmux"]
+Place = Literal["direct", "behind-tmux", "mute"]
 UP = "\x1b[A"
 _PROGRAM = Path(sys.executable).with_name("rsb-console")
 _RESTS = 2.0
@@ -45,10 +46,16 @@ class Case(NamedTuple):
     Attributes:
         keys: as the terminal sends them.
         armed: whether the topic is armed meanwhile, with the drive screen open; otherwise its list of topics is shown.
+        before: keys that are typed before, in time.
+        parts: in which they come.
+        apart: s between these.
     """
 
     keys: str
     armed: bool
+    before: str = ""
+    parts: int = 1
+    apart: float = 0.0
 
 
 CASES = {
@@ -64,8 +71,19 @@ CASES = {
     "arm": Case("Ay", armed=False),
     "arm, by the mouse": Case("A" + _CLICKS, armed=False),
     "remove": Case("dy", armed=False),
+    **{
+        f"{count} in {parts}, {apart:g} s": Case("i" * count, armed=True, parts=parts, apart=apart)
+        for count, parts in ((3, 3), (6, 2), (6, 3), (9, 3))
+        for apart in (0.1, 0.2, 0.3, 0.5)
+    },
+    "y to a question": Case("y", armed=False, before="A"),
+    "yy to a question": Case("yy", armed=False, before="A"),
 }
-PLACES: tuple[Place, ...] = ("direct", "behind-tmux")
+PLACES: tuple[Place, ...] = ("direct", "behind-tmux", "mute")
+_READ_FOR = 2.0
+"""s in which a question is drawn and names its keys."""
+_HELD_FOR, _REPEAT_EVERY = 0.5, 0.04
+"""s until a held key repeats, and then from one to the next: X11's."""
 
 
 class Result(NamedTuple):
@@ -110,7 +128,7 @@ class Bed:
                 resources.callback(subprocess.run, [*tmux, "kill-server"], check=False)
                 subprocess.run([*tmux, "set-option", "-g", "mouse", "on"], check=True)
                 command = [*tmux, "attach"]
-            self.terminal = Terminal(*command)
+            self.terminal = Terminal(*command, mute=place == "mute")
             resources.callback(self.terminal.close)
             self._await_console()
             self._resources = resources.pop_all()
@@ -177,6 +195,8 @@ class Bed:
             self.terminal.type("A")
             time.sleep(1.5)
             self.terminal.type("y")
+            time.sleep(1.0)
+            self.terminal.type("y")  # if a busy machine has drawn the question late
 
         self._try("armed by keys", arm, lambda: self.armed)
         began = time.monotonic()
@@ -185,9 +205,11 @@ class Bed:
             if not self.armed:  # on a busy machine its lease may end
                 arm()
                 time.sleep(1.0)
-            for _ in range(2):
+            self.terminal.type("i")
+            time.sleep(_HELD_FOR)
+            for _ in range(10):
                 self.terminal.type("i")
-                time.sleep(0.4)
+                time.sleep(_REPEAT_EVERY)
 
         self._try("driven by keys", drive, lambda: any(each.number for each in self.heard(began)))
         self.await_rest()
@@ -203,10 +225,16 @@ class Bed:
             self.to_list()
             if case.armed:
                 self.arm_and_drive()
+            if case.before:
+                self.terminal.type(case.before)
+                time.sleep(_READ_FOR)
             began = time.monotonic()
             with self.terminal.hung():
-                self.terminal.type(case.keys)
+                if case.parts == 1:
+                    self.terminal.type(case.keys)
                 time.sleep(hang)
+            if case.parts > 1:
+                self.terminal.type_late(case.keys, case.parts, case.apart)
             lost = case.armed and not self.armed
             armed = False
             for _ in range(80):

@@ -18,6 +18,7 @@ import subprocess
 import sys
 import termios
 import threading
+import time
 import tty
 from collections.abc import Iterator
 
@@ -33,12 +34,13 @@ class Terminal:
 
     Args:
         command: what runs at the other end of the line.
+        mute: whether it answers nothing.
 
     Attributes:
         output: the newest bytes that came.
     """
 
-    def __init__(self, *command: str) -> None:
+    def __init__(self, *command: str, mute: bool = False) -> None:
         environ = {name: text for name, text in os.environ.items() if name not in ("TMUX", "STY", "ZELLIJ")}
         self._fd, its_end = os.openpty()
         try:
@@ -52,6 +54,8 @@ class Terminal:
         finally:
             os.close(its_end)
         self.output = b""
+        self._mute = mute
+        self._delayed: list[bytes] | None = None
         self._unanswered = b""
         self._ended = threading.Event()
         self._reading = threading.Thread(target=self._read, name="terminal", daemon=True)
@@ -61,6 +65,16 @@ class Terminal:
         data = keys.encode()
         while data:
             data = data[os.write(self._fd, data[:256]) :]
+
+    def type_late(self, keys: str, parts: int, apart: float) -> None:
+        """Type keys that come late in parts, seconds apart. What the terminal answers meanwhile comes after them."""
+        self._delayed = []
+        for part in range(parts):
+            time.sleep(apart if part else 0.0)
+            self.type(keys[part * len(keys) // parts : (part + 1) * len(keys) // parts])
+        delayed, self._delayed = self._delayed, None
+        for answer in delayed:
+            os.write(self._fd, answer)
 
     def shows(self, words: str, after: int = 0) -> bool:
         return words.encode() in self.output[after:]
@@ -99,11 +113,16 @@ class Terminal:
 
     def _answer(self, data: bytes) -> None:
         """Answer DSR and DA2, as xterm does."""
+        if self._mute:
+            return
         data, self._unanswered = self._unanswered + data, b""
         found = [(each.end(), b"\x1b[%s;%sR" % each.groups()) for each in _QUESTION.finditer(data)]
         found += [(each.end(), b"\x1b[>41;390;0c") for each in _KIND.finditer(data)]
         for _, answer in sorted(found):
-            os.write(self._fd, answer)
+            if (delayed := self._delayed) is not None:
+                delayed.append(answer)
+            else:
+                os.write(self._fd, answer)
         rest = data[max((end for end, _ in found), default=0) :]
         self._unanswered = rest[-24:]
 
