@@ -37,22 +37,22 @@ def a_process(proc: Path, tty: int, login: str = "4294967295", environment: byte
 )
 def test_the_terminal(tty: int, terminal: str, tmp_path: Path) -> None:
     a_process(tmp_path, tty)
-    assert identify(4711, os.getuid(), tmp_path) == f"{ME} on {terminal}"
+    assert str(identify(4711, os.getuid(), tmp_path)) == f"{ME} on {terminal}"
 
 
 def test_a_process_without_a_terminal(tmp_path: Path) -> None:
     a_process(tmp_path, 0)
-    assert identify(4711, os.getuid(), tmp_path) == f"{ME} (uid {os.getuid()}, pid 4711)"
-    assert identify(4711, 123_456_789, tmp_path) == "uid 123456789 (pid 4711)"
+    assert str(identify(4711, os.getuid(), tmp_path)) == f"{ME} (uid {os.getuid()}, pid 4711)"
+    assert str(identify(4711, 123_456_789, tmp_path)) == "uid 123456789 (pid 4711)"
 
 
 def test_a_process_that_has_gone(tmp_path: Path) -> None:
-    assert identify(4711, os.getuid(), tmp_path) == f"{ME} (uid {os.getuid()}, pid 4711)"
+    assert str(identify(4711, os.getuid(), tmp_path)) == f"{ME} (uid {os.getuid()}, pid 4711)"
 
 
 def test_who_became_another_user(tmp_path: Path) -> None:
     a_process(tmp_path, 136 << 8 | 3, login="123456789")
-    assert identify(4711, os.getuid(), tmp_path) == f"{ME} for uid 123456789 on pts/3"
+    assert str(identify(4711, os.getuid(), tmp_path)) == f"{ME} for uid 123456789 on pts/3"
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_who_became_another_user(tmp_path: Path) -> None:
 def test_where_they_came_from(value: bytes, origin: str, tmp_path: Path) -> None:
     """Only an address is believed."""
     a_process(tmp_path, 136 << 8 | 3, environment=b"HOME=/root\0SSH_CONNECTION=" + value + b"\0TERM=xterm")
-    assert identify(4711, os.getuid(), tmp_path) == f"{ME} on pts/3{origin}"
+    assert str(identify(4711, os.getuid(), tmp_path)) == f"{ME} on pts/3{origin}"
 
 
 def test_a_process_on_a_real_terminal() -> None:
@@ -79,7 +79,7 @@ def test_a_process_on_a_real_terminal() -> None:
     try:
         assert os.read(terminal, 2) == b"up"
         name = str(Path(f"/proc/{pid}/fd/0").readlink()).removeprefix("/dev/")
-        assert f" on {name}" in identify(pid, os.getuid())
+        assert f" on {name}" in str(identify(pid, os.getuid()))
     finally:
         os.close(terminal)
         os.waitpid(pid, 0)

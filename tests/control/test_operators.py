@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -12,10 +14,16 @@ from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.keys import Key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.attached_console import RequestRefused
+from rsb_bridge.control.control_sockets import user_name
 from rsb_bridge.control.remote_engine import attach
+from rsb_bridge.engine.access import Access
+from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import account
+from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.wire.connection import RECORD_CONTENT
 
 if TYPE_CHECKING:
@@ -23,7 +31,6 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_bridge.config.keys import Key
     from rsb_bridge.control.sealed import SealedConsole
 
 
@@ -38,6 +45,34 @@ def test_an_operator_attaches_and_changes(reachable: Reachable) -> None:
     assert came.who.startswith("anna (operator key)")
     remote.stop()
     eventually(lambda: reachable.events(EventCode.ATTACH_OPERATOR_LEFT))
+
+
+class Noting(ScriptedEngine):
+    """Notes whose commands it gets."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.accounts: list[str] = []
+
+    def _execute(self, command: Any, step: Any) -> Any:
+        self.accounts.append(account())
+        return super()._execute(command, step)
+
+
+def test_a_key_or_user_is_an_account(machine: Machine) -> None:
+    """Names are no accounts: they may be equal, or look as if they were."""
+    me, engine, access = user_name(os.getuid()), Noting(), Access("robot1", EventLog(Clock()), Clock())
+    keys = {"anna (day shift)": ANNA, "anna (night shift)": BOB, me: Key(hashlib.sha256(b"me").digest())}
+    access.grant({name: entry for each, key in keys.items() for name, entry in granted(each, key).items()})
+    reachable = Reachable(machine, engine, access)
+    for name, key in [*keys.items(), *keys.items()]:
+        remote = reachable.attach(name, key)
+        remote.retry().result(60)
+        remote.stop()
+    machine.attach().retry().result(60)
+    assert engine.accounts[:3] == engine.accounts[3:6]
+    assert len(set(engine.accounts)) == 4
+    assert all(engine.accounts)
 
 
 def test_a_long_message_goes_record_by_record(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:

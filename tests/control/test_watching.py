@@ -19,6 +19,7 @@ from rsb_bridge.control.protocol import VERSION, BridgeInfo, ConsoleHello, Conso
 from rsb_bridge.control.remote_engine import UnixSocket
 from rsb_bridge.control.sealed import OperatorRefused
 from rsb_bridge.control.summaries import watch
+from rsb_bridge.model.commands import ActingOperator
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ INFO = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
 class Taking:
     """A connection that takes everything at once."""
 
-    operator, read_only_reason, of_this_machine, closing = "anna", "", True, False
+    operator, read_only_reason, of_this_machine, closing = ActingOperator("uid 1000", "anna"), "", True, False
     never_takes_reason = ""
 
     def __init__(self) -> None:

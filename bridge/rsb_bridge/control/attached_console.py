@@ -16,6 +16,7 @@ from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.commands import (
+    ActingOperator,
     ArmTopic,
     AskHolder,
     ReleaseArmed,
@@ -64,8 +65,8 @@ class AcceptedConnection(Protocol):
     """A console's byte stream, and the operator at its other end. Belongs to one event loop."""
 
     @property
-    def operator(self) -> str:
-        """The operator, as the kernel or a key proves it: ``anna on pts/3``."""
+    def operator(self) -> ActingOperator:
+        """The operator, as the kernel or a key proves it."""
 
     @property
     def read_only_reason(self) -> str:
@@ -166,7 +167,7 @@ class AttachedConsole:
         self._summed_at = float("-inf")
         self._denied: dict[Right, str] = {}
         """The reason that this console lacks a right, or an empty string; from the welcome on."""
-        self._operator = ""
+        self._operator = ActingOperator("", "")
         self._welcomed = False
         self._tasks = Tasks(self._loop, self.abort)
         self._requests = 0

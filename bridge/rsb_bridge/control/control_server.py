@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.control_sockets import ControlSocket
     from rsb_bridge.control.protocol import BridgeInfo
+    from rsb_bridge.model.commands import ActingOperator
 
 _TURNS = 10
 """Turns of the loop after which the last accepted connection is a console, and aborted connections are closed.
@@ -194,7 +195,7 @@ class _OfThisMachine:
         self._writer = writer
 
     @property
-    def operator(self) -> str:
+    def operator(self) -> ActingOperator:
         pid, uid, _ = peer_of(self._writer.get_extra_info("socket"))
         return identify(pid, uid)
 

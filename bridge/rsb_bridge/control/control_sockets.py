@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.commands import ActingOperator
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 
@@ -339,8 +340,8 @@ _ENVIRONMENT_LIMIT = 1 << 20
 """Bytes that are read of a process's environment, which its user makes as long as the kernel allows. A round figure."""
 
 
-def identify(pid: int, uid: int, proc: Path = Path("/proc")) -> str:
-    """Name the person behind a process: ``anna on pts/3 from 192.168.1.5``, or ``anna (uid 1000, pid 4711)``.
+def identify(pid: int, uid: int, proc: Path = Path("/proc")) -> ActingOperator:
+    """Return the person behind a process: ``anna on pts/3 from 192.168.1.5``, or ``anna (uid 1000, pid 4711)``.
 
     A person who became another user since logging in, as with sudo, is named too: ``root for anna on pts/3``. The
     address comes from the environment that the SSH server gave the process; it is unknown for another user's process.
@@ -350,13 +351,14 @@ def identify(pid: int, uid: int, proc: Path = Path("/proc")) -> str:
     """
     process = proc / str(pid)
     name, login, terminal = _name_of(uid), _login(process), _terminal(process)
-    who = name or f"uid {uid}"
+    account, who = f"uid {uid}", name or f"uid {uid}"
     if login is not None and login != uid:
+        account += f" for uid {login}"
         who += f" for {_name_of(login) or f'uid {login}'}"
     if not terminal:
-        return f"{who} ({f'uid {uid}, ' if name else ''}pid {pid})"
+        return ActingOperator(account, who, f"({f'uid {uid}, ' if name else ''}pid {pid})")
     address = _ssh_client(process)
-    return f"{who} on {terminal}" + (f" from {address}" if address else "")
+    return ActingOperator(account, who, f"on {terminal}" + (f" from {address}" if address else ""))
 
 
 def _login(process: Path) -> int | None:

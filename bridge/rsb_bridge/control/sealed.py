@@ -24,6 +24,8 @@ from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import ActingOperator
+from rsb_bridge.model.names import fingerprint_of
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
@@ -174,7 +176,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
     def __init__(self, acceptor: SealedAcceptor) -> None:
         super().__init__(acceptor.pending)
         self.when_attached: Callable[[], None] = _nothing
-        self.operator = ""
+        self.operator = ActingOperator("", "")
         self._acceptor = acceptor
         self._machine: OperatorEngine
         self._peer = ""
@@ -255,14 +257,14 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         self.when_attached()
         self._leave()
         place = f" from {admitted.host}" if admitted.host else ""
-        self.operator = f"{self.name} (operator key){place}"
+        self.operator = ActingOperator(f"key {fingerprint_of(admitted.key).hex()}", self.name, f"(operator key){place}")
         server = self._acceptor.server
         self._console = AttachedConsole(server, self, server.full(_PLACES))
         if isinstance(self._transport, Pipe):
             self._transport.when_doubted = self._console.doubted
         server.add(self._console)
         text = f"{self.operator} has attached through {self._peer}, and may {self._granted.operator.may}"
-        self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, self.operator, text)
+        self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, str(self.operator), text)
 
     def _fail(self, reason: str, answer: bytes) -> None:
         """End a connection that broke the format or the seal."""
@@ -301,7 +303,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
             self._detached = True
             self._acceptor.server.remove(self._console)
             text = f"{self.operator} has detached"
-            self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR_LEFT, self.operator, text)
+            self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR_LEFT, str(self.operator), text)
 
     # --- once it is: the console's connection
 

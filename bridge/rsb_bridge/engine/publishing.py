@@ -21,7 +21,7 @@ from rsb_bridge.link.topic_view import check_names
 from rsb_bridge.model.by_hand import TICKET_LIFE, TWISTS, Draft, Published, smallest_limits
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import DraftMessage, Publish, console
+from rsb_bridge.model.commands import DraftMessage, Publish, account, console
 from rsb_bridge.model.demands import NO_DEMAND
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
@@ -314,7 +314,7 @@ class Publishing:
         if armed and (self._ending[topic] or self._ending[_EVERY_TOPIC]):
             raise LinkError(PublishProblem.ENDING(topic=topic))
         for route in armed:
-            if not route.arming.is_held_by(console(), acting_operator()):
+            if not route.arming.is_held_by(console(), account()):
                 raise LinkError(PublishProblem.ANOTHER_DRIVES(topic=topic, who=route.arming.by))
         if not armed and demand is not None and demand.arm:
             raise LinkError(PublishProblem.NO_ROUTE_TO_ARM(topic=topic))

@@ -11,6 +11,7 @@ from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.by_hand import can_end, end_text
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import account
 from rsb_bridge.model.demands import (
     NO_DEMAND,
     PEER_DEMANDS,
@@ -314,7 +315,7 @@ class LinkArming:
         who = acting_operator()
         # In this order: `ask` notes from which number on messages count, and Lease precedes Arm (PROTOCOL.md, 7.2).
         self.lease.hold()
-        arming.ask(who, console, self._context.now(), answered.set, shared=shared)
+        arming.ask(who, console, self._context.now(), answered.set, account=account(), shared=shared)
         self._peer.send(Arm(route.id, who))
         await answered.wait()
         if not (arming.armed and arming.console == console):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import enum
 from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeAlias, TypeVar, Union
 
 import msgspec
@@ -501,8 +502,27 @@ else:
     AnyCommand = Union[tuple(Command.__subclasses__())]  # noqa: UP007 -- of those above: the control socket knows each
 
 
+@dataclass(frozen=True, slots=True)
+class ActingOperator:
+    """The person who gives commands. As text, the name and the place: ``anna on pts/3``.
+
+    Attributes:
+        account: what the kernel or a key proves, or an empty string if nothing does: the same account, the same person.
+        name: for people; several of them may have the same.
+        place: of the person's console, in words.
+    """
+
+    account: str
+    name: str
+    place: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.place}".strip()
+
+
 OWN_CONSOLE = "the bridge's own console"
-_operator = ContextVar("operator", default=OWN_CONSOLE)
+_OWN = ActingOperator("", OWN_CONSOLE)
+_operator = ContextVar("operator", default=_OWN)
 _undo = ContextVar("undo", default=False)
 _console: ContextVar[Hashable] = ContextVar("console", default="own")
 
@@ -512,7 +532,12 @@ def operator() -> str:
 
     A task has the operator of the code that started it, on another thread, too.
     """
-    return _operator.get()
+    return str(_operator.get())
+
+
+def account() -> str:
+    """Return the account of the present command's operator, or an empty string if nothing proves who it is."""
+    return _operator.get().account
 
 
 @contextlib.contextmanager
@@ -524,13 +549,13 @@ def _set(variable: ContextVar[R], value: R) -> Iterator[None]:
         variable.reset(token)
 
 
-def acting(who: str) -> AbstractContextManager[None]:
+def acting(who: ActingOperator | str) -> AbstractContextManager[None]:
     """Give commands in the name of an operator.
 
     Args:
-        who: the operator in words: ``anna on pts/3``.
+        who: the operator, or in words what gives them if it is no person: ``SIGHUP``.
     """
-    return _set(_operator, who)
+    return _set(_operator, ActingOperator("", who) if isinstance(who, str) else who)
 
 
 def is_undo() -> bool:

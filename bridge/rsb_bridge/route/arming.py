@@ -136,7 +136,8 @@ class Arming:
         peer_limits: what a hand may ask by the other side's session, or None for any velocity.
         limited_by: the lines that have a number of `limits`, in words.
         demanded_by: the lines that demand arming, in words.
-        by: the operator who armed it, or empty if it is not armed.
+        by: the operator who armed it, in words, or empty if it is not armed.
+        account: that operator's account on this side, or empty: nobody shares it.
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
         shared: whether that operator's other consoles may publish by hand, too.
         question: of another operator to the holder, or None.
@@ -167,7 +168,7 @@ class Arming:
         if question is not None:
             question.answered(None)
         self._phase = phase
-        self.by = ""
+        self.by = self.account = ""
         self.console: Hashable | None = None
         self.shared = False
         self._deadline = float("inf")
@@ -294,17 +295,25 @@ class Arming:
     # --- arming
 
     def ask(
-        self, by: str, console: Hashable, now: float, answered: Callable[[], None], *, shared: bool = False
+        self,
+        by: str,
+        console: Hashable,
+        now: float,
+        answered: Callable[[], None],
+        *,
+        account: str = "",
+        shared: bool = False,
     ) -> None:
         """Arm it for an operator of this side; nothing crosses before the other side agrees.
 
         Args:
             by: the operator, in words.
             answered: called once messages may cross, or it is clear that they will not.
+            account: the operator's (`rsb_bridge.model.commands.Operator`).
             shared: whether that operator's other consoles may publish by hand, too.
         """
         self._hold(_Phase.ASKED, by, console)
-        self.shared = shared
+        self.account, self.shared = account, shared
         self._answered = answered
         self._seen_at, self._deadline = now, now + ANSWERED_WITHIN
 
@@ -349,11 +358,11 @@ class Arming:
 
     # --- the console
 
-    def is_held_by(self, console: Hashable, operator: str) -> bool:
-        """Whether messages by hand of an operator's console pass: one person drives at a time."""
+    def is_held_by(self, console: Hashable, account: str) -> bool:
+        """Whether messages by hand of a console and its operator's account pass: one person drives at a time."""
         if self.console is None:
             return False
-        return console == self.console or (self.shared and account_of(operator) == account_of(self.by))
+        return console == self.console or (self.shared and bool(account) and account == self.account)
 
     def seen(self, console: Hashable, now: float, *, pressed: bool) -> None:
         """Note a console's sign of life at `now` (s); `pressed` means that its operator pressed a key."""
@@ -384,11 +393,6 @@ class Arming:
         if now < self._deadline:
             return Disarmed.CONSOLE_GONE
         return Disarmed.NO_ANSWER if self._phase is _Phase.ASKED else Disarmed.DEADMAN
-
-
-def account_of(operator: str) -> str:
-    """Return who an operator is, without the terminal and the process."""
-    return operator.partition(" on ")[0].partition(" (")[0]
 
 
 def without_history(qos: Qos) -> Qos:
