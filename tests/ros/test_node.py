@@ -396,6 +396,12 @@ def own(node: RosNode) -> dict[tuple[str, Hashable], set[bytes]]:
     return node._own
 
 
+def test_nobody_waits_for_a_closed_publisher(open_node: Callable[..., RosNode]) -> None:
+    publisher = open_node().advertise(strings("/closed", Qos()), "link")
+    publisher.close()
+    assert publisher.acknowledged
+
+
 def test_closed_publishers_are_forgotten_in_time(open_node: Callable[..., RosNode]) -> None:
     node = open_node()
     for number in range(1100):

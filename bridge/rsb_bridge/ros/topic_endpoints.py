@@ -202,10 +202,9 @@ class Writer:
     @property
     def acknowledged(self) -> bool:
         """Whether every reliable subscription has acknowledged all (asked in 2 µs) or not (100 µs); yes once closed."""
-        try:
-            code = wait_for_all_acked(self._handle.rclpy.pointer, 0)
-        except RuntimeError:
+        if self._closed:
             return True
+        code = wait_for_all_acked(self._handle.rclpy.pointer, 0)
         if code:
             reset_error()
         return not code
