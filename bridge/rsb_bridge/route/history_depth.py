@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.model.qos import AUTO_DEPTH, QUEUE_BYTES
@@ -46,6 +46,10 @@ _FORGOTTEN_AFTER = 20.0
 """Seconds a publisher must be gone; longer than the peer keeps its history, whose numbers may be given here."""
 
 
+Bounds: TypeAlias = tuple[int, int]
+"""The least and the most messages that a publisher may keep."""
+
+
 class Sample(NamedTuple):
     """A message of a latched topic.
 
@@ -71,6 +75,7 @@ class _Publisher:
         settled: whether its whole history has come.
         at_least: lower bound of the depth.
         at_most: upper bound of the depth.
+        bounded: whether these come from an earlier opening, so that no message is held for a better one.
         probe_at: the next probe begins at the message with this number.
         tries: probes in a row that did not show the depth.
         released: whether messages are no longer held.
@@ -88,6 +93,7 @@ class _Publisher:
     settled: bool = False
     at_least: int = 1
     at_most: int = LATCHED_DEPTH
+    bounded: bool = False
     probe_at: int = 2
     tries: int = 0
     released: bool = False
@@ -98,7 +104,8 @@ class _Publisher:
 
     @property
     def exact(self) -> bool:
-        return self.at_least >= self.at_most
+        """Whether the depth is known, or as much of it as can be: it never pauses, or shows no history."""
+        return self.at_least >= self.at_most or self.tries >= _MOST_TRIES
 
     def wants_probe(self) -> bool:
         return self.settled and not self.exact and self.newest >= self.probe_at and self.gone_since is None
@@ -117,6 +124,7 @@ class Histories:
         depth: int,
         lifespan: float,
         known: Mapping[bytes, int],
+        bounds: Mapping[bytes, Bounds],
     ) -> None:
         """Begin.
 
@@ -127,6 +135,7 @@ class Histories:
             depth: history depth that an operator has set for all publishers, or 0 to find it out.
             lifespan: s after which publishers on either side forget a message, or 0 for never.
             known: the newest number that the peer has, by publisher.
+            bounds: of depths, from an earlier opening, by publisher: a DDS publisher's depth never changes.
         """
         self._loop = loop
         self._open_probe = probe
@@ -135,6 +144,7 @@ class Histories:
         self._depth = min(depth, LATCHED_DEPTH)
         self._lifespan = lifespan
         self._known = dict(known)
+        self._bounds_before = {} if depth else dict(bounds)
         self._publishers: dict[bytes, _Publisher] = {}
         self._probe: _Probe | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -142,6 +152,11 @@ class Histories:
     def depths(self) -> dict[bytes, int]:
         """Return the depths that have been found out, by publisher."""
         return {publisher_id(gid): each.at_most for gid, each in self._publishers.items() if each.exact}
+
+    def bounds(self) -> dict[bytes, Bounds]:
+        """Return the bounds of the depths, by publisher, as far as any are known."""
+        known = {gid: each for gid, each in self._publishers.items() if each.at_most < LATCHED_DEPTH}
+        return self._bounds_before | {publisher_id(gid): (each.at_least, each.at_most) for gid, each in known.items()}
 
     # --- messages
 
@@ -184,6 +199,9 @@ class Histories:
     def forget_gone(self, present: Collection[bytes]) -> None:
         """Forget publishers that are gone."""
         now = self._loop.time()
+        if self._bounds_before:
+            here = {publisher_id(gid) for gid in present}
+            self._bounds_before = {gid: each for gid, each in self._bounds_before.items() if gid in here}
         for gid, publisher in tuple(self._publishers.items()):
             if gid in present:
                 publisher.gone_since = None
@@ -213,6 +231,9 @@ class Histories:
         if publisher is None:
             known = self._known.pop(publisher_id(message.gid), 0)
             publisher = self._publishers[message.gid] = _Publisher(known, now, now, now)
+            if bounds := self._bounds_before.pop(publisher_id(message.gid), None):
+                publisher.at_least, publisher.at_most = bounds
+                publisher.bounded = True
         if not publisher.first:
             publisher.first, publisher.began = message.number, now
         publisher.newest = max(publisher.newest, message.number)
@@ -225,7 +246,8 @@ class Histories:
 
     def _holds(self, publisher: _Publisher, number: int) -> bool:
         """Whether a message is held. The first one is never: its publisher keeps at least one."""
-        return number > 1 and not (publisher.released or publisher.exact or self._depth or self._lifespan)
+        known = publisher.released or publisher.bounded or publisher.exact
+        return number > 1 and not (known or self._depth or self._lifespan)
 
     def _depth_of(self, publisher: _Publisher, number: int) -> int:
         """Return the depth to emit a message with: the most that its publisher may keep.
@@ -238,9 +260,13 @@ class Histories:
             return self._depth
         if not number:
             return AUTO_DEPTH
-        if self._lifespan or publisher.latest - publisher.flows_since >= _HELD_FOR - _SETTLES_AFTER:
+        if publisher.exact or publisher.bounded or self._lifespan or self._is_busy(publisher):
             return publisher.at_most  # with a lifespan the peer's publishers forget as quickly
         return min(number - publisher.first + 1, publisher.at_most)
+
+    @staticmethod
+    def _is_busy(publisher: _Publisher) -> bool:
+        return publisher.latest - publisher.flows_since >= _HELD_FOR - _SETTLES_AFTER
 
     # --- depths
 
@@ -334,8 +360,6 @@ class Histories:
                 if newest - target <= _MEANWHILE:
                     publisher.at_most = min(publisher.at_most, newest - first + 1)
                 publisher.at_least = min(max(publisher.at_least, target - first + 1), publisher.at_most)
-            if publisher.tries >= _MOST_TRIES:  # it never pauses, or shows no history
-                publisher.at_least = publisher.at_most
         if publisher.exact:
             self._release(publisher)
 

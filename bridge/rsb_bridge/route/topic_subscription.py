@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RouteEnds, Subscription, TopicSpec
+    from rsb_bridge.route.history_depth import Bounds
     from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.route.peer import TypeBudget
     from rsb_bridge.route.sending import OutgoingPath
@@ -75,6 +76,7 @@ class TopicSubscription:
         self._receiver = _Receiver(path.offer)
         self._subscription: LastingSubscription | None = None
         self._depth = 0
+        self._bounds: dict[bytes, Bounds] = {}  # of the depths of a latched topic's publishers
         self._lost_before = self._lost_seen = 0
 
     # --- the subscription
@@ -102,6 +104,7 @@ class TopicSubscription:
                 depth=0 if automatic else _kept(spec.qos),
                 lifespan=spec.qos.lifespan,
                 known=known,
+                bounds=self._bounds,
             )
 
     def subscribe(self) -> None:
@@ -126,7 +129,10 @@ class TopicSubscription:
         """End the opening, drop the messages that the histories hold, and return their number."""
         self.unsubscribe()
         self._receiver.offer = self._path.too_late  # they may be older than what arms the next opening
-        held = self.histories.close() if self.histories is not None else 0
+        held = 0
+        if self.histories is not None:
+            self._bounds = self.histories.bounds()
+            held = self.histories.close()
         self.spec = self.histories = None
         return held
 
