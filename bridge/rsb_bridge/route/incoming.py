@@ -40,7 +40,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable
 
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
@@ -391,22 +391,21 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _publish_latched(
         self, topic: LatchedTopic, header: HistoryHeader, content: bytes, look: LastLook | None
     ) -> None:
-        still_wanted = None
-        if look is not None:
-            if (why := look()) is not None:
-                raise _NotPublishedError(CAUSES[why])
-            still_wanted = partial(self._is_still_wanted, look, self.id)
-        if not topic.publish(header, content, still_wanted):
+        if look is not None and (why := look()) is not None:
+            raise _NotPublishedError(CAUSES[why])
+        if not topic.publish(header, content, partial(self._publish_late, look, self.id)):
             raise _NotPublishedError("already published")
 
-    def _is_still_wanted(self, look: LastLook, opening: int) -> bool:
-        """Look again before the publication of a message that had to wait, and counts as delivered in an opening."""
-        if (why := look()) is None:
-            return True
-        if self.id == opening:  # else its counts are closed
-            self._delivered -= 1
-            self._dropped[CAUSES[why]] += 1
-        return False
+    def _publish_late(self, look: LastLook | None, opening: int, publish: Callable[[], None]) -> None:
+        """Publish a message that had to wait, and that counts as delivered in an opening, unless it is too late."""
+        try:
+            if look is not None and (why := look()) is not None:
+                raise _NotPublishedError(CAUSES[why])
+            publish()
+        except _CAUGHT as error:
+            if self.id == opening:  # else its counts are closed
+                self._delivered -= 1
+                self._drop(error)
 
     def _drop(self, error: Exception) -> None:
         """Count a message that is not published, and tell operators why."""

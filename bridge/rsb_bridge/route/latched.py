@@ -3,22 +3,28 @@
 Every publisher of the sending side has publishers of its own here, which keep as many of its messages as it keeps
 itself. A DDS publisher's depth cannot change, and how much a publisher keeps may become known only as it publishes. So
 a history may be spread over several publishers here, each with some of its messages.
+
+A present subscriber misses none of them: it may discover a publisher here seconds late, and until it has, DDS may
+overwrite the publisher's messages or close it. So messages wait meanwhile, and a publisher is closed once its messages
+are acknowledged.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import chain, islice
-from typing import TYPE_CHECKING
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.model.limits import LATCHED_DEPTH
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
 from rsb_bridge.route.peer import KEPT_LIMIT
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.wire.framing import Budget
@@ -30,9 +36,11 @@ MESSAGE_COST = 256  # bytes, for what DDS keeps with each message: an estimate
 _ALONE = 16
 """Messages of a growing history for which there is a publisher each, so that each can be dropped alone: as many as the
 sender probes each message for (`history_depth`)."""
-_MATCHED_WITHIN = 0.5
-"""s that subscriptions have to discover a new publisher. They get its earlier messages late, after messages of
-other publishers, or never if they want no history."""
+_DISCOVERED_WITHIN = 10.0
+"""Seconds that subscribers have to discover a new publisher: a busy machine needs several. A stopped subscriber
+discovers none, and others wait for it."""
+_GIVEN_UP_AFTER = 30.0
+"""Seconds that a closing publisher has to deliver its messages: DDS forgets a stopped subscriber after 20."""
 _LOOKS_AGAIN_AFTER = 0.02  # s until DDS is asked again who has discovered what: a round figure
 _AT_ONCE, _GOES_ON_AFTER = 100, 0.005
 """Messages that waited are published so many at once, and the next ones after so many s: 20,000 a second, which an
@@ -40,12 +48,16 @@ rclpy subscriber can take. All at once they overran the depth of one that keeps 
 _MANY = 5000
 """Messages that may wait; what is more than these goes at once, so that they come to an end at any rate."""
 _ACKNOWLEDGED_WITHIN = 0.5
-"""s that a message has to arrive, until that of another publisher may follow: no longer, as a stopped subscriber never
-acknowledges one. From 2 kHz on, messages wait for so long once (bench/README)."""
+"""Seconds that a message of a discovered publisher has to arrive, until that of another one may follow: no longer, as a
+stopped subscriber acknowledges none. From 2 kHz on, messages wait for so long once (bench/README)."""
 _ASKED = 4
 """Publishers asked for their subscribers: the oldest, which have been discovered by all."""
 _GONE_AFTER = 10.0
 """Seconds that a history outlives its publisher: the sender may have just started, and not have discovered it yet."""
+
+
+Late: TypeAlias = Callable[[Callable[[], None]], None]
+"""Called with the function that publishes a message that had to wait, and that may raise RosError."""
 
 
 class LatchedFullError(Exception):
@@ -63,13 +75,18 @@ class _OutputHistory:
 
     Attributes:
         kept: number of each message that it keeps, and size of its memory, oldest first.
+        waiting: number of its messages that are not published yet.
+        used_at: time (s) when it was made, last published, or was retired.
+        discovered: whether all subscribers have had a message of it, or had time to.
     """
 
     def __init__(self, publisher: Publisher, depth: int, now: float) -> None:
         self.publisher = publisher
         self.depth = depth
-        self.made_at = now
         self.kept: deque[tuple[int, int]] = deque()
+        self.waiting = 0
+        self.used_at = now
+        self.discovered = False
 
     @property
     def full(self) -> bool:
@@ -84,16 +101,23 @@ class _History:
         seen_at: time (s) when it was last seen.
         newest: number of its newest message that came here.
         outputs: the publishers here that have its messages.
-        waiting: messages that wait for the newest output to be discovered.
+        waiting: messages that wait until an output is discovered, or has delivered what it published before.
         last: the output that published last, or None.
     """
 
     seen_at: float
     newest: int = 0
     outputs: list[_OutputHistory] = field(default_factory=list)
-    waiting: deque[tuple[_OutputHistory, bytes, Callable[[], bool] | None]] = field(default_factory=deque)
+    waiting: deque[tuple[_OutputHistory, bytes, Late]] = field(default_factory=deque)
     last: _OutputHistory | None = None
-    last_at: float = 0.0
+
+
+def _published(publish: Callable[[], None]) -> None:
+    publish()
+
+
+def _is_closed() -> None:
+    raise RosError(RosProblem.CLOSED())
 
 
 class LatchedTopic:
@@ -112,7 +136,7 @@ class LatchedTopic:
         Args:
             advertise: makes a publisher with a depth; may raise RosError.
             depth: initial depth of a history, until its own has been found.
-            failed: called when a message that had waited, or a publisher, fails later.
+            failed: called when a later publisher cannot be created.
 
         Raises:
             RosError: the publisher cannot be created.
@@ -123,7 +147,7 @@ class LatchedTopic:
         self._budget = budget
         self._failed = failed
         self._histories: dict[bytes, _History] = {}
-        self._retired: deque[tuple[float, _OutputHistory]] = deque()
+        self._retired: list[_OutputHistory] = []
         self._present: Mapping[bytes, int] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._first_depth = depth
@@ -148,7 +172,10 @@ class LatchedTopic:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        for output in (*self._outputs(), *(output for _, output in self._retired)):
+        for history in self._histories.values():
+            while history.waiting:
+                self._next_waiting(history)[2](_is_closed)
+        for output in (*self._outputs(), *self._retired):
             self._close(output)
         self._spare = None
         self._retired.clear()
@@ -172,25 +199,29 @@ class LatchedTopic:
                     self._drop_older(history, history.newest - depth)
 
     def tick(self) -> None:
-        """Drop the histories of publishers that are gone, and expired outputs; called once a second."""
+        """Drop the histories of publishers that are gone, and outputs that have delivered; called once a second."""
         now = self._loop.time()
         for publisher, history in tuple(self._histories.items()):
             if publisher in self._present:
                 history.seen_at = now
-            elif now - history.seen_at > _GONE_AFTER:
+            elif now - history.seen_at > _GONE_AFTER and not history.waiting:
                 del self._histories[publisher]
                 self._retire(history.outputs)
         self._keep_one(now)
-        while self._retired and now - self._retired[0][0] >= _ACKNOWLEDGED_WITHIN:
-            self._close(self._retired.popleft()[1])
+        retired, self._retired = self._retired, []
+        for output in retired:
+            if output.waiting or not (output.publisher.acknowledged or now - output.used_at >= _GIVEN_UP_AFTER):
+                self._retired.append(output)
+            else:
+                self._close(output)
 
     # --- messages
 
-    def publish(self, header: HistoryHeader, content: bytes, still_wanted: Callable[[], bool] | None = None) -> bool:
-        """Publish a message, now or as soon as its publisher is discovered by those who have discovered the others.
+    def publish(self, header: HistoryHeader, content: bytes, late: Late = _published) -> bool:
+        """Publish a message, now or as soon as all present subscribers will have it, after the messages before it.
 
         Args:
-            still_wanted: asked right before it is published if it had to wait, or None if it is wanted in any case.
+            late: called with the function that publishes it, when its time comes, if it has to wait.
 
         Returns:
             Whether it was new; one that was published before is left out.
@@ -207,48 +238,56 @@ class LatchedTopic:
         history.seen_at = now
         number = header.number or history.newest + 1
         # A depth that the sender has found since also holds for messages that it sent before.
-        depth = min(header.depth, self._present.get(header.publisher, 0) or LATCHED_DEPTH)
-        output = self._output_for(history, number, depth)
+        found = self._present.get(header.publisher, 0)
+        depth = min(header.depth, found or LATCHED_DEPTH)
+        output = self._output_for(history, number, depth, is_found=depth == found)
+        waits = bool(history.waiting) or not self._is_next(history, output, now)
         # Only now, as a history without outputs would have the spare publisher closed, the topic's last one.
         self._histories[header.publisher] = history
         # The message that gives way leaves its memory, so that a full publisher costs no more than before.
         evicted = output.kept[0][1] if output.full else 0
         memory = max(len(content) + MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
-        if not self._budget.take(memory - evicted):
-            raise LatchedFullError
+        self._take(memory - evicted + (len(content) if waits else 0))
         if output.full:
             output.kept.popleft()
         output.kept.append((number, memory))
         history.newest = number
-        if history.waiting or not self._is_next(history, output, now):
-            history.waiting.append((output, content, still_wanted))
+        if waits:
+            output.waiting += 1
+            history.waiting.append((output, content, late))
             self._look_again()
         else:
-            self._publish(history, output, content, now)
+            self._publish(history, output, content)
         self._drop_older(history, number - depth)
         return True
 
-    def _output_for(self, history: _History, number: int, depth: int) -> _OutputHistory:
-        """Return the output for the next message of a history, so that just the newest `depth` are kept."""
+    def _output_for(self, history: _History, number: int, depth: int, *, is_found: bool) -> _OutputHistory:
+        """Return the output for the next message of a history, so that just the newest `depth` are kept.
+
+        Args:
+            is_found: whether that is the publisher's depth, so that one output may take all messages from now on.
+        """
         outputs = history.outputs
         if outputs and outputs[-1].depth == depth:
             return outputs[-1]
         filled = [output for output in outputs if output.kept]
-        oldest = min(filled, key=lambda output: output.kept[0][0], default=None)
-        if oldest is not None and oldest.full and sum(len(output.kept) for output in filled) == depth:
-            return oldest  # the message that gives way is kept no longer on the sending side either
         needed = [output for output in filled if output.kept[-1][0] > number - depth]
+        oldest = min(filled, key=lambda output: output.kept[0][0], default=None)
         count = sum(len(output.kept) for output in needed)
-        for output in needed:
-            if count < depth and not output.full:
-                return output
-        if not needed or count >= depth:
-            made = self._output(depth)
-        else:
+        room = depth
+        if oldest is not None and oldest.full and sum(len(output.kept) for output in filled) == depth:
+            # The message that gives way is kept no longer on the sending side either. Where each message has an output,
+            # they also go one by one while another one takes all, and no message waits for that of another output.
+            if not is_found or len(filled) < depth:
+                return oldest
+        elif 0 < count < depth:
+            for output in needed:
+                if not output.full:
+                    return output
             # At first each message gets a publisher; later each one doubles the history, so that a long one needs few.
-            made = self._output(max(depth - count, count if count >= _ALONE else 1))
-        outputs.append(made)
-        return made
+            room = max(depth - count, count if count >= _ALONE else 1)
+        outputs.append(self._output(room))
+        return outputs[-1]
 
     def _drop_older(self, history: _History, number: int) -> None:
         """Drop the outputs of a history all of whose messages have that number or an older one."""
@@ -271,18 +310,26 @@ class LatchedTopic:
         if spare is not None and spare.depth == depth:
             self._spare = None
             return spare
-        if not self._budget.take(PUBLISHER_COST):
-            raise LatchedFullError
+        self._take(PUBLISHER_COST)
         try:
             return _OutputHistory(self._advertise(depth), depth, self._loop.time())
         except RosError:
             self._budget.give(PUBLISHER_COST)
             raise
 
+    def _take(self, size: int) -> None:
+        """Count more memory, for which retired outputs give way."""
+        while not self._budget.take(size):
+            delivered = next((output for output in self._retired if not output.waiting), None)
+            if delivered is None:
+                raise LatchedFullError
+            self._retired.remove(delivered)
+            self._close(delivered)
+
     def _keep_one(self, now: float) -> None:
         """Have a publisher even without any history, so that the topic stays; a spare one is closed when others do."""
         if self._histories:
-            if self._spare is not None and now - self._spare.made_at > _MATCHED_WITHIN:
+            if self._spare is not None and now - self._spare.used_at > _DISCOVERED_WITHIN:
                 self._retire([self._spare])
                 self._spare = None
         elif self._spare is None:
@@ -292,38 +339,32 @@ class LatchedTopic:
                 self._failed(error)
 
     def _retire(self, outputs: Iterable[_OutputHistory]) -> None:
-        """Close outputs a little later: their last messages may still be on their way to a subscriber."""
-        now = self._loop.time()
-        self._retired.extend((now, output) for output in outputs)
+        """Close outputs later: their last messages may wait, or be on their way to a subscriber."""
+        for output in outputs:
+            output.used_at = self._loop.time()
+            self._retired.append(output)
 
     def _close(self, output: _OutputHistory) -> None:
         output.publisher.close()
         self._budget.give(PUBLISHER_COST + sum(size for _, size in output.kept))
         output.kept.clear()
 
-    def _publish(self, history: _History, output: _OutputHistory, content: bytes, now: float) -> None:
-        history.last, history.last_at = output, now
+    def _publish(self, history: _History, output: _OutputHistory, content: bytes) -> None:
+        history.last, output.used_at = output, self._loop.time()
         output.publisher.publish(content)
 
     def _is_next(self, history: _History, output: _OutputHistory, now: float) -> bool:
-        """Whether a message may be published: it overtakes none that another output has published before."""
-        if not self._matched(output, now):
-            return False
-        last = history.last  # discovered here, a publisher may still be unknown there: then its message comes later
-        return (
-            last is None
-            or last is output
-            or now - history.last_at >= _ACKNOWLEDGED_WITHIN
-            or last.publisher.acknowledged
-        )
-
-    def _matched(self, output: _OutputHistory, now: float) -> bool:
-        """Whether those who have discovered the other publishers have discovered an output's, or had time to."""
-        if now - output.made_at >= _MATCHED_WITHIN:
+        """Whether the next message may be published: all subscribers will hear it, after those of other outputs."""
+        last = history.last
+        if last is None or (last is output and output.discovered):
             return True
-        # The messages just retired may be the only others: once a depth is found, all older ones go at once.
-        others = chain(islice(self._outputs(), _ASKED), islice((each for _, each in self._retired), _ASKED))
-        return output.publisher.subscriber_count >= max(each.publisher.subscriber_count for each in others)
+        # DDS here knows the subscribers of a new publisher at once, but they may not know it yet, and would miss what
+        # it overwrites meanwhile.
+        within = _ACKNOWLEDGED_WITHIN if last.discovered else _DISCOVERED_WITHIN
+        if last.publisher.acknowledged or now - last.used_at >= within:
+            last.discovered = True
+            return True
+        return False
 
     def _look_again(self, after: float = _LOOKS_AGAIN_AFTER) -> None:
         if self._timer is None:
@@ -336,12 +377,13 @@ class LatchedTopic:
         for history in self._histories.values():
             while left and history.waiting and self._is_next(history, history.waiting[0][0], now):
                 left -= 1
-                output, content, still_wanted = history.waiting.popleft()
-                if still_wanted is not None and not still_wanted():
-                    continue
-                try:
-                    self._publish(history, output, content, now)
-                except RosError as error:
-                    self._failed(error)
+                output, content, late = self._next_waiting(history)
+                late(partial(self._publish, history, output, content))
             if history.waiting:
                 self._look_again(_LOOKS_AGAIN_AFTER if left else _GOES_ON_AFTER)
+
+    def _next_waiting(self, history: _History) -> tuple[_OutputHistory, bytes, Late]:
+        output, content, late = history.waiting.popleft()
+        output.waiting -= 1
+        self._budget.give(len(content))
+        return output, content, late

@@ -344,7 +344,7 @@ class SourcePublishers:
         """Begin without publishers.
 
         Args:
-            failed: called if publishing fails after `publish` has returned.
+            failed: called if a later publisher cannot be created.
         """
         self._context = context
         self._purpose = purpose
