@@ -44,6 +44,8 @@ class Writer:
     depth: int
     newest: int = 0
     history: deque[int] = field(default_factory=deque)
+    published: dict[int, int] = field(default_factory=dict)
+    """When each message was published, in ns."""
 
 
 class NearDds:
@@ -59,6 +61,7 @@ class NearDds:
         self.writers: dict[bytes, Writer] = {}
         self.readers: list[NearReader] = []
         self.subscribed = 0
+        self.ahead = 0.0  # s, of the publishers' clock
         self.overwrites = False  # whether it is too slow to hand over a history before it is overwritten
         self._numbers = count()
 
@@ -73,6 +76,9 @@ class NearDds:
             reader.match(writer)
         return reader
 
+    def now_ns(self) -> int:
+        return int((1 + self.loop.time()) * 1e9)
+
     def new_writer(self, depth: int) -> Writer:
         writer = Writer(publisher_id(b"writer %d" % next(self._numbers)), depth)
         self.writers[writer.gid] = writer
@@ -83,6 +89,7 @@ class NearDds:
     def publish(self, writer: Writer) -> None:
         writer.newest += 1
         writer.history.append(writer.newest)
+        writer.published[writer.newest] = self.now_ns() + int(self.ahead * 1e9)
         while len(writer.history) > writer.depth:
             writer.history.popleft()
         if self.lifespan:
@@ -123,7 +130,8 @@ class NearReader:
     def _hand_over(self, writer: Writer) -> None:
         waiting = self._waiting[writer.gid]
         if waiting and self in self._dds.readers:
-            self._sink([RawMessage(b"%d" % number, 0, writer.gid, number) for number in waiting])
+            now, published = self._dds.now_ns(), writer.published
+            self._sink([RawMessage(b"%d" % at, now, writer.gid, at, 0, published[at]) for at in waiting])
             waiting.clear()
 
     def close(self) -> None:
@@ -474,6 +482,37 @@ def test_a_busy_publisher_is_measured_too() -> None:
         assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
         assert len(world.far.late_joiner()) <= 40
         assert len(world.far.heard) == 2000
+
+
+@pytest.mark.parametrize("seconds", [0.3, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("rate", [50, 100])
+@pytest.mark.parametrize("depth", [1, 3])
+def test_a_burst_leaves_what_its_publisher_keeps(depth: int, rate: int, seconds: float) -> None:
+    with virtual_loop() as loop:
+        world = World(loop, depth)
+        world.wait(1)
+        writer = world.near.new_writer(depth)
+        world.wait(0.1)
+        for _ in range(int(rate * seconds)):
+            world.near.publish(writer)
+            world.wait(1 / rate)
+        world.wait(5)
+        assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
+        assert len(world.far.late_joiner()) <= depth + 1
+
+
+def test_a_clock_ahead_makes_no_history_shallow() -> None:
+    """By its times, a part of the history seems to be published while it is handed over."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        world.near.ahead = 0.2
+        world.wait(1)
+        writer = world.near.new_writer(10)
+        for _ in range(100):
+            world.near.publish(writer)
+            world.wait(1 / 50)
+        world.wait(5)
+        assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
 
 
 def test_a_history_that_is_overwritten_before_it_is_handed_over_is_not_taken_for_a_short_one() -> None:

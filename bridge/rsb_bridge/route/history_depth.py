@@ -4,9 +4,10 @@ DDS does not announce the depth of a publisher's history, but a new subscription
 it begins with message 6 and the newest is 10, the publisher keeps five. If it begins with message 1, the publisher
 keeps at least as many as have come. So a short-lived second subscription (a probe) shows the depth.
 
-A publisher that never pauses publishes while it is probed, so only bounds of its depth are found. No live message
-waits for that: each is sent with the most that its publisher may keep, and the peer drops what is too much as soon as
-it gets the depth. Only a history waits for a moment, because with a known depth it costs the peer one publisher.
+A publisher that never pauses publishes while it is probed. Only what it published before the probe's first message came
+may be history, which shows its depth within few messages. No live message waits for that: each is sent with the most
+that its publisher may keep, and the peer drops what is too much as soon as it gets the depth. Only a history, or the
+first 0.3 s of a burst, waits for a moment, because with a known depth it costs the peer one publisher.
 """
 
 from __future__ import annotations
@@ -82,6 +83,7 @@ class _Publisher:
         held: messages held, each with whether it was replayed.
         arrivals: of a topic with a lifespan, the newest live messages' numbers and when (s) they came.
         gone_since: time (s) when it left the graph, or None while it is there.
+        is_ahead: whether its clock is: a message came before it was published.
     """
 
     taken: int
@@ -101,6 +103,7 @@ class _Publisher:
     held_size: int = 0
     arrivals: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=LATCHED_DEPTH))
     gone_since: float | None = None
+    is_ahead: bool = False
 
     @property
     def exact(self) -> bool:
@@ -108,7 +111,8 @@ class _Publisher:
         return self.at_least >= self.at_most or self.tries >= _MOST_TRIES
 
     def wants_probe(self) -> bool:
-        return self.settled and not self.exact and self.newest >= self.probe_at and self.gone_since is None
+        has_history = self.settled or self.first == 1  # with message 1, no earlier ones come
+        return has_history and not self.exact and self.newest >= self.probe_at and self.gone_since is None
 
 
 class Histories:
@@ -237,6 +241,7 @@ class Histories:
         if not publisher.first:
             publisher.first, publisher.began = message.number, now
         publisher.newest = max(publisher.newest, message.number)
+        publisher.is_ahead = publisher.is_ahead or message.source > message.stamp
         if now - publisher.latest > _SETTLES_AFTER:
             publisher.flows_since = now
         publisher.latest = now
@@ -332,7 +337,7 @@ class Histories:
         for gid, target in probe.wanted.items():
             publisher = self._publishers.get(gid)
             if publisher is not None and not publisher.exact:
-                self._judge(publisher, target, probe.first.get(gid, 0), probe.last.get(gid, 0))
+                self._judge(publisher, target, probe.found.get(gid, _NOTHING))
                 found = found or publisher.exact
         if found:
             self._found()
@@ -342,8 +347,9 @@ class Histories:
             self._probe.subscription.close()
         self._probe = None
 
-    def _judge(self, publisher: _Publisher, target: int, first: int, last: int) -> None:
-        """Judge the depth by a probe that began when `target` was the newest message and got `first` to `last`."""
+    def _judge(self, publisher: _Publisher, target: int, found: _Found) -> None:
+        """Judge the depth by what a probe found that began when `target` was the newest message."""
+        first, last = found.first, found.last
         # Nothing is overwritten yet, so this is only a lower bound.
         if first == 1 and last >= target:
             publisher.tries = 0
@@ -355,10 +361,11 @@ class Histories:
             if self._may_have_expired(publisher, first - 1):
                 publisher.probe_at = publisher.newest + 1  # until then a probe shows no more
             elif first > 1 and last >= target:
-                # The newest message when the history was sent was one from `target` to `newest`.
+                # The newest message when the history was sent was one from `target` to `kept`.
                 newest = max(publisher.newest, last)
+                kept = newest if publisher.is_ahead else max(target, found.kept)
                 if newest - target <= _MEANWHILE:
-                    publisher.at_most = min(publisher.at_most, newest - first + 1)
+                    publisher.at_most = min(publisher.at_most, kept - first + 1)
                 publisher.at_least = min(max(publisher.at_least, target - first + 1), publisher.at_most)
         if publisher.exact:
             self._release(publisher)
@@ -383,30 +390,55 @@ class Histories:
             self._emit(samples)
 
 
+@dataclass(slots=True)
+class _Found:
+    """What a probe got of one publisher.
+
+    Attributes:
+        first: the first number.
+        came: ns since the epoch, when that came.
+        last: the last number.
+        kept: the last number that its history may have had, unless its clock is ahead.
+    """
+
+    first: int
+    came: int
+    last: int = 0
+    kept: int = 0
+
+
+_NOTHING = _Found(0, 0)
+
+
 class _Probe:
     """A second subscription and its findings.
 
     Attributes:
         wanted: number to wait for, by publisher.
         until: time (s) at which to stop waiting.
-        first: the first number seen, by publisher.
-        last: the last number seen, by publisher.
+        found: what has come, by publisher.
     """
 
     def __init__(self, wanted: dict[bytes, int], until: float) -> None:
         self.wanted = wanted
         self.until = until
         self.subscription: Subscription | None = None
-        self.first: dict[bytes, int] = {}
-        self.last: dict[bytes, int] = {}
+        self.found: dict[bytes, _Found] = {}
         self._complete = False
 
     def receive(self, batch: Sequence[RawMessage], now: float) -> None:
         """Take messages. Once all wanted numbers have come, the probe ends a moment later, even if more come."""
         for message in batch:
-            self.first.setdefault(message.gid, message.number)
-            self.last[message.gid] = message.number
-        if not self._complete and all(self.last.get(gid, 0) >= number for gid, number in self.wanted.items()):
+            found = self.found.get(message.gid)
+            if found is None:
+                found = self.found[message.gid] = _Found(message.number, message.stamp)
+            found.last = message.number
+            # What was published after the first message had come is no history.
+            if message.source <= found.came:
+                found.kept = message.number
+        if not self._complete and all(
+            self.found.get(gid, _NOTHING).last >= number for gid, number in self.wanted.items()
+        ):
             self._complete = True
             self.until = min(self.until, now + _PROBE_SETTLES_AFTER)
 
