@@ -44,6 +44,7 @@ class RadioSocket:
         self.loss = 0.0
         self.blocked = False
         self.sent = self.dropped = 0
+        self.taken_at = 0.0
         self._radio, self._way, self._queue = radio, radio.ways[way], queue
         self._random = Random(way)
 
@@ -61,8 +62,12 @@ class RadioSocket:
             loop.call_later(self._way.free_at + self._radio.delay - loop.time(), self._arrive, each)
 
     def _arrive(self, datagram: bytes) -> None:
+        self.far.air.taken_at = asyncio.get_running_loop().time()
         for (route, _, address), its in by_addressee([(datagram, _ADDRESS)]).items():
             self.far.received(route, its, address)
+
+    def arrived_at(self) -> float:
+        return self.taken_at
 
     def path(self, source: str, address: Address) -> SendPath:
         return SendPath(address, [])

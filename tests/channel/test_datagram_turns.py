@@ -175,5 +175,5 @@ async def test_a_late_receipt_may_tell_of_fewer_missing_datagrams_and_of_no_furt
         carrier = DatagramCarrier(Mock(), near.scheduler)
         for datagrams, missing in ((10, 5), (0, -1)):
             carrier.count(datagrams, missing)
-            carrier.receipt(1_000_000)
+            carrier.receipt(1_000_000, 0.0)
         assert near.scheduler.arrived == 0

@@ -11,6 +11,8 @@ from rsb_bridge.channel.datagram_carrier import WINDOW, Pacer
 
 DATAGRAM = 1400
 STEP = 0.0002
+OTHER_CLOCK = -1234.5
+"""s by which the receiver's clock is ahead."""
 
 
 class Path:
@@ -43,8 +45,8 @@ class Path:
         self._sequence = 0
         self._carried = 0.0
         self._on_path: deque[tuple[float, int]] = deque()
-        self._in_buffer: deque[int] = deque()
-        self._answers: deque[tuple[float, int, int]] = deque()
+        self._in_buffer: deque[tuple[int, float]] = deque()
+        self._answers: deque[tuple[float, int, int, float]] = deque()
         self._since = WINDOW * buffer
         self._newest = -1
         self._told_at = 0.0
@@ -58,6 +60,17 @@ class Path:
                 self.pacer.write_off()
             self.step()
         return not left
+
+    def publish(self, rate: float, seconds: float) -> float:
+        """Send a datagram now and then; return for how long (s) some waited for the pace or the path."""
+        until, due, held = self.time + seconds, self.time, 0.0
+        while self.time < until:
+            due += self._send(int((self.time - due) * rate)) / rate
+            held += STEP if (self.time - due) * rate >= 1 else 0.0
+            if self.pacer.gives_up(self.time):
+                self.pacer.write_off()
+            self.step()
+        return held
 
     def _send(self, most: int) -> int:
         """Send like `DatagramSender`, until no room is left."""
@@ -83,22 +96,22 @@ class Path:
     def step(self) -> None:
         self.time += STEP
         while self._on_path and self._on_path[0][0] <= self.time:
-            _, sequence = self._on_path.popleft()
+            arrived_at, sequence = self._on_path.popleft()
             if len(self._in_buffer) * DATAGRAM + DATAGRAM <= self.buffer:
-                self._in_buffer.append(sequence)
+                self._in_buffer.append((sequence, arrived_at + OTHER_CLOCK))
             else:
                 self.lost += 1
         if not self.held_up[0] <= self.time < self.held_up[1]:
             while self._in_buffer:
-                self._newest = self._in_buffer.popleft()
+                self._newest, arrived_at = self._in_buffer.popleft()
                 self.arrived += 1
                 self._since += DATAGRAM
                 if self.receipts and (self._since * 4 >= self.pacer.limit or self.time - self._told_at > 0.25):
                     self._since, self._told_at = 0, self.time
-                    self._answers.append((self.time + self.delay, self._newest, self.arrived))
+                    self._answers.append((self.time + self.delay, self._newest, self.arrived, arrived_at))
         while self._answers and self._answers[0][0] <= self.time:
-            _, newest, opened = self._answers.popleft()
-            self.pacer.receipt(newest, opened, self.buffer, self.time)
+            _, newest, opened, arrived_at = self._answers.popleft()
+            self.pacer.receipt(newest, opened, self.buffer, arrived_at, self.time)
 
 
 def test_a_path_that_loses_nothing_soon_carries_as_much_as_it_can() -> None:
@@ -120,6 +133,18 @@ def test_a_receiver_that_is_held_up_loses_nothing(buffer: int, pause: float) -> 
         path.held_up = (path.time + 0.002, path.time + 0.002 + pause)
         assert path.send(3 * buffer, 5.0)
     assert path.lost == lost == 0
+
+
+def test_late_receiver_slows_no_small_topic() -> None:
+    """It gets no processor for 0.2 s, each second: what is not sent then proves no slow path."""
+    path = Path()
+    path.publish(200, 2.0)
+    for _ in range(20):
+        path.held_up = (path.time + 0.1, path.time + 0.3)
+        path.publish(200, 1.0)
+    assert path.pacer.path.pace > 100 * 200 * DATAGRAM
+    path.held_up = (path.time + 0.1, path.time + 0.3)
+    assert path.publish(200, 1.0) < 0.01
 
 
 def test_a_small_buffer_at_a_distance_does_not_hold_the_path_up() -> None:
@@ -176,11 +201,11 @@ def test_images_with_pauses_between_them_are_not_spread_over_the_pauses(speed: f
 def test_a_late_receipt_of_what_was_written_off_tells_no_round_trip() -> None:
     pacer = Pacer()
     pacer.sent(2000, 1, 0.0)
-    pacer.receipt(0, 1, 8 << 20, 0.5)
+    pacer.receipt(0, 1, 8 << 20, 0.5, 0.5)
     pacer.sent(2000, 3, 0.5)
     pacer.write_off()
     pacer.sent(2000, 5, 1.0)
-    pacer.receipt(3, 4, 8 << 20, 1.001)
+    pacer.receipt(3, 4, 8 << 20, 1.001, 1.001)
     assert pacer.patience == 1.0
 
 
@@ -213,15 +238,16 @@ def test_what_overtakes_is_not_lost() -> None:
     for number in range(1, 50):
         for pacer, missing in ((overtaken, 1), (in_order, 0)):
             pacer.sent(100_000, number * 10, number * 0.01)
-            pacer.receipt(number * 10, number * 10 + 1 - missing, 8 << 20, number * 0.01 + 0.001)
+            now = number * 0.01 + 0.001
+            pacer.receipt(number * 10, number * 10 + 1 - missing, 8 << 20, now, now)
     assert overtaken.limit == pytest.approx(in_order.limit, rel=0.01)
 
 
 def test_receipts_that_were_overtaken_count_for_nothing() -> None:
     pacer = Pacer()
     pacer.sent(1000, 9, 0.0)
-    pacer.receipt(9, 10, 8 << 20, 0.1)
-    pacer.receipt(4, 5, 100, 0.2)
+    pacer.receipt(9, 10, 8 << 20, 0.1, 0.1)
+    pacer.receipt(4, 5, 100, 0.2, 0.2)
     assert pacer.window == (8 << 20) // WINDOW
 
 
@@ -236,7 +262,7 @@ def test_receipts_that_are_lost_hold_nothing_up_for_long() -> None:
 def test_a_peer_that_says_anything_stops_only_what_goes_to_it(newest: int, opened: int, buffer: int) -> None:
     pacer = Pacer()
     pacer.sent(1000, 0, 0.0)
-    pacer.receipt(newest, opened, buffer, 0.0)
+    pacer.receipt(newest, opened, buffer, 0.0, 0.0)
     pacer.sent(200_000, 3, 0.1)
     assert pacer.room(0.1) <= 8 << 20
     if pacer.room(10.0) <= 0:

@@ -329,6 +329,14 @@ class _SocketModule:
         return [(real.AF_INET, type, 0, "", (address, port)) for address in addresses]
 
 
+class _FcntlModule:
+    """The fcntl module, for a kernel that stamps no packets."""
+
+    @staticmethod
+    def ioctl(sock: Socket, request: int, argument: bytes) -> bytes:
+        raise os_error(errno.ENOTTY)
+
+
 class _ThreadingModule:
     """The threading module, of which a name's look-up needs a thread."""
 
@@ -351,7 +359,8 @@ class _ThreadingModule:
 def simulated() -> Iterator[None]:
     """Have the engine's transports use simulated sockets, and no threads."""
     with contextlib.ExitStack() as stack:
-        for name, stand_in in (("socket", _SocketModule()), ("threading", _ThreadingModule())):
+        stand_ins = {"socket": _SocketModule(), "threading": _ThreadingModule(), "fcntl": _FcntlModule()}
+        for name, stand_in in stand_ins.items():
             for module in _transport_modules(name):
                 stack.callback(setattr, module, name, vars(module)[name])
                 setattr(module, name, stand_in)

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import errno
 import socket
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
 from typing import Any, cast
@@ -25,6 +26,21 @@ HOSTS = pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
 def has_segments() -> bool:
     with socket.socket(type=socket.SOCK_DGRAM) as probe:
         return can_segment(probe) and coalesce(probe)
+
+
+async def test_the_kernel_says_when_a_datagram_came() -> None:
+    """A process that comes late to read knows it: only the path's time counts for its rate."""
+    async with pair("127.0.0.1") as (server, client, came, _):
+        loop = asyncio.get_running_loop()
+        waited = []
+        for _ in range(2):  # the kernel begins to stamp a moment after it is asked to
+            came.clear()
+            client.send([b"x"], None)
+            sent_at = loop.time()
+            time.sleep(0.2)  # noqa: ASYNC251 - a busy process
+            await until(lambda: came)
+            waited.append(server.arrived_at() - sent_at)
+        assert abs(waited[-1]) < 0.1
 
 
 def address_of(host: str, port: int) -> Any:

@@ -295,11 +295,14 @@ def test_probes_travel_on_their_own_route(pong: bool, opaque: int) -> None:
 
 @given(
     st.integers(0, 2**32 - 1),
+    st.integers(0, 2**64 - 1),
     st.lists(st.tuples(st.integers(1, 2**32 - 1), st.integers(0, 2**64 - 1), st.integers(0, 2**64 - 1)), max_size=50),
 )
-def test_receipts_are_as_the_document_says(buffer: int, routes: list[tuple[int, int, int]]) -> None:
-    receipt = Receipt(buffer, tuple(Arrived(*each) for each in routes))
-    assert receipt.pack() == struct.pack(">BI", 2, buffer) + b"".join(struct.pack(">IQQ", *each) for each in routes)
+def test_receipts_are_as_the_document_says(buffer: int, at: int, routes: list[tuple[int, int, int]]) -> None:
+    receipt = Receipt(buffer, at, tuple(Arrived(*each) for each in routes))
+    assert receipt.pack() == struct.pack(">BIQ", 2, buffer, at) + b"".join(
+        struct.pack(">IQQ", *each) for each in routes
+    )
     assert unpack_probe(receipt.pack()) == receipt
     with pytest.raises(ProtocolError, match=pattern(Broken.PROBE_INVALID, length=len(receipt.pack()))):
         unpack_probe(b"\4" + receipt.pack()[1:])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
@@ -42,13 +43,21 @@ _ENOUGH = 20
 """Datagrams of a span that tell how many get lost by chance: of fewer, a single one is more than 5 %."""
 
 
+_SLOWER = 0.9
+"""Datagrams that arrive at less than this part of the rate at which they were sent show the path's rate; at more, only
+that it carries as much. A round figure: probing and draining are a quarter beside the pace."""
+
+
 class PathRate:
-    """The rate of a path by arriving datagrams, and the pace at which no queue fills up. Times are in s, on one clock.
+    """The rate of a path by arriving datagrams, and the pace at which no queue fills up. Times are in s.
 
     Nothing repairs datagrams, so their arrivals in a span of time are the rate of the path. Loss and delay tell less: a
     radio loses packets at any pace, and a short queue overflows before the link's window takes a byte for late. At 20
     Mbit/s, with a queue of 0.16 s and 2 % lost, messages of 4 kB arrived to 58 % while the window alone limited them
     (`bench.robot`). The idea and its gains are from Cardwell et al. 2016, "BBR: Congestion-Based Congestion Control".
+
+    The receiver's kernel says when datagrams arrive, so that a process that gets no processor changes no rate. A span
+    lowers the rate only if it shows the path's limit: the path was slower than the sender, or its queue is long.
 
     Attributes:
         pace: bytes/s at which datagrams may be sent.
@@ -60,13 +69,15 @@ class PathRate:
         self.pace = _FIRST_PACE
         self.crossing, self.most = 0, LEAST_ON_PATH
         self._rates: deque[tuple[float, float]] = deque()  # ends of spans (s) with their rates (bytes/s)
-        self._round_trips: deque[tuple[float, float]] = deque()  # when (s), and how long (s): later ones are longer
-        self._began: float | None = None
+        self._round_trips = _Least()
+        self._delays = _Least()  # from this clock to the receiver's
+        self._began: float | None = None  # on the receiver's clock
         self._bytes = 0.0
         self._passed = self._opened = 0
         self._sent_at = 0.0
         self._shares: deque[float] = deque((1.0,), maxlen=_SPANS)  # of the datagrams of a span, that have arrived
         self._full = self._span = 0
+        self._was_full = False  # in any span
         self._gain = _GROWING
 
     @property
@@ -74,40 +85,43 @@ class PathRate:
         """Whether the rate has stopped growing, so that waiting datagrams show an overload."""
         return self._gain != _GROWING
 
-    def passed(self, size: float, datagrams: int, opened: int, sent_at: float, now: float, *, limited: bool) -> bool:
+    def passed(
+        self, size: float, datagrams: int, opened: int, sent_at: float, arrived_at: float, now: float, *, limited: bool
+    ) -> bool:
         """Count datagrams of which a receipt tells.
 
         Args:
             size: bytes of the datagrams, lost ones included.
             opened: how many of the datagrams have arrived.
             sent_at: when the last one was sent.
+            arrived_at: when it arrived, on the receiver's clock.
             limited: whether pace or path have held any back in this span.
 
         Returns:
             whether a span ends here.
         """
-        round_trip = now - sent_at
-        while self._round_trips and self._round_trips[-1][1] >= round_trip:
-            self._round_trips.pop()
-        self._round_trips.append((now, round_trip))
-        while self._round_trips[0][0] < now - _SHORTEST_COUNTS:
-            self._round_trips.popleft()
+        round_trip, delay = now - sent_at, arrived_at - sent_at
+        shortest = self._round_trips.note(round_trip, now)
+        queue = delay - self._delays.note(delay, now)
         if self._began is None:  # these datagrams were sent before the span begins
-            self._begin(sent_at, now)
+            self._begin(sent_at, arrived_at)
             return False
-        if limited and self._gain == _GROWING and round_trip < _QUEUE + 2 * self._round_trips[0][1]:
+        if limited and self._gain == _GROWING and queue < _QUEUE + shortest:
             # It doubles in a round trip, as TCP's window does in slow start, until a queue shows.
             self.most += int(size)
         self._bytes += size * opened / datagrams
         self._passed += datagrams
         self._opened += opened
-        lasted = now - self._began
+        lasted = arrived_at - self._began
         # Not by the present round trip alone: in a full queue it is long, and the pace would shrink late.
-        if lasted < max(_SPAN, _ROUND_TRIPS * min(round_trip, self._round_trips[0][1] + _QUEUE)):
+        if lasted < max(_SPAN, _ROUND_TRIPS * min(round_trip, shortest + _QUEUE)):
             return False
         # What a radio holds back, and then delivers at once, did not cross faster than it was sent.
-        self._note(self._bytes / max(lasted, sent_at - self._sent_at), now, limited=limited)
-        self._begin(sent_at, now)
+        took = sent_at - self._sent_at
+        rate = self._bytes / max(lasted, took)
+        slower = self._opened * took < _SLOWER * max(self._shares) * self._passed * lasted
+        self._note(rate, now, limited=limited, full=limited and (slower or queue > _QUEUE / 2))
+        self._begin(sent_at, arrived_at)
         return True
 
     def interrupted(self) -> None:
@@ -121,26 +135,32 @@ class PathRate:
             self._rates = deque((when, rate / 2) for when, rate in self._rates)
             self._set()
 
-    def _begin(self, sent_at: float, now: float) -> None:
-        self._began, self._sent_at = now, sent_at
+    def _begin(self, sent_at: float, arrived_at: float) -> None:
+        self._began, self._sent_at = arrived_at, sent_at
         self._bytes = 0.0
         self._passed = self._opened = 0
 
-    def _note(self, rate: float, now: float, *, limited: bool) -> None:
+    def _note(self, rate: float, now: float, *, limited: bool, full: bool) -> None:
+        """Take the rate of a span in which the routes wanted more, if `limited`, and the path was `full`."""
         rates = self._rates
         before = max((each for _, each in rates), default=0.0)
-        if rate <= 0.0 or (not limited and rate <= before):
-            return  # the routes had nothing more to send, or receipts of several routes do not add up yet
-        rates.append((now, rate))
-        while len(rates) > _REMEMBERED_SPANS and rates[0][0] < now - _REMEMBERED:
-            rates.popleft()
+        if rate <= 0.0:
+            return  # receipts of several routes do not add up yet
+        if full or rate > before:
+            rates.append((now, rate))
+            while len(rates) > _REMEMBERED_SPANS and rates[0][0] < now - _REMEMBERED:
+                rates.popleft()
+        self._was_full |= full
+        if not limited:
+            self._set()
+            return
         greatest = max(each for _, each in rates)
         if self._passed >= _ENOUGH and self._gain != _GROWING:
             self._shares.append(self._opened / self._passed)
         if self._gain != _GROWING:
             # As long as probing finds more, it goes on.
             self._span = 0 if self._span == 0 and greatest > before else (self._span + 1) % _SPANS
-        elif limited:  # the routes wanted more: else a rate that does not grow shows no full path
+        elif full:
             overflows = self._passed >= _ENOUGH and self._opened < _OVERFLOWS * self._passed
             grows = greatest > _GROWS * before
             self._full = _FULL_AFTER if overflows else 0 if grows else self._full + 1
@@ -155,9 +175,32 @@ class PathRate:
         # What is lost in the best span is lost at any pace, and has crossed the narrowest part of the path, or would.
         carries = max(rate for _, rate in self._rates) / max(self._shares)
         self.pace = self._gain * carries
-        self.crossing = int(carries * self._round_trips[0][1])
+        if not self._was_full:  # what was sent by then was little, not the path slow
+            self.pace = max(_FIRST_PACE, self.pace)
+        self.crossing = int(carries * self._round_trips.least)
         least = self.most if self._gain == _GROWING else LEAST_ON_PATH
         self.most = max(least, int(carries * _QUEUE) + 2 * self.crossing)
+
+
+class _Least:
+    """The least of the values that came in the last `_SHORTEST_COUNTS` s."""
+
+    def __init__(self) -> None:
+        self._values: deque[tuple[float, float]] = deque()  # when (s), and the value: later ones are greater
+
+    @property
+    def least(self) -> float:
+        return self._values[0][1]
+
+    def note(self, value: float, now: float) -> float:
+        """Take a value, and return the least."""
+        values = self._values
+        while values and values[-1][1] >= value:
+            values.pop()
+        values.append((now, value))
+        while values[0][0] < now - _SHORTEST_COUNTS:
+            values.popleft()
+        return values[0][1]
 
 
 _PAUSE = 0.001
@@ -196,15 +239,19 @@ class Pacer:
         self._newest, self._opened = -1, 0
         self._round_trip = 0.0
 
-    def room(self, now: float) -> int:
-        """Return the bytes that may be sent now; none if it is 0 or less."""
+    def room(self, now: float, waits_since: float = math.inf) -> int:
+        """Return the bytes that may be sent now; none if it is 0 or less.
+
+        Args:
+            waits_since: since when something has waited for the link, or infinity if nothing waits.
+        """
         tokens = self._tokens = min(self._tokens + (now - self._filled_at) * self.path.pace, self._burst)
         self._filled_at = now
         if self.window:
             tokens = min(tokens, self.limit - self.in_transit)
         if tokens < 1:
             self._limited = self._is_held = True
-        elif not self._is_held and now - self._sent_at > _NO_PAUSE:
+        elif not self._is_held and now - self._sent_at > _NO_PAUSE and waits_since > self._sent_at:
             self._was_idle = True
         return int(tokens)
 
@@ -256,8 +303,15 @@ class Pacer:
         self._sent += size
         self._under_way.append((sequence, self._sent, now))
 
-    def receipt(self, newest: int, opened: int, buffer: int, now: float) -> None:
-        """Take a receipt: the datagrams opened, up to a sequence number, and the bytes of the receiver's buffer."""
+    def receipt(self, newest: int, opened: int, buffer: int, arrived_at: float, now: float) -> None:
+        """Take a receipt.
+
+        Args:
+            newest: the highest sequence number opened.
+            opened: datagrams opened so far.
+            buffer: bytes of the receiver's buffer.
+            arrived_at: when the newest datagram arrived, on the receiver's clock.
+        """
         if newest <= self._newest:
             return  # another one has overtaken it
         self.window = max(buffer // WINDOW, 1)  # 0 would mean that it is unknown
@@ -278,7 +332,8 @@ class Pacer:
         if sent_at is None:
             return
         self._round_trip = now - sent_at
-        if self.path.passed(self._arrived - before, datagrams, arrived, sent_at, now, limited=self._limited):
+        size = self._arrived - before
+        if self.path.passed(size, datagrams, arrived, sent_at, arrived_at, now, limited=self._limited):
             self._limited = False
             self._burst = max(_LEAST_BURST, self.path.pace * _BURST_LASTS)
 
@@ -377,7 +432,7 @@ class DatagramCarrier:
     def room(self) -> int:
         """Return the bytes that may be sent now; none if it is 0 or less."""
         self._now = self._loop.time()
-        room = self._pacer.room(self._now)
+        room = self._pacer.room(self._now, self._scheduler.waits_since)
         return room if self.proven else min(room, LEAST - self._pacer.in_transit)
 
     def asks(self, size: int) -> bool:
@@ -410,11 +465,11 @@ class DatagramCarrier:
         self._counted += datagrams
         self._missing += missing
 
-    def receipt(self, buffer: int) -> None:
-        """Take a receipt, whose routes have counted what is in it; the receiver's buffer has so many bytes."""
+    def receipt(self, buffer: int, arrived_at: float) -> None:
+        """Take a receipt, whose routes have counted what is in it; `buffer` and `arrived_at` as for `Pacer.receipt`."""
         before = self._pacer.in_transit
         now = self._loop.time()
-        self._pacer.receipt(self._counted - 1, self._counted - self._missing, buffer, now)
+        self._pacer.receipt(self._counted - 1, self._counted - self._missing, buffer, arrived_at, now)
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

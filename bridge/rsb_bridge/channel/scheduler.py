@@ -99,6 +99,7 @@ class Scheduler:
         acknowledged: bytes that have arrived, or were written off.
         arrived: bytes that have arrived.
         acknowledged_at: when (s) the last receipt of further bytes came.
+        waits_since: since when (s) something has waited all the time, or infinity if nothing waits.
     """
 
     def __init__(self, book: ReceiptBook, window: Window) -> None:
@@ -112,7 +113,7 @@ class Scheduler:
         self.acknowledged_at = float("-inf")
         self._carriers: list[Carrier] = []
         self._waiting = 0
-        self._waits_since: float | None = None
+        self.waits_since = math.inf
         self._order = 0
         self._time = 0  # virtual: bytes
         self._passing = False
@@ -166,8 +167,8 @@ class Scheduler:
     def _push(self, end: SendingEnd) -> None:
         end.queued = True
         self._waiting += 1
-        if self._waits_since is None:
-            self._waits_since = self._now()
+        if self.waits_since == math.inf:
+            self.waits_since = self._now()
         if end.waits_since is None:
             end.waits_since, end.turned = self._now(), False
         # Ends that begin at the same time take turns as they came. Without a number, heapq would compare the ends.
@@ -227,10 +228,10 @@ class Scheduler:
 
     def _emptied(self) -> None:
         # Where nothing more could go, the next message waits, too.
-        if self._waits_since is None or self.sent >= self._window.limit:
+        if self.waits_since == math.inf or self.sent >= self._window.limit:
             return
         if not any(each.congested for each in self._carriers):
-            self._waits_since = None
+            self.waits_since = math.inf
 
     def _continue(self) -> None:
         self._next_pass = None
@@ -352,7 +353,7 @@ class Scheduler:
 
     def waits_for(self, now: float) -> float:
         """Return for how long (s) something has waited all the time."""
-        return 0.0 if self._waits_since is None else now - self._waits_since
+        return max(0.0, now - self.waits_since)
 
     @property
     def stalls_after(self) -> float:

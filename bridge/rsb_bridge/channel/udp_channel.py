@@ -216,8 +216,11 @@ class UdpChannel:
         if self._peer is None:
             return
         news = [each for receiver in self._receivers.values() if (each := receiver.news()) is not None]
+        if not news:
+            return
+        at = int(self.socket.arrived_at() * 1e6)
         for first in range(0, len(news), MOST_ARRIVED):  # in one piece each: a lost fragment would lose all
-            receipt = Receipt(self.receive_buffer, tuple(news[first : first + MOST_ARRIVED]))
+            receipt = Receipt(self.receive_buffer, at, tuple(news[first : first + MOST_ARRIVED]))
             self.send(self._probe.write(receipt, self.datagram_size()))
 
     def send_urgent(self, content: bytes) -> None:
@@ -264,7 +267,7 @@ class UdpChannel:
             if sender is not None:
                 sender.receipt(each, receipt.buffer)
         if self._carrier is not None:
-            self._carrier.receipt(receipt.buffer)
+            self._carrier.receipt(receipt.buffer, receipt.at / 1e6)
 
     def _probed(self, probe: Probe, address: Address) -> bool:
         """Take an authentic probe; return whether it came from the peer's own address."""

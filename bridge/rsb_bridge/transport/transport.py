@@ -69,6 +69,9 @@ class DatagramSocket(Protocol):
     def receive_buffer(self) -> int:
         """Bytes that the kernel grants of `RECEIVE_BUFFER`."""
 
+    def arrived_at(self) -> float:
+        """Return when (s, on the loop's clock) the datagram that was read last reached this machine."""
+
     def send(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
         """Send datagrams, along a path or, on a connected socket, None. Never waits; may lose them."""
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import socket
 import struct
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -48,6 +50,9 @@ _LARGEST_RUN = 65_507
 """Linux's limits of one call: UDP_MAX_SEGMENTS, and an IP packet without the headers."""
 _SEGMENT_SIZE = struct.Struct("=H")
 _RECEIVED_SIZE = struct.Struct("=i")
+_SIOCGSTAMPNS, _TIMESPEC = 0x8907, struct.Struct("@ll")
+"""The request for the time (wall clock) at which the kernel took the packet that was read last (socket(7)). The first
+one has the kernel stamp packets; to read a stamp with each datagram would cost every message."""
 _SIZE_HOLDS = 1.0
 """s until the kernel is asked again for the path's MTU, which ICMP may have changed, or to cut what is sent at once."""
 _SIZES_KEPT = 256
@@ -83,6 +88,7 @@ class UdpSocket:
         self.congested = False
         self.waiting_bytes = 0
         self.when_writable: set[Callable[[], None]] = set()
+        self.arrived_at()  # the kernel stamps packets from now on
         self._loop.add_reader(sock, self._read)
 
     @property
@@ -98,6 +104,16 @@ class UdpSocket:
             _enlarge(self._sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)
             granted = granted_receive_buffer(self._sock)
         return granted
+
+    def arrived_at(self) -> float:
+        """See `DatagramSocket.arrived_at`."""
+        now = self._loop.time()
+        try:
+            seconds, nanoseconds = _TIMESPEC.unpack(fcntl.ioctl(self._sock, _SIOCGSTAMPNS, bytes(_TIMESPEC.size)))
+        except OSError:  # no packet yet
+            return now
+        waited: float = time.time() - seconds - nanoseconds / 1e9
+        return now - max(0.0, waited)
 
     def path(self, source: str, address: Address) -> SendPath:
         """See `DatagramSocket.path`; the kernel alone might choose another source (IP_PKTINFO, IPV6_PKTINFO)."""

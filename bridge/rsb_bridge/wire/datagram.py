@@ -29,7 +29,7 @@ _HEADER = struct.Struct(">BBHHI8sQIQ")
 _HEADER_SIZE = _HEADER.size
 _unpack_addressee = struct.Struct(">I8s").unpack_from
 _PROBE = struct.Struct(">?Q")
-_RECEIPT, _ARRIVED = struct.Struct(">BI"), struct.Struct(">IQQ")
+_RECEIPT, _ARRIVED = struct.Struct(">BIQ"), struct.Struct(">IQQ")
 _RECEIPT_KIND, _URGENT_KIND = 2, 3
 MOST_ARRIVED = 50
 """Routes of one receipt, which fits into a datagram of 1,200 bytes."""
@@ -99,15 +99,19 @@ class Receipt(NamedTuple):
 
     Attributes:
         buffer: bytes of the kernel's receive buffer on the receiver's side, at most 2**32 - 1.
+        at: when the newest datagram reached the receiver's kernel, in µs on the receiver's clock, at most 2**64 - 1.
         arrived: of at most `MOST_ARRIVED` routes.
     """
 
     buffer: int
+    at: int
     arrived: tuple[Arrived, ...]
 
     def pack(self) -> bytes:
         """Return the receipt as a payload."""
-        return _RECEIPT.pack(_RECEIPT_KIND, self.buffer) + b"".join([_ARRIVED.pack(*each) for each in self.arrived])
+        return _RECEIPT.pack(_RECEIPT_KIND, self.buffer, self.at) + b"".join(
+            [_ARRIVED.pack(*each) for each in self.arrived]
+        )
 
 
 class Urgent(NamedTuple):
@@ -140,8 +144,8 @@ def unpack_probe(payload: bytes) -> OfProbeRoute:
         return Probe.unpack(payload)
     if len(payload) % _ARRIVED.size != _RECEIPT.size:
         raise ProtocolError(Broken.RECEIPT_INVALID(length=len(payload)))
-    _, buffer = _RECEIPT.unpack_from(payload)
-    return Receipt(buffer, tuple(map(Arrived._make, _ARRIVED.iter_unpack(payload[_RECEIPT.size :]))))
+    _, buffer, at = _RECEIPT.unpack_from(payload)
+    return Receipt(buffer, at, tuple(map(Arrived._make, _ARRIVED.iter_unpack(payload[_RECEIPT.size :]))))
 
 
 class Cut(NamedTuple):

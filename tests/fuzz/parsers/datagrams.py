@@ -117,7 +117,7 @@ PARSERS = (
     Parser(
         "probe",
         _read_probe,
-        (Probe(pong=True, opaque=2**64 - 1).pack(), Receipt(1 << 23, (Arrived(7, 2**40, 2**33),)).pack()),
+        (Probe(pong=True, opaque=2**64 - 1).pack(), Receipt(1 << 23, 2**33, (Arrived(7, 2**40, 2**33),)).pack()),
     ),
     Parser("datagram_round_trip", _round_trip, (b"\3any content", bytes(400)), behind(1, edit_bytes)),
 )

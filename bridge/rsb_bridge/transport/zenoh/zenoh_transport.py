@@ -264,6 +264,10 @@ class ZenohSocket:
         for datagram in datagrams:
             self._endpoint.outbox.drop(key, datagram)
 
+    def arrived_at(self) -> float:
+        """See `DatagramSocket.arrived_at`: datagrams are taken as soon as Zenoh brings them."""
+        return asyncio.get_running_loop().time()
+
     def path(self, source: str, address: Address) -> SendPath:
         """See `DatagramSocket.path`."""
         return SendPath(address, [])
