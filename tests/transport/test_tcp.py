@@ -11,6 +11,7 @@ import socket
 import threading
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -260,6 +261,45 @@ async def test_a_peer_that_never_closes_is_not_waited_for(monkeypatch: pytest.Mo
         await near_kept.over.wait()
         assert near.gone
         assert not far.gone
+
+
+@pytest.mark.parametrize("kind", [Stream, TcpStream])
+@pytest.mark.parametrize("end", ["abort", "close"])
+async def test_stream_may_end_as_writing_resumes(kind: type[Stream], end: str) -> None:
+    """Its last bytes have just left: asyncio must not end it twice."""
+    loop, errors = asyncio.get_running_loop(), list[str]()
+    loop.set_exception_handler(lambda _, context: errors.append(str(context)))
+    over = asyncio.Event()
+
+    class Ends(StreamHandler):
+        def writable(self) -> None:
+            getattr(stream, end)("the reason")
+
+        def closed(self, reason: str) -> None:
+            assert reason == "the reason"
+            over.set()
+
+    with socket.create_server((_LIVE, 0)) as server:
+        here = socket.create_connection(server.getsockname())
+        there, _ = server.accept()
+    there.settimeout(60)
+    here.setblocking(False)
+    make = partial(kind, Ends(), set()) if kind is TcpStream else partial(kind, Ends())
+    _, stream = await loop.create_connection(make, sock=here)
+    stream.write(bytes(10_000_000))
+    assert stream.congested
+
+    def read_all() -> None:
+        with there:
+            while there.recv(1 << 20):
+                pass
+
+    with contextlib.suppress(ConnectionResetError):
+        await asyncio.to_thread(read_all)
+    async with asyncio.timeout(60):
+        await over.wait()
+    await asyncio.sleep(0)
+    assert not errors
 
 
 async def test_a_connection_that_the_peer_has_reset_closes() -> None:

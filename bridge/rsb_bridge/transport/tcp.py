@@ -90,8 +90,8 @@ class TcpStream(Stream):
         if not self.congested:
             self._end_sending()
 
-    def resume_writing(self) -> None:
-        super().resume_writing()
+    def _go_on(self) -> None:
+        super()._go_on()
         if self._closing:
             self._end_sending()
 
