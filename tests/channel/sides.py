@@ -127,6 +127,9 @@ class Side:
         for number, received in message.received:
             if number in streams:
                 streams[number].receipt(received)
+        for number in message.given_up:
+            if number in streams:
+                streams[number].given_up()
 
     async def acknowledges_all(self) -> None:
         """Wait until all that the other side has sent is here, and it knows that."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 from itertools import count
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.sides import Route, by_sockets, connected
+from tests.support.constants import STREAM_DEAD_AFTER
 from tests.support.coroutines import until
 from tests.support.frames import write_frame
 from tests.support.session_keys import session_keys
@@ -97,6 +99,27 @@ async def test_a_route_goes_on_in_order_and_counts_what_was_lost(name: str, size
         assert near.reopened == 3
         assert far.keys.budget.held == 0
         await far.acknowledges_all()
+
+
+@pytest.mark.parametrize("name", ["small", "large"])
+async def test_stream_that_passes_nothing_ends(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Something acknowledges its bytes, and keeps them. If the control connection is silent, too, it may be a gap."""
+    STREAM_DEAD_AFTER.set(monkeypatch, 0.2)
+    async with connected(Route(1, outgoing=True)) as (near, far):
+        numbers = Numbers(near, 1, LARGE if name == "large" else 100)
+        numbers.send(2)
+        await far.acknowledges_all()
+        stream_of(far, name).stream.pause_reading()
+        numbers.send(1)
+        for _ in range(30):
+            near.pair.tick(control_quiet=3.0)
+            await asyncio.sleep(0.01)
+        assert not stream_of(near, name).over
+        async with asyncio.timeout(60):
+            while not stream_of(near, name).over:
+                near.pair.tick()
+                await asyncio.sleep(0.01)
+        await until(lambda: stream_of(far, name).over)
 
 
 async def test_what_waits_is_sent_and_what_was_under_way_begins_anew() -> None:

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 from std_srvs.srv import SetBool
 from tests.support.bridge import balance, carries, happened, linked, outgoing, route, settled
+from tests.support.constants import DEAD_AFTER
 from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
+from tests.support.steady import Steady
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
@@ -18,6 +20,7 @@ from rsb_bridge.model.session import Topic
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
+    from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.session import Direction
@@ -91,3 +94,21 @@ def test_what_must_be_whole_opens_again(bridge: Bridge, robot: Domain, pc: Domai
     eventually(lambda: route(client, "/lamp").cause == "no_call")
     assert linked(client)
     assert linked(server)
+
+
+def test_frozen_connections_end_a_link(
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Something between takes what the connections carry, and keeps it, while datagrams pass."""
+    DEAD_AFTER.set(monkeypatch, 2.0)
+    out, there = robot.publisher("/scan"), pc.listener("/scan")
+    server, client = bridge.both(Topic("/scan", "transmit", protocol="udp"))
+    carries([out], server, ["/scan"])
+    with Steady(out, 20.0, lambda number: text(str(number))):
+        eventually(lambda: there.payloads)
+        relay.stall()
+        for side in (server, client):
+            eventually(lambda side=side: happened(side, EventCode.LINK_LOST))
+        eventually(lambda: linked(server) and linked(client))
+        before = len(there.payloads)
+        eventually(lambda: len(there.payloads) > before)

@@ -39,13 +39,30 @@ def test_a_peer_is_given_up_five_seconds_after_its_last_byte(loop: VirtualLoop, 
     carriers: list[Any] = [Carrier(loop), Carrier(loop)]
     silent: list[float] = []
     keepalive = Keepalive(context, lambda: carriers)
-    keepalive.watch(lambda: silent.append(loop.time()))
+    keepalive.watch(carriers[1], lambda: silent.append(loop.time()))
     for _ in range(1000):
         wait(loop, 0.9)
         carriers[1].receive(1)
     last = loop.time()
     wait(loop, 60.0)
     assert silent == [pytest.approx(last + 5.0)]
+
+
+def test_silent_control_connection_ends_link(loop: VirtualLoop, context: Context) -> None:
+    """Something holds it, while datagrams pass."""
+    control: Any = Carrier(loop)
+    datagrams: Any = Carrier(loop)
+    silent: list[float] = []
+    keepalive = Keepalive(context, lambda: [control, datagrams])
+    keepalive.watch(control, lambda: silent.append(loop.time()))
+    wait(loop, 3.0)
+    control.receive(1)
+    last = loop.time()
+    for _ in range(30):
+        assert keepalive.control_is_silent == (keepalive.control_quiet > 5.0)
+        datagrams.receive(1)
+        wait(loop, 0.7)
+    assert silent == [pytest.approx(last + 10.0)]
 
 
 def test_a_peer_is_given_up_with_any_rounding_of_the_clock(
@@ -55,16 +72,18 @@ def test_a_peer_is_given_up_with_any_rounding_of_the_clock(
     for number in range(300):
         wait(loop, 0.1 + number / 7)
         silent: list[float] = []
+        control: Any = Carrier(loop)
         keepalive = Keepalive(make_context(), list)
-        keepalive.watch(lambda silent=silent: silent.append(loop.time()))  # type: ignore[misc]
+        keepalive.watch(control, lambda silent=silent: silent.append(loop.time()))  # type: ignore[misc]
         wait(loop, 5.1)
         assert len(silent) == 1
 
 
 def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, context: Context) -> None:
     silent: list[float] = []
+    control: Any = Carrier(loop)
     keepalive = Keepalive(context, list)
-    keepalive.watch(lambda: silent.append(loop.time()))
+    keepalive.watch(control, lambda: silent.append(loop.time()))
     wait(loop, 3.0)
     keepalive.stop()
     wait(loop, 60.0)
@@ -88,7 +107,8 @@ def test_a_profile_s_patience(loop: VirtualLoop, context: Context) -> None:
     silent: list[float] = []
     keepalive = Keepalive(context, list, patience=15.0)
     began = loop.time()
-    keepalive.watch(lambda: silent.append(loop.time()))
+    control: Any = Carrier(loop)
+    keepalive.watch(control, lambda: silent.append(loop.time()))
     wait(loop, 60.0)
     assert silent == [pytest.approx(began + 15.0)]
 

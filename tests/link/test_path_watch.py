@@ -42,6 +42,7 @@ class Path:
         ping: float = PING,
         answers: bool = True,
         quiet: float = 0.5,
+        held: bool = False,
         stalled: int = 0,
         vanish: bool = False,
     ) -> list[Stream]:
@@ -53,6 +54,7 @@ class Path:
             rate: packets/s of the data stream.
             ping: s of a ping.
             quiet: s since something came.
+            held: nothing comes on the control connection any more.
             stalled: bytes of the data stream that the kernel sends again and again, or 0.
         """
         stale: list[Stream] = []
@@ -74,7 +76,12 @@ class Path:
                 self.control,
                 dict(self._packets),
                 (),
-                cast("Keepalive", SimpleNamespace(round_trip=ping, answered_pings=self._answered, quiet=quiet)),
+                cast(
+                    "Keepalive",
+                    SimpleNamespace(
+                        round_trip=ping, answered_pings=self._answered, quiet=quiet, control_is_silent=held
+                    ),
+                ),
                 "robot1",
                 self.now,
                 large_vanish=vanish,
@@ -186,6 +193,12 @@ def test_a_cut_cable_never_blames_large_packets(stalled: int) -> None:
     path.pass_(8, stalled=stalled, answers=False, loss=1.0, quiet=3.0)
     assert {each and each[0] for each in path.told} == {None, LinkCause.SILENT}
     assert path.events == [], "the end of the link tells it"
+
+
+def test_held_connection_is_a_silent_path() -> None:
+    path = Path()
+    path.pass_(8, answers=False, held=True)
+    assert path.cause is LinkCause.SILENT
 
 
 def test_a_lossy_path_never_blames_large_packets() -> None:

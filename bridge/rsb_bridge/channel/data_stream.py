@@ -49,6 +49,10 @@ _SHORTEST_PAUSE = 5.0
 """s until a stream is opened that no route of this side waits for. A round figure."""
 _LONGEST_PAUSE = 60.0
 """s between attempts to open a stream that the other side refuses, or the path does not carry. A round figure."""
+_DEAD_AFTER, _UNHEARD = 10.0, 2.5
+"""s without a receipt for bytes that the kernels have exchanged, after which a stream is given up, as long as the
+control connection, which brings the receipts, was never silent for so many s: something acknowledges, and passes
+nothing on. Receipts come once a second. Round figures."""
 _AWAITED_FOR = 10.0
 """s that routes wait for a new stream, as long as a client tries to open one (`client_link`)."""
 
@@ -119,6 +123,10 @@ class DataStream(StreamHandler):
     def closed(self, reason: str) -> None:
         self._pair.cut(self, reason)
 
+    def given_up(self) -> None:
+        """End, as the other side has given it up."""
+        self._pair.cut(self, "given up by the other side")
+
     def end(self, reason: str) -> None:
         """Close it; nothing more is heard of it."""
         self._frames.close()
@@ -181,6 +189,13 @@ class DataStream(StreamHandler):
 
     # --- receipts
 
+    def passes_nothing(self, since: float) -> bool:
+        """Whether it owes bytes since before that time (s), no receipt has come, and its kernel repeats none."""
+        if self.sent <= self.acknowledged or self.moved_at >= since or self.over:
+            return False
+        packets = self.stream.packets()
+        return packets is None or not packets.tries
+
     def count(self, size: int) -> None:
         """Count received bytes, and send a receipt if one is due."""
         counter = self._counter
@@ -240,6 +255,7 @@ class StreamPair:
         self._routes = routes
         self._reopen = reopen
         self._lost_at = self._asked_at = float("-inf")
+        self._unheard_at = float("-inf")  # when the control connection was silent last
         self._lost_for = ""
         self._pause = _SHORTEST_PAUSE
         self._cuts: deque[float] = deque(maxlen=_MOST_CUTS)  # the times (s)
@@ -369,12 +385,23 @@ class StreamPair:
                 end.ready = False  # it is no longer connected, and is shown so
                 end.lost(reason)
 
-    def tick(self) -> None:
-        """Go on with held frames, and give up streams that do not come. Called once a second."""
+    def tick(self, control_quiet: float = 0.0) -> None:
+        """Go on with held frames, and give up streams that pass nothing or do not come. Called once a second.
+
+        Args:
+            control_quiet: s since the last byte on the control connection.
+        """
         self.resume()  # a route that frames wait for may be closed
+        now = self.book.now()
+        if control_quiet > _UNHEARD:
+            self._unheard_at = now
+        since = now - _DEAD_AFTER
+        for each in self.streams():
+            if self._unheard_at < since and each.passes_nothing(since):
+                self.book.give_up(each.number)
+                self.cut(each, "nothing got through for 10 s, check firewalls and proxies")
         if not self.ends or self.ready:
             return
-        now = self.book.now()
         if self._waits and now - self._lost_at > _AWAITED_FOR:
             self.give_up(self._lost_for)
         elif now - max(self._lost_at, self._asked_at) > self._pause:

@@ -276,6 +276,7 @@ class ReceiptBook:
         self._counters: dict[int, ReceiptCounter] = {}
         self._received: dict[int, int] = {}
         self._every: dict[int, int] = {}
+        self._given_up: list[int] = []
         self._sent_at = float("-inf")
         self._timer: asyncio.TimerHandle | None = None
 
@@ -294,6 +295,11 @@ class ReceiptBook:
         self._every[stream] = every
         self._soon()
 
+    def give_up(self, stream: int) -> None:
+        """Tell the other side that a stream is over here: of one that passes nothing, its end passes neither."""
+        self._given_up.append(stream)
+        self._soon()
+
     def forget(self, stream: int) -> None:
         """Drop the entries of a stream that is over."""
         self._counters.pop(stream, None)
@@ -302,6 +308,7 @@ class ReceiptBook:
 
     def close(self) -> None:
         """Drop all entries at the end of the connection."""
+        self._given_up.clear()
         self._counters.clear()
         self._received.clear()
         self._every.clear()
@@ -322,8 +329,10 @@ class ReceiptBook:
         self._timer = None
         self._sent_at = self.now()
         received, every = tuple(self._received.items()), tuple(self._every.items())
+        given_up = tuple(self._given_up)
         self._received.clear()
         self._every.clear()
-        for first in range(0, max(len(received), len(every)), MOST_RECEIPTS):
+        self._given_up.clear()
+        for first in range(0, max(len(received), len(every), len(given_up)), MOST_RECEIPTS):
             part = slice(first, first + MOST_RECEIPTS)
-            self._send(Receipts(received=received[part], every=every[part]))
+            self._send(Receipts(received=received[part], every=every[part], given_up=given_up[part]))

@@ -330,7 +330,7 @@ class BaseLink(ABC):
         self.linked_at = self.context.now()
         self.keepalive = self.keepalive.next(self.profile.patience)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
-        self.keepalive.watch(partial(self._silent, control))
+        self.keepalive.watch(control.stream, partial(self._silent, control))
         self.status.up(self.context.clock.steady())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = (
@@ -343,8 +343,13 @@ class BaseLink(ABC):
 
     def _silent(self, control: ControlChannel) -> None:
         self._is_silent = True
-        text = f"the peer is silent: nothing came for {self.keepalive.quiet:.0f} s"
-        control.abort(f"{text}: check that it is on and does not hang, its cable or Wi-Fi, and firewalls")
+        quiet, alone = self.keepalive.quiet, self.keepalive.control_quiet
+        if alone < 2 * quiet:
+            text = f"the peer is silent: nothing came for {quiet:.0f} s"
+            control.abort(f"{text}: check that it is on and does not hang, its cable or Wi-Fi, and firewalls")
+        else:
+            text = f"nothing came on the control connection for {alone:.0f} s, though other data does"
+            control.abort(f"{text}: check firewalls, proxies and VPNs between the two sides")
 
     def lost(self, reason: str, code: EventCode) -> None:
         """End the connection."""
@@ -444,7 +449,7 @@ class BaseLink(ABC):
             if (scheduler := self.channels.scheduler) is not None:
                 self.fullness_watch.judge(scheduler, self.peer_name, lossy=self.path.loss.lossy > 0)
             self.send(self.keepalive.tick())
-            self.channels.tick()
+            self.channels.tick(control_quiet=self.keepalive.control_quiet)
         for each in self._extensions:
             each.tick()
 

@@ -285,9 +285,16 @@ class DataChannels:
         for number, received in receipts.received:
             if number in streams:
                 streams[number].receipt(received)
+        for number in receipts.given_up:
+            if number in streams:
+                streams[number].given_up()
 
-    def tick(self) -> None:
-        """Send pending receipts, and close the window of a stalled link. Called once a second."""
+    def tick(self, control_quiet: float) -> None:
+        """Send pending receipts, and close the window of a stalled link. Called once a second.
+
+        Args:
+            control_quiet: s since the last byte on the control connection.
+        """
         self.udp.tick()
         if self.scheduler is not None:
             self.scheduler.tick()
@@ -296,7 +303,7 @@ class DataChannels:
             if pair.over:
                 del self._pairs[key]
             else:
-                pair.tick()
+                pair.tick(control_quiet)
 
     def _report(self) -> None:
         if self._book is not None:

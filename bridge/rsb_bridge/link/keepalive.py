@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 DEAD_AFTER = 5.0
 """s without a byte from the peer until the link is given up. A round figure: five pings in a row went unanswered."""
+_ALONE = 2
+"""Times the patience that the control connection alone may be silent: on a thin link, its pings wait behind data. A
+round figure."""
 _KERNELS = 1.0
 """s by which the kernel is more patient with a connection: it would end it as timed out, without the cause `silent`."""
 _LONGEST_PING = 3600.0
@@ -49,7 +52,8 @@ class Keepalive:
 
         Args:
             carriers: gives the present carriers of the connection's bytes.
-            patience: seconds without a byte after which the connection is given up, or None for `DEAD_AFTER`.
+            patience: seconds without a byte after which the connection is given up, or None for `DEAD_AFTER`. If only
+                its control connection is silent, it is given up after twice as long.
         """
         self.clock = ClockOffset()
         self.stamps = ClockOffset()
@@ -66,6 +70,7 @@ class Keepalive:
         self.ping_delay = 0.0
         self._answers = TokenBucket(_ANSWERS, _ANSWERS_A_SECOND, self._began)
         self._on_silence: Callable[[], None] | None = None
+        self._control: ChannelCarrier | None = None
         self._watchdog: asyncio.TimerHandle | None = None
 
     def next(self, patience: float | None) -> Keepalive:
@@ -78,6 +83,16 @@ class Keepalive:
     def quiet(self) -> float:
         """Seconds since the last byte from the peer."""
         return self._context.now() - self._heard
+
+    @property
+    def control_quiet(self) -> float:
+        """Seconds since the last byte on the control connection."""
+        return 0.0 if self._control is None else self._context.now() - self._control.received_at
+
+    @property
+    def control_is_silent(self) -> bool:
+        """Whether nothing comes on the control connection any more, though a ping is due each second."""
+        return self.control_quiet > (DEAD_AFTER if self._patience is None else self._patience)
 
     @property
     def _heard(self) -> float:
@@ -97,9 +112,9 @@ class Keepalive:
         unanswered = self._pings - self.answered_pings  # one a second
         return self._context.now() - self._pinged_at + unanswered - 1 if unanswered else 0.0
 
-    def watch(self, on_silence: Callable[[], None]) -> None:
+    def watch(self, control: ChannelCarrier, on_silence: Callable[[], None]) -> None:
         """Call a function once the peer has been silent for as long as the patience lasts, until `stop`."""
-        self._on_silence = on_silence
+        self._control, self._on_silence = control, on_silence
         self._watch_silence()
 
     def stop(self) -> None:
@@ -109,10 +124,12 @@ class Keepalive:
             self._watchdog.cancel()
 
     def _watch_silence(self) -> None:
-        if self._on_silence is None:
+        if self._on_silence is None or self._control is None:
             return
+        # What acknowledges and passes nothing on may hold the connections, while datagrams pass.
+        patience = DEAD_AFTER if self._patience is None else self._patience
         # The time of the silence, not the seconds until then: these could be too few for the clock to move.
-        silent_at = self._heard + (DEAD_AFTER if self._patience is None else self._patience)
+        silent_at = min(self._heard + patience, self._control.received_at + _ALONE * patience)
         if self._context.now() < silent_at:
             self._watchdog = self._context.loop.call_at(silent_at, self._watch_silence)
         else:

@@ -172,7 +172,12 @@ class PathWatch:
         self._record = PathRecord(
             None if share is None else round(share, 2), self.loss.lossy, self._large and not self.loss.lossy
         )
-        self._judge(peer, silent=pings.quiet > _SILENT_AFTER)
+        silent = ""
+        if pings.quiet > _SILENT_AFTER:
+            silent = PathFaultText.SILENT(peer=peer)
+        elif pings.control_is_silent:
+            silent = PathFaultText.HELD(peer=peer)
+        self._judge(peer, silent)
         return stalled
 
     def _gained(
@@ -242,9 +247,10 @@ class PathWatch:
         """Take the peer's record of the direction to here."""
         self.into = record
         # Only `observe` knows whether the peer is silent; until then, it stays as it was.
-        self._judge(peer, silent=self.fault is not None and self.fault.cause is LinkCause.SILENT)
+        self._judge(peer, self.fault.text if self.fault is not None and self.fault.cause is LinkCause.SILENT else "")
 
-    def _judge(self, peer: str, *, silent: bool) -> None:
+    def _judge(self, peer: str, silent: str) -> None:
+        """Find the present fault; `silent` says that nothing comes, or is empty."""
         before = self.fault
         out, into = self._record, self.into
         if lossy := max(out.lossy, into.lossy):
@@ -252,7 +258,7 @@ class PathWatch:
             text = PathFaultText.LOSSY(share=f"{lossy:.0%}".replace("%", " %"), way=way, peer=peer)
             self.fault = PathFault(LinkCause.LOSSY, text)
         elif silent:
-            self.fault = PathFault(LinkCause.SILENT, PathFaultText.SILENT(peer=peer))
+            self.fault = PathFault(LinkCause.SILENT, silent)
         elif out.large or into.large:
             way = _way(out=out.large, into=into.large)
             self.fault = PathFault(LinkCause.LARGE_PACKETS, PathFaultText.LARGE_PACKETS(way=way, peer=peer))

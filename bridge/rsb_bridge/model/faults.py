@@ -76,6 +76,7 @@ class PathFaultText(Wording):
         "lower the MTU on both sides (ip link set DEVICE mtu 1280)"
     )
     SILENT = "nothing comes from {peer} now: check that it is on, its cable or Wi-Fi, and firewalls"
+    HELD = "nothing comes on the connection with {peer}, other data does: check firewalls and proxies"
     GONE = "the path to {peer} is in order again"
 
 

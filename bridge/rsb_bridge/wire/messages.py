@@ -588,10 +588,12 @@ class Receipts(ControlMessageBase, frozen=True, omit_defaults=True):
     Attributes:
         received: numbers of streams with the bytes that the sender of the message has received on them.
         every: numbers of streams with the bytes after which the sender of the message wants a receipt.
+        given_up: numbers of streams that are over at the sender of the message, as nothing gets through.
     """
 
     received: _Counts = ()
     every: _Counts = ()
+    given_up: Annotated[tuple[Count, ...], Meta(max_length=MOST_RECEIPTS)] = ()
 
 
 class NamePattern(msgspec.Struct, frozen=True, omit_defaults=True):
