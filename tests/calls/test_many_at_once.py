@@ -37,6 +37,19 @@ def test_a_thousand_calls_of_two_callers_are_answered_in_any_order(
     nothing_left(*engines)
 
 
+def test_burst_to_a_node_that_keeps_ten(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
+    """As after a gap of the link: more than its depth come at once, while it is busy for 20 ms a call."""
+    far.serve(service, depth=10, busy=0.02)
+    engines = server, client = bridge.both(called(service))
+    with balanced(*engines):
+        near.waits_for(service)
+        assert near.call(service, 60, at_once=60).right
+        assert far.served(service) == (60, 0, 0, 0)
+        for engine in (client, server):
+            settled(engine, service, asked=60, answered=60)
+    nothing_left(*engines)
+
+
 def test_five_megabytes_each_way(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
     """Also several at once, and small ones of another service between them."""
     small = f"{service}_small"

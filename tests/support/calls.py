@@ -98,15 +98,17 @@ class CallNode(Asked):
         delay: tuple[float, float] | None = (0.0, 0.0),
         gather: int = 1,
         depth: int = DEEP,
+        busy: float = 0.0,
     ) -> None:
         """Answer calls.
 
         Args:
             delay: s before an answer, at least and at most, or None to give no answer.
             gather: answer none before there are so many calls, and then in random order.
+            busy: s that each call keeps the node busy; it takes the next one only then.
         """
         for service in services:
-            self.ask(do="serve", service=service, node=node, delay=delay, gather=gather, depth=depth)
+            self.ask(do="serve", service=service, node=node, delay=delay, gather=gather, depth=depth, busy=busy)
 
     def unserve(self, *services: str) -> None:
         """Serve these no more."""
@@ -201,7 +203,9 @@ def _bytes(name: str, size: int) -> array.array[int]:
 class _Server:
     """A service, taken from by `_Loop`."""
 
-    def __init__(self, node: Any, service: str, delay: tuple[float, float] | None, gather: int, depth: int) -> None:
+    def __init__(
+        self, node: Any, service: str, delay: tuple[float, float] | None, gather: int, depth: int, busy: float
+    ) -> None:
         from nav_msgs.srv import LoadMap
         from rclpy.qos import QoSProfile
 
@@ -210,7 +214,7 @@ class _Server:
         self._node = node
         self.handle = self._service.handle
         self._kind = LoadMap
-        self._delay, self._gather = delay, gather
+        self._delay, self._gather, self._busy = delay, gather, busy
         self._taken: set[str] = set()
         self._requests = self._again = self._broken = 0
         self._gathered: list[tuple[Any, Any]] = []
@@ -228,6 +232,9 @@ class _Server:
                 if request is None:
                     break
                 self._take(request.map_url, header)
+                if self._busy:
+                    time.sleep(self._busy)
+                    break
             now = time.monotonic()
             while self._due and self._due[0][0] <= now:
                 _, _, response, header = heapq.heappop(self._due)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 LAMP = Endpoint("/lamp", "std_srvs/srv/SetBool", "RIHS01_0", Qos(), b"lamp")
 
 
-class _Graph(NoRos):
+class Graph(NoRos):
     def __init__(self) -> None:
         self.found: list[Endpoint] = []
         self.looks = 0
@@ -43,7 +43,7 @@ class _Graph(NoRos):
         return self.client
 
 
-def _providing(ros: _Graph, make_context: Callable[..., Context]) -> ProvidingRoute:
+def providing(ros: Graph, make_context: Callable[..., Context]) -> ProvidingRoute:
     route = half_of(ProvidingRoute, make_context(ros), Topic("/set", "transmit", kind="service"), here=False)
     route.open(1)
     route.on_accepted()
@@ -59,8 +59,8 @@ def looks(route: ProvidingRoute) -> Cause | None:
 
 def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[..., Context]) -> None:
     """DDS may tell of its node a moment after its endpoints."""
-    ros = _Graph()
-    route = _providing(ros, make_context)
+    ros = Graph()
+    route = providing(ros, make_context)
     causes = []
     for found in ([], [LAMP], [], [LAMP._replace(node="")], []):
         ros.found = found
@@ -76,8 +76,8 @@ def test_a_call_may_have_reached_a_server_that_was_not_seen_yet(
     make_context: Callable[..., Context], loop: VirtualLoop
 ) -> None:
     """DDS matches a server before the graph is looked at again; only later ones can't have got the call."""
-    ros = _Graph()
-    route = _providing(ros, make_context)
+    ros = Graph()
+    route = providing(ros, make_context)
     in_flight = []
     for gid in (b"first", b"second", b"third"):
         ros.found = [LAMP._replace(gid=gid)]
@@ -94,9 +94,9 @@ def test_a_server_that_dds_does_not_match_is_looked_at_less_and_less_often(
     make_context: Callable[..., Context], loop: VirtualLoop
 ) -> None:
     """DDS shows a killed server for up to 40 s."""
-    ros = _Graph()
+    ros = Graph()
     ros.found, ros.client.ready = [LAMP], False
-    route = _providing(ros, make_context)
+    route = providing(ros, make_context)
     looks(route)
     loop.run_until_complete(asyncio.sleep(40.0))
     assert 40 < ros.looks < 100

@@ -6,7 +6,8 @@ A call comes from the channel to `ProvidingRoute._receive`, and goes to ROS in `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
@@ -44,6 +45,10 @@ _MATCHED_AGAIN, _LONGEST_MATCHED_AGAIN = 0.05, 1.0
 shows a killed server for up to 40 s."""
 _WAITED_PART = 0.1
 """Part of the wait so far that a look may come later than the match. A round figure."""
+_OPEN, _UNANSWERED = 8, 0.5
+"""Calls of one service that its node has before the next ones wait for an answer, and s without one after which it may
+have twice as many. A node keeps 10 requests by default, and loses the oldest of 50 that a link delivers at once after a
+gap; but it may answer in any order, or none before more calls have come. The time is a round figure."""
 _EXPLAINED_AGAIN = 0.5
 """s until the next look whether a bridge has announced where its answers come from. A round figure."""
 
@@ -59,6 +64,22 @@ class PeersCall(PendingCall):
 
     number: int
     servers: set[bytes]
+
+
+@dataclass(slots=True)
+class _Pace:
+    """The calls of one lane that its node has, and those that wait until it has answered.
+
+    Attributes:
+        most: calls that the node may have.
+        answered_at: when it answered last, or got the first one, in s.
+        waiting: when each came (s), and its frame; each has its place in the budget.
+    """
+
+    most: int = _OPEN
+    open: int = 0
+    answered_at: float = 0.0
+    waiting: deque[tuple[float, CallFrame]] = field(default_factory=deque)
 
 
 class ProvidingRoute(CallsRoute):
@@ -82,6 +103,8 @@ class ProvidingRoute(CallsRoute):
         self._clients = Clients(context, peer, self.members, self._responded, self._published, self._client_failed)
         self._pending = PendingCalls[PeersCall](context.loop, peer.budget.provided, self._expired, self._ended)
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
+        self._paces = {lane: _Pace() for lane, member in enumerate(self.members) if member.limited}
+        self._unanswered: asyncio.TimerHandle | None = None
         self._highest = 0
         self._again: asyncio.TimerHandle | None = None
         self._unmatched_since = 0.0
@@ -209,6 +232,9 @@ class ProvidingRoute(CallsRoute):
 
     def _withdraw(self) -> None:
         self._close_clients()
+        if self._unanswered is not None:
+            self._unanswered.cancel()
+            self._unanswered = None
         if self._again is not None:
             self._again.cancel()
             self._again = None
@@ -242,8 +268,14 @@ class ProvidingRoute(CallsRoute):
         self._asked_for(len(frame.content))
         if (why := self._refusal(frame) if readable else Refused.BYTES_UNDER_WAY) is not None:
             self._refuse_peer(frame, why)
-        else:
+            return
+        pace = self._paces.get(frame.lane)
+        if pace is None or (pace.open < pace.most and not pace.waiting):
             self._pass_on(frame)
+            return
+        pace.waiting.append((self.context.now(), frame))
+        if self._unanswered is None:
+            self._unanswered = self.context.loop.call_later(_UNANSWERED, self._have_more)
 
     def _pass_on(self, frame: CallFrame) -> None:
         """Handle a call that has its place in the budget."""
@@ -267,6 +299,40 @@ class ProvidingRoute(CallsRoute):
             return why
         return None if leaving is None else leaving(frame, self.context.now())
 
+    def _have_more(self) -> None:
+        """Give a node more calls that has answered none for a while."""
+        self._unanswered = None
+        now = self.context.now()
+        for pace in self._paces.values():
+            if pace.waiting and pace.answered_at <= now - _UNANSWERED:
+                pace.most *= 2
+            self._pass_on_waiting(pace)
+        if self._unanswered is None and any(pace.waiting for pace in self._paces.values()):
+            self._unanswered = self.context.loop.call_later(_UNANSWERED, self._have_more)
+
+    def _pass_on_waiting(self, pace: _Pace) -> None:
+        while pace.waiting and pace.open < pace.most:
+            _, frame = pace.waiting.popleft()
+            arriving = self._arriving[self._is_limited(frame)]
+            why = None if arriving is None else arriving(frame, self.context.now())
+            if why is None and frame.lane not in self._clients.clients and not self._is_answered(frame):
+                why = Refused.PROVIDER_GONE
+            if why is None:
+                self._pass_on(frame)
+            else:
+                self.peer.budget.provided.give(frame_size(frame.content))
+                self._refuse_peer(frame, why)
+
+    def _left(self, lane: int, number: int) -> int | None:
+        """Return the peer's call that a client's call was made for, which is over, or None if it was over before."""
+        peers = self._by_number.pop((lane, number), None)
+        if peers is not None and (pace := self._paces.get(lane)) is not None:
+            pace.open -= 1
+            pace.most = max(_OPEN, min(pace.most, pace.open + 1))
+            pace.answered_at = self.context.now()
+            self._pass_on_waiting(pace)
+        return peers
+
     def _is_limited(self, frame: CallFrame) -> bool:
         """Return whether arming, pauses and limits apply to a call."""
         return self.members[frame.lane].limited
@@ -285,6 +351,10 @@ class ProvidingRoute(CallsRoute):
             self._refuse_peer(frame, Refused.NOT_SENT)
             return None
         self._by_number[frame.lane, number] = self._given = frame.call
+        if (pace := self._paces.get(frame.lane)) is not None:
+            if not pace.open:
+                pace.answered_at = self.context.now()
+            pace.open += 1
         return self._add(frame, number)
 
     def _add(self, frame: CallFrame, number: int = 0) -> PeersCall:
@@ -330,7 +400,7 @@ class ProvidingRoute(CallsRoute):
         self.flush()
 
     def _take_response(self, lane: int, response: Response) -> None:
-        peers = self._by_number.pop((lane, response.number), None)
+        peers = self._left(lane, response.number)
         if peers is None or not self._answer(peers, response.payload):
             self.calls.late += 1
 
@@ -367,7 +437,7 @@ class ProvidingRoute(CallsRoute):
         self.calls.expired += 1
         nodes, within = " and ".join(node_names(self.endpoints)) or "the server", f"within {self.call_timeout:g} s"
         # Its answer has come, and waits for the link.
-        if call.number and self._by_number.pop((call.lane, call.number), None) is None:
+        if call.number and self._left(call.lane, call.number) is None:
             self.failures.say(
                 f"the link did not take an answer of {nodes} {within}: send less over it, or allow more time"
             )
@@ -381,7 +451,7 @@ class ProvidingRoute(CallsRoute):
         if (call := self._pending.get(peers)) is None:
             return
         self._pending.end(peers)
-        self._by_number.pop((call.lane, call.number), None)
+        self._left(call.lane, call.number)
         self._refuse_peer(CallFrame(What.REFUSED, call.lane, peers, 0, b""), why)
 
     def _is_orphan(self, call: PeersCall) -> bool:
@@ -389,9 +459,14 @@ class ProvidingRoute(CallsRoute):
         return call.servers.isdisjoint(self._present)
 
     def _give_up_all(self, why: str) -> None:
-        calls = self._pending.clear()
-        for number, call in calls:
-            self._outbox.put(CallFrame(What.REFUSED, call.lane, number, 0, Refused.LOST.encode()))
+        calls = [(number, call.lane) for number, call in self._pending.clear()]
+        for lane, pace in self._paces.items():
+            for _, frame in pace.waiting:
+                self.peer.budget.provided.give(frame_size(frame.content))
+                calls.append((frame.call, lane))
+            self._paces[lane] = _Pace()
+        for number, lane in calls:
+            self._outbox.put(CallFrame(What.REFUSED, lane, number, 0, Refused.LOST.encode()))
         self._by_number.clear()
         self.failures.lost(len(calls), why)
 
@@ -402,6 +477,18 @@ class ProvidingRoute(CallsRoute):
         for message in messages:
             self._outbox.put(CallFrame(What.MESSAGE, lane, 0, 0, message.payload))
         self.flush()
+
+    def tick(self) -> None:
+        """Expire calls that wait for others, and update counts; called once a second."""
+        now = self.context.now()
+        for lane, pace in self._paces.items():
+            while pace.waiting and now - pace.waiting[0][0] > self.call_timeout:
+                _, frame = pace.waiting.popleft()
+                self.peer.budget.provided.give(frame_size(frame.content))
+                self.calls.expired += 1
+                nodes = " and ".join(node_names(self.endpoints)) or "the server"
+                self.failures.say(f"{nodes} did not answer earlier calls of {self.local_names[lane]} in time")
+        super().tick()
 
     # --- verdict and snapshot
 

@@ -1,0 +1,88 @@
+"""Calls that come at once, as after a gap of the link, and a node that keeps only ten requests."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from tests.route.calls.test_gone import LAMP, Graph, providing
+from tests.support.inside import responded
+
+from rsb_bridge.ros.ros_interface import Response
+from rsb_bridge.wire.headers import CallFrame, What
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.route.calls.providing import ProvidingRoute
+
+
+class Lamp:
+    """A route that provides a service, and the requests that its node has got."""
+
+    def __init__(self, make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+        ros = Graph()
+        ros.found = [LAMP]
+        self.got: list[int] = []
+        self._numbers = itertools.count(1)
+        self._answered = 0
+        ros.client = SimpleNamespace(ready=True, call=self._call, close=lambda: None)
+        self.route: ProvidingRoute = providing(ros, make_context)
+        self.route.advance()
+        loop.run_until_complete(asyncio.sleep(1.0))  # its type is loaded
+
+    def _call(self, request: bytes) -> int:
+        self.got.append(request[-1])
+        return next(self._numbers)
+
+    def ask(self, first: int, last: int) -> None:
+        calls = (CallFrame(What.CALL, 0, number, 0, bytes((0, 1, 0, 0, number))) for number in range(first, last + 1))
+        self.route.deliver([(each.pack(), 0, 0) for each in calls])
+
+    def answer(self, count: int = 1) -> None:
+        for _ in range(count):
+            self._answered += 1
+            responded(self.route, 0, Response(bytes(16), self._answered, 0))
+
+
+def test_next_call_waits_for_an_answer(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+    lamp = Lamp(make_context, loop)
+    lamp.ask(1, 50)
+    assert lamp.got == list(range(1, 9))
+    for number in range(1, 51):
+        assert len(lamp.got) == min(7 + number, 50)
+        lamp.answer()
+    assert lamp.got == list(range(1, 51))
+    lamp.route.close("over")
+    assert_nothing_held(lamp.route)
+
+
+def test_unanswered_calls_hold_up_others_briefly(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+    """The node may answer only once it has all calls."""
+    lamp = Lamp(make_context, loop)
+    lamp.ask(1, 100)
+    loop.run_until_complete(asyncio.sleep(2.4))
+    assert len(lamp.got) == 100
+    lamp.answer(100)
+    lamp.ask(101, 150)
+    assert len(lamp.got) == 108, "the next burst waits again"
+    lamp.route.close("over")
+    assert_nothing_held(lamp.route)
+
+
+def test_waiting_calls_end_with_the_opening(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+    lamp = Lamp(make_context, loop)
+    lamp.ask(1, 50)
+    lamp.route.close("over")
+    loop.run_until_complete(asyncio.sleep(5.0))
+    assert len(lamp.got) == 8
+    assert_nothing_held(lamp.route)
+
+
+def assert_nothing_held(route: Any) -> None:
+    assert route.peer.budget.provided.held == (0, 0)
