@@ -45,13 +45,16 @@ def test_what_a_udp_socket_may_hold(given: int, grade: Grade, tmp_path: Path, mo
 
 
 @pytest.mark.parametrize(
-    ("rights", "landlock", "grade"),
-    [(False, 7, Grade.OK), (False, 4, Grade.OK), (False, 3, Grade.NOTE), (False, 0, Grade.NOTE), (True, 0, Grade.NOTE)],
-)
+    ("rights", "landlock", "filtered", "grade"),
+    [
+        (False, 7, True, Grade.OK), (False, 1, True, Grade.OK), (False, 7, False, Grade.NOTE),
+        (False, 0, True, Grade.NOTE), (False, 0, False, Grade.NOTE), (True, 0, True, Grade.NOTE),
+    ],
+)  # fmt: skip
 def test_how_the_process_that_draws_is_confined(
-    rights: bool, landlock: int, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    rights: bool, landlock: int, filtered: bool, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    facts = {"no_new_privileges": True, "no_capabilities": not rights, "landlock": landlock}
+    facts = {"no_new_privileges": True, "no_capabilities": not rights, "landlock": landlock, "filtered": filtered}
     ran = SimpleNamespace(stdout=json.dumps(facts))
     replaced.DOCTOR_RUN.set(monkeypatch, lambda *_, **__: ran)
     (finding,) = found("pictures", tmp_path)

@@ -54,7 +54,6 @@ _IFF_UP, _IFF_LOOPBACK, _IFF_MULTICAST = 0x1, 0x8, 0x1000
 _SIOCGIFFLAGS = 0x8913
 _ANSWERS_WITHIN = 2.0  # s
 _CONFINED_WITHIN = 20.0  # s; a slow computer starts Python for seconds
-_LANDLOCK_OF_TCP = 4
 _LOCKED_WITHIN = 5.0
 """s until Fast DDS has locked a new file. Before that, to try the lock could take it from the program that starts."""
 _Chain: TypeAlias = tuple[str, str, str]
@@ -67,9 +66,11 @@ _EXTRAS = {"zenoh": "zenoh", "metrics": "prometheus_client"}
 class MachineText(Wording):
     """Findings about a machine, and remedies."""
 
-    CONFINED_BUT_NETWORK = "the process that draws reads only the program's files, but has TCP (Landlock {landlock})"
-    NOT_CONFINED = "the process that draws can read what its user can, and has a network: this kernel has no Landlock"
-    CONFINED_REMEDY = "Linux 6.7 or newer with Landlock (boot parameter lsm=landlock,...)"
+    CONFINED = "the process that draws reads only the program's files, and reaches nothing else"
+    DRAWS_WITH_FILES = "the process that draws can read its user's files: this kernel has no Landlock"
+    DRAWS_WITH_NETWORK = "the process that draws has a network, so it could drive robots: no seccomp filter here"
+    LANDLOCK_REMEDY = "Linux 5.13 or newer with Landlock (boot parameter lsm=landlock,...)"
+    FILTER_REMEDY = "a kernel with seccomp (CONFIG_SECCOMP_FILTER), on x86-64 or aarch64"
     BLUETOOTH_REMEDY = "for Bluetooth links, run it with the distribution's own Python (/usr/bin/python3)"
     EXTRAS_REMEDY = "pip install 'rsb-console[{missing}]'"
     SHARED_MEMORY = "{free} of {size} MB are free in {folder}"
@@ -161,16 +162,16 @@ def _pictures() -> Iterator[Finding]:
     except subprocess.SubprocessError as error:
         raise OSError(str(error)) from error
     facts = json.loads(ran.stdout)
-    landlock, remedy = facts["landlock"], ""
+    remedy = ""
     if not (facts["no_new_privileges"] and facts["no_capabilities"]):
         text = "the process that draws keeps root's rights, or can gain some"
         remedy = "run the bridge as a user of its own, not as root"
-    elif landlock == 0:
-        text, remedy = MachineText.NOT_CONFINED(), MachineText.CONFINED_REMEDY()
-    elif landlock < _LANDLOCK_OF_TCP:
-        text, remedy = MachineText.CONFINED_BUT_NETWORK(landlock=landlock), MachineText.CONFINED_REMEDY()
+    elif not facts["filtered"]:
+        text, remedy = MachineText.DRAWS_WITH_NETWORK(), MachineText.FILTER_REMEDY()
+    elif not facts["landlock"]:
+        text, remedy = MachineText.DRAWS_WITH_FILES(), MachineText.LANDLOCK_REMEDY()
     else:
-        text = f"the process that draws reads only the program's files, and has no TCP (Landlock {landlock})"
+        text = MachineText.CONFINED()
     yield Finding("pictures", Grade.NOTE if remedy else Grade.OK, "pictures", text, remedy, facts)
 
 

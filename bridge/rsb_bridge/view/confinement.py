@@ -1,19 +1,22 @@
 """Takes from the process that draws what drawing does not need: ``python -m rsb_bridge.view.confinement`` tries it.
 
 The process decodes what nodes publish, with libraries such as Pillow. A message that takes over one of them shall find
-neither files nor a network nor rights. Each measure holds for the rest of the process's life, or is left out where the
-kernel does not have it.
+neither files nor a network, other processes or rights: with a socket alone, it could drive the robot. Each measure
+holds for the rest of the process's life, or is left out where the kernel does not have it.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
+import resource
 import struct
 import sys
 from typing import NamedTuple
 
 import msgspec
+
+from rsb_bridge.view.seccomp import filter_system_calls
 
 _NO_NEW_PRIVILEGES = 38  # prctl
 _DROP_FROM_BOUNDING_SET = 24  # prctl
@@ -37,11 +40,13 @@ class Confinement(NamedTuple):
         no_new_privileges: no program can give it rights.
         no_capabilities: it has none of root's rights.
         landlock: version of the kernel's Landlock, which leaves it only the program's own files, to read, or 0.
+        filtered: it has no sockets, no other processes, and writes no files (`rsb_bridge.view.seccomp`).
     """
 
     no_new_privileges: bool
     no_capabilities: bool
     landlock: int
+    filtered: bool
 
 
 def confine() -> Confinement:
@@ -53,8 +58,13 @@ def confine() -> Confinement:
         libc.prctl(_DROP_FROM_BOUNDING_SET, capability, 0, 0, 0)  # only root may
     header, none = struct.pack("=Ii", _CAPABILITY_VERSION, 0), bytes(24)
     libc.capset(header, none)  # refused in the system's service, which has no capabilities anyhow
-    # Landlock demands that no program can give the process rights, and comes last: it leaves no /proc to read.
-    return Confinement(no_new_privileges, _has_no_capabilities(), _landlock(libc) if no_new_privileges else 0)
+    no_capabilities, landlock, filtered = _has_no_capabilities(), 0, False
+    if no_new_privileges:  # both demand it
+        landlock = _landlock(libc)  # leaves no /proc to read
+        filtered = filter_system_calls(libc)  # refuses Landlock's calls
+    if not filtered:
+        resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))  # no other process, unless it is root, but no thread either
+    return Confinement(no_new_privileges, no_capabilities, landlock, filtered)
 
 
 def _has_no_capabilities() -> bool:

@@ -244,19 +244,21 @@ def frame(message: Task | Picture) -> bytes:
     return len(body).to_bytes(_LENGTH_BYTES, "big") + body
 
 
-def _limit_memory() -> None:
+def _limit_resources() -> None:
     with open("/proc/self/statm", encoding="ascii") as statm:  # noqa: PTH123 -- Path costs an import
         used = int(statm.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_LIMIT, used + MEMORY_LIMIT))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for limit in (resource.RLIMIT_CORE, resource.RLIMIT_FSIZE):
+        resource.setrlimit(limit, (0, 0))
 
 
 def main() -> None:
     """Draw until the input ends."""
     os.nice(_NICE)
     # Before `confine`, which leaves no /proc to read.
-    _limit_memory()
+    _limit_resources()
     confine()
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # numpy's: one a core, which no view needs, or may be refused
     artist, tasks = Artist(), msgspec.msgpack.Decoder(Task)
     while (body := read_frame(sys.stdin.buffer)) is not None:
         signal.alarm(_SECONDS)
