@@ -16,7 +16,7 @@ from tests.support.wording import has_text
 from tests.view.samples import drawn
 
 from rsb_bridge.model.pictures import LONGEST_SIDE, Picture, Pixels, Wish
-from rsb_bridge.view.images import _BAYER, _DEPTHS, _YUV, ENCODINGS, ImageProblem
+from rsb_bridge.view.images import _BAYER, _DEPTHS, _NUMBERS, _PLANES, _YUV, ENCODINGS, ImageProblem
 from rsb_console.look.picture_rows import rgb_of
 
 WISH = Wish(width=8, height=4)
@@ -36,7 +36,10 @@ def pixels(picture: Picture) -> np.ndarray:
     ("encoding", "pixel", "expected"),
     [("rgb8", b"\xff\0\0", RED), ("bgr8", b"\0\0\xff", RED), ("rgba8", b"\xff\0\0\t", RED),
      ("bgra8", b"\0\0\xff\t", RED), ("8UC3", b"\0\0\xff", RED), ("8UC4", b"\0\0\xff\t", RED),
-     ("mono8", b"\x80", 128), ("8UC1", b"\x80", 128), ("mono16", b"\x00\x80", 128)],
+     ("mono8", b"\x80", 128), ("8UC1", b"\x80", 128), ("mono16", b"\x00\x80", 128),
+     ("rgb16", b"\1\xff\1\0\1\0", RED), ("bgr16", b"\1\0\1\0\1\xff", RED),
+     ("rgba16", b"\1\xff\1\0\1\0\1\t", RED), ("bgra16", b"\1\0\1\0\1\xff\1\t", RED),
+     ("16UC3", b"\1\0\1\0\1\xff", RED), ("16UC4", b"\1\0\1\0\1\xff\1\t", RED)],
 )  # fmt: skip
 def test_colours_and_greys(encoding: str, pixel: bytes, expected: int | tuple[int, ...]) -> None:
     assert (pixels(drawn(WISH, image(encoding, pixel * 64))) == expected).all()
@@ -44,6 +47,7 @@ def test_colours_and_greys(encoding: str, pixel: bytes, expected: int | tuple[in
 
 def test_big_endian() -> None:
     assert (pixels(drawn(WISH, image("mono16", b"\x80\x00" * 64, is_bigendian=1))) == 128).all()
+    assert (pixels(drawn(WISH, image("rgb16", b"\xff\1\0\1\0\1" * 64, is_bigendian=1))) == RED).all()
 
 
 @pytest.mark.parametrize("encoding", sorted(_YUV))
@@ -55,12 +59,43 @@ def test_yuv(encoding: str) -> None:
     assert np.abs(pixels(drawn(WISH, image(encoding, bytes(pair) * 32))).astype(int) - RED).max() <= 3
 
 
+@pytest.mark.parametrize("step", [0, 11])
+@pytest.mark.parametrize(("encoding", "colours"), [("nv12", (90, 240)), ("nv21", (240, 90)), ("nv24", (90, 240))])
+def test_colours_after_the_brightness(encoding: str, colours: tuple[int, int], step: int) -> None:
+    """The right half is green, so that a colour of a wrong pixel would show."""
+    green = tuple(reversed((54, 34))) if encoding == "nv21" else (54, 34)
+    across = 8 if encoding == "nv24" else 4
+    padding = bytes(max(0, step - 8))
+    bright = (bytes([81] * 4 + [145] * 4) + padding) * 8
+    row = bytes(colours * (across // 2) + green * (across // 2)) + padding * (2 if encoding == "nv24" else 1)
+    data = bright + row * across
+    found = pixels(drawn(WISH, image(encoding, data, step=step))).astype(int)
+    assert np.abs(found[:, :4] - RED).max() <= 3
+    assert np.abs(found[:, 4:] - GREEN).max() <= 3
+
+
+def test_colours_that_are_missing_after_the_brightness() -> None:
+    picture = drawn(WISH, image("nv12", bytes(64)))
+    assert has_text(picture.problem, ImageProblem.TOO_SHORT)
+    assert "96" in picture.problem
+
+
 @pytest.mark.parametrize("encoding", sorted(_BAYER))
 def test_bayer(encoding: str) -> None:
-    data = np.zeros((16, 16), np.uint8)
-    row, column = _BAYER[encoding]
-    data[row::2, column::2] = 255
+    size, row, column = _BAYER[encoding]
+    data = np.zeros((16, 16), f"<u{size}")
+    data[row::2, column::2] = 256**size - 1
     assert (pixels(drawn(WISH, image(encoding, data.tobytes(), 16, 16))) == RED).all()
+
+
+@pytest.mark.parametrize("encoding", sorted(_NUMBERS))
+def test_numbers_have_colours_from_least_to_most(encoding: str) -> None:
+    values = np.full((8, 8), -100, _NUMBERS[encoding])
+    values[:, 4:] = 100
+    drawing = drawn(WISH, image(encoding, values.tobytes()))
+    picture = pixels(drawing)
+    assert (picture[0, 0].tolist(), picture[0, 7].tolist()) == ([48, 18, 59], [122, 4, 3])
+    assert "-100 to 100" in drawing.notes
 
 
 @pytest.mark.parametrize("encoding", sorted(_DEPTHS))
@@ -107,7 +142,11 @@ def test_compressed_images(kind: str) -> None:
     file = io.BytesIO()
     Pillow.new("RGB", (64, 48), BLUE).save(file, kind)
     message = CompressedImage(format=f"rgb8; {kind} compressed bgr8", data=list(file.getvalue()))
-    assert np.abs(pixels(drawn(WISH, message)).astype(int) - BLUE).max() <= 3
+    picture = drawn(WISH, message)
+    assert np.abs(pixels(picture).astype(int) - BLUE).max() <= 3
+    assert picture.notes == (f"64×48 {kind} rgb8",)
+    message.format = kind
+    assert drawn(WISH, message).notes == (f"64×48 {kind}",)
 
 
 def test_compressed_depth() -> None:
@@ -132,6 +171,8 @@ def test_compressed_depth() -> None:
         (image("bayer_rggb8", b"1", 1, 1), ImageProblem.NO_SIZE),
         (CompressedImage(format="theora", data=list(b"OggS")), ImageProblem.FORMAT),
         (CompressedImage(format="jpeg", data=list(b"\xff\xd8\xff\xe0rubbish")), ImageProblem.BROKEN),
+        (CompressedImage(format="jpeg", data=list(b"\0\0rubbish")), ImageProblem.OTHER),
+        (CompressedImage(format="bgr8; PNG compressed", data=[]), ImageProblem.OTHER),
     ],
 )
 def test_images_that_cannot_be_drawn(message: Image | CompressedImage, problem: ImageProblem) -> None:
@@ -153,8 +194,8 @@ SIZES = st.integers(0, 20) | st.sampled_from([65535, 2**32 - 1])
 
 @settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
-    st.sampled_from([*ENCODINGS, *_DEPTHS, *_YUV, *_BAYER, "?"]), st.binary(max_size=600), SIZES, SIZES,
-    st.integers(0, 50) | st.just(2**32 - 1), st.integers(0, 255),
+    st.sampled_from([*ENCODINGS, *_DEPTHS, *_NUMBERS, *_YUV, *_PLANES, *_BAYER, "?"]), st.binary(max_size=600),
+    SIZES, SIZES, st.integers(0, 50) | st.just(2**32 - 1), st.integers(0, 255),
 )  # fmt: skip
 def test_any_image_is_drawn_or_refused_in_words(
     encoding: str, data: bytes, width: int, height: int, step: int, order: int

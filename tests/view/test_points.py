@@ -87,6 +87,15 @@ def test_rows_with_padding() -> None:
     assert len(marked(drawn(WISH, message))) == 2
 
 
+@pytest.mark.parametrize("row_step", [0, 12, 1000])
+def test_rows_with_a_wrong_step_follow_each_other(row_step: int) -> None:
+    """A cloud's row_step is often that of a point, or of the cloud before it was cropped; RViz does not read it."""
+    points = [(1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0)]
+    right = drawn(WISH, cloud(points, width=2, height=2, row_step=24))
+    assert len(marked(right)) == 4
+    assert marked(drawn(WISH, cloud(points, width=2, height=2, row_step=row_step))) == marked(right)
+
+
 def test_the_age_is_of_the_points_that_are_drawn() -> None:
     artist = Artist()
     good, bad = task(WISH, cloud([(1.0, 0.0, 0.0)]), at=1000.0), task(WISH, cloud([], "xy"), at=1001.0)

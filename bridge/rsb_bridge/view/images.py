@@ -49,22 +49,34 @@ class ImageProblem(Wording):
     ENCODING = "images in {encoding!r} cannot be drawn"
     FORMAT = "compressed images in {format!r} cannot be drawn, only JPEG, PNG and WebP"
     BROKEN = "the compressed image is damaged: {error}"
+    OTHER = "the compressed image is damaged: its {length:,} bytes do not begin like {format}"
 
 
 ENCODINGS = {
-    "rgb8": ("u1", 3, (0, 1, 2)), "bgr8": ("u1", 3, (2, 1, 0)), "rgba8": ("u1", 4, (0, 1, 2)),
-    "bgra8": ("u1", 4, (2, 1, 0)), "8UC3": ("u1", 3, (2, 1, 0)), "8UC4": ("u1", 4, (2, 1, 0)),
-    "mono8": ("u1", 1, (0, 0, 0)), "8UC1": ("u1", 1, (0, 0, 0)), "mono16": ("u2", 1, (0, 0, 0)),
+    "rgb8": (1, 3, (0, 1, 2)), "bgr8": (1, 3, (2, 1, 0)), "rgba8": (1, 4, (0, 1, 2)), "bgra8": (1, 4, (2, 1, 0)),
+    "rgb16": (2, 3, (0, 1, 2)), "bgr16": (2, 3, (2, 1, 0)), "rgba16": (2, 4, (0, 1, 2)), "bgra16": (2, 4, (2, 1, 0)),
+    "8UC3": (1, 3, (2, 1, 0)), "8UC4": (1, 4, (2, 1, 0)), "16UC3": (2, 3, (2, 1, 0)), "16UC4": (2, 4, (2, 1, 0)),
+    "mono8": (1, 1, (0, 0, 0)), "8UC1": (1, 1, (0, 0, 0)), "mono16": (2, 1, (0, 0, 0)),
 }  # fmt: skip
-"""Encodings with all channels of a pixel in its place (sensor_msgs/image_encodings.hpp): the type of a channel, their
-number, and the places of red, green and blue."""
+"""Encodings with all channels of a pixel in its place (sensor_msgs/image_encodings.hpp): the bytes of a channel, the
+number of channels, and the places of red, green and blue."""
 _DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
 """Encodings of depths (REP 118): the type, and m in one unit."""
+_NUMBERS = {"8SC1": "i1", "16SC1": "i2", "32SC1": "i4", "64FC1": "f8"}
+"""Encodings of one number of any unit in a pixel: the type."""
 _YUV = {"yuv422": (1, 0), "uyvy": (1, 0), "yuv422_yuy2": (0, 1), "yuyv": (0, 1)}
 """Places of the brightness and of the colour among two bytes."""
-_BAYER = {"bayer_rggb8": (0, 0), "bayer_bggr8": (1, 1), "bayer_gbrg8": (1, 0), "bayer_grbg8": (0, 1)}
-"""Row and column of the red pixel among four."""
+_PLANES = {"nv12": (2, 0), "nv21": (2, 1), "nv24": (1, 0)}
+"""Encodings with the brightness of all pixels before their colours: the pixels, across and down, that share a colour,
+and the place of its blue part among two bytes."""
+_BAYER = {
+    "bayer_rggb8": (1, 0, 0), "bayer_bggr8": (1, 1, 1), "bayer_gbrg8": (1, 1, 0), "bayer_grbg8": (1, 0, 1),
+    "bayer_rggb16": (2, 0, 0), "bayer_bggr16": (2, 1, 1), "bayer_gbrg16": (2, 1, 0), "bayer_grbg16": (2, 0, 1),
+}  # fmt: skip
+"""Bytes of a pixel, and row and column of the red one among four."""
 _FORMATS = {b"\xff\xd8\xff": "JPEG", b"\x89PNG": "PNG", b"RIFF": "WEBP"}
+_NAMED = ("jpeg", "jpg", "png", "webp")
+"""Their names in a message's format (sensor_msgs/CompressedImage)."""
 _DEPTH_HEADER = 12
 """Bytes before the PNG of a compressed depth image (compressed_depth_image_transport)."""
 
@@ -89,24 +101,39 @@ class ImageView(View):
         encoding, step = text(message, "encoding"), _whole(message, "step")
         content, _ = raw(message, "data")
         data = np.frombuffer(content, np.uint8)
-        order = ">" if nested(message, "is_bigendian") else "<"
-        note = f"{width}×{height} {encoding}"
+        is_big = bool(nested(message, "is_bigendian"))
+        order = ">" if is_big else "<"
+        notes = [f"{width}×{height} {encoding}"]
+
+        def rows(size: int) -> Array:
+            return _rows(data, width, height, step, size, encoding)
+
+        def high_bytes(size: int, channels: int) -> Array:
+            """Return the bytes that a terminal can show of channels of one or two bytes."""
+            return rows(size * channels).reshape(height, width, channels, size)[..., 0 if is_big else -1]
+
         if encoding in _DEPTHS:
             dtype, unit = _DEPTHS[encoding]
-            depth = _rows(data, width, height, step, int(dtype[1]), encoding).view(order + dtype)
-            picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0].astype(np.float32) * unit, wish)
-            return Drawn(picture, (note, span) if span else (note,))
+            depth = _reduced(rows(int(dtype[1])).view(order + dtype)[:, :, None], wish)[:, :, 0]
+            picture, span = _depth(depth.astype(np.float32) * unit, wish)
+            return Drawn(picture, (*notes, span))
+        if dtype := _NUMBERS.get(encoding, ""):
+            numbers = _reduced(rows(int(dtype[1])).view(order + dtype)[:, :, None], wish)[:, :, 0].astype(np.float64)
+            picture, low, high = _coloured(numbers, np.isfinite(numbers), wish)
+            return Drawn(picture, (*notes, f"{low:g} to {high:g}"))
         if encoding in ENCODINGS:
-            dtype, channels, places = ENCODINGS[encoding]
-            size = int(dtype[1])
-            rows = _rows(data, width, height, step, channels * size, encoding)
-            pixels = _reduced(rows.view(order + dtype).reshape(height, width, channels), wish)[:, :, places]
-            return Drawn(_pixels(pixels >> 8 * (size - 1), wish), (note,))
-        if encoding in _YUV:
-            return Drawn(_pixels(_yuv(_rows(data, width, height, step, 2, encoding), encoding, wish), wish), (note,))
-        if encoding in _BAYER:
-            return Drawn(_pixels(_bayer(_rows(data, width, height, step, 1, encoding), encoding, wish), wish), (note,))
-        raise UndrawableError(ImageProblem.ENCODING(encoding=encoding))
+            size, channels, places = ENCODINGS[encoding]
+            rgb = _reduced(high_bytes(size, channels), wish)[:, :, places]
+        elif encoding in _YUV:
+            rgb = _yuv(rows(2), encoding, wish)
+        elif encoding in _PLANES:
+            rgb = _planes(data, rows(1), step or width, encoding, wish)
+        elif encoding in _BAYER:
+            size, row, column = _BAYER[encoding]
+            rgb = _bayer(high_bytes(size, 1)[:, :, 0], row, column, wish)
+        else:
+            raise UndrawableError(ImageProblem.ENCODING(encoding=encoding))
+        return Drawn(_pixels(rgb, wish), tuple(notes))
 
 
 def _whole(message: Message, name: str) -> int:
@@ -210,18 +237,24 @@ def _webp(pixels: Array) -> bytes:
 def _depth(metres: Array, wish: Wish) -> tuple[Pixels, str]:
     """Return the picture of depths, coloured from near to far, and a note with the range. Invalid depths are black."""
     valid = np.isfinite(metres) & (metres > 0)
+    picture, low, high = _coloured(metres, valid, wish)
+    return picture, f"{low:.2f} to {high:.2f} m" if valid.any() else "no valid depth"
+
+
+def _coloured(values: Array, valid: Array, wish: Wish) -> tuple[Pixels, float, float]:
+    """Return the picture of values in colours, with the lowest and highest value that have one. Others are black."""
     if not valid.any():
-        return _pixels(np.zeros((*metres.shape, 3), np.uint8), wish), "no valid depth"
-    low, high = np.percentile(metres[valid], (_LOW, _HIGH))
-    part = np.clip((np.where(valid, metres, low) - low) / max(high - low, 1e-6), 0, 1) * (len(_RAMP) - 1)
+        return _pixels(np.zeros((*values.shape, 3), np.uint8), wish), 0.0, 0.0
+    low, high = np.percentile(values[valid], (_LOW, _HIGH))
+    part = np.clip((np.where(valid, values, low) - low) / max(high - low, 1e-6), 0, 1) * (len(_RAMP) - 1)
     below = np.minimum(part.astype(int), len(_RAMP) - 2)
     rest = (part - below)[:, :, None]
     rgb = _RAMP[below] * (1 - rest) + _RAMP[below + 1] * rest
-    return _pixels(rgb * valid[:, :, None], wish), f"{low:.2f} to {high:.2f} m"
+    return _pixels(rgb * valid[:, :, None], wish), float(low), float(high)
 
 
 def _yuv(rows: Array, encoding: str, wish: Wish) -> Array:
-    """Return red, green and blue of YUV 4:2:2 (ITU-R BT.601)."""
+    """Return red, green and blue of YUV 4:2:2."""
     height, width = rows.shape[0], rows.shape[1] // 2
     pairs = rows[:, : width // 2 * 4].reshape(height, width // 2, 4)
     if not pairs.size:
@@ -230,21 +263,44 @@ def _yuv(rows: Array, encoding: str, wish: Wish) -> Array:
     y = np.repeat(pairs[:, :, bright : bright + 1], 2, axis=1)
     y[:, 1::2, 0] = pairs[:, :, bright + 2]
     u, v = (np.repeat(pairs[:, :, at : at + 1], 2, axis=1) for at in (colour, colour + 2))
-    reduced = _reduced(np.concatenate([y, u, v], axis=2), wish).astype(np.float32)
-    y, u, v = reduced[:, :, 0] - 16, reduced[:, :, 1] - 128, reduced[:, :, 2] - 128
+    return _rgb(_reduced(np.concatenate([y, u, v], axis=2), wish))
+
+
+def _planes(data: Array, bright: Array, step: int, encoding: str, wish: Wish) -> Array:
+    """Return red, green and blue of an image whose colours follow the brightness of its pixels."""
+    shared, blue = _PLANES[encoding]
+    height, width = (length // shared * shared for length in bright.shape)
+    if not height or not width:
+        raise UndrawableError(ImageProblem.NO_SIZE(width=bright.shape[1], height=bright.shape[0]))
+    begin, row_step = step * bright.shape[0], 2 * step // shared
+    needed = begin + row_step * (height // shared - 1) + 2 * width // shared
+    if len(data) < needed:
+        size = {"width": bright.shape[1], "height": bright.shape[0]}
+        raise UndrawableError(ImageProblem.TOO_SHORT(got=len(data), encoding=encoding, needed=needed, **size))
+    colours = _rows(data[begin:], width // shared, height // shared, row_step, 2, encoding)
+    pairs = colours.reshape(height // shared, width // shared, 2)
+    if shared > 1:
+        pairs = pairs.repeat(shared, axis=0).repeat(shared, axis=1)
+    y = bright[:height, :width, None]
+    return _rgb(_reduced(np.concatenate([y, pairs[:, :, blue, None], pairs[:, :, 1 - blue, None]], axis=2), wish))
+
+
+def _rgb(yuv: Array) -> Array:
+    """Return red, green and blue (ITU-R BT.601)."""
+    values = yuv.astype(np.float32)
+    y, u, v = values[:, :, 0] - 16, values[:, :, 1] - 128, values[:, :, 2] - 128
     rgb = np.stack([1.164 * y + 1.596 * v, 1.164 * y - 0.392 * u - 0.813 * v, 1.164 * y + 2.017 * u], axis=2)
     return rgb.clip(0, 255)
 
 
-def _bayer(rows: Array, encoding: str, wish: Wish) -> Array:
-    """Return red, green and blue of a Bayer pattern, in half of its resolution."""
-    height, width = rows.shape[0] // 2 * 2, rows.shape[1] // 2 * 2
+def _bayer(values: Array, row: int, column: int, wish: Wish) -> Array:
+    """Return red, green and blue of a Bayer pattern with red at this row and column, in half of its resolution."""
+    height, width = values.shape[0] // 2 * 2, values.shape[1] // 2 * 2
     if not height or not width:
-        raise UndrawableError(ImageProblem.NO_SIZE(width=width, height=height))
-    row, column = _BAYER[encoding]
-    red = rows[row:height:2, column:width:2]
-    blue = rows[1 - row : height : 2, 1 - column : width : 2]
-    green = rows[row:height:2, 1 - column : width : 2]
+        raise UndrawableError(ImageProblem.NO_SIZE(width=values.shape[1], height=values.shape[0]))
+    red = values[row:height:2, column:width:2]
+    blue = values[1 - row : height : 2, 1 - column : width : 2]
+    green = values[row:height:2, 1 - column : width : 2]
     return _reduced(np.stack([red, green, blue], axis=2), wish)
 
 
@@ -256,6 +312,9 @@ def _compressed(message: Message, wish: Wish) -> tuple[Pixels, str]:
     if "compressedDepth" in words:
         data = data[_DEPTH_HEADER:]
     kind = next((name for start, name in _FORMATS.items() if data.startswith(start)), "")
+    named = next((each for each in _NAMED if each in words.lower()), "")
+    if not kind and named:
+        raise UndrawableError(ImageProblem.OTHER(format=named, length=len(data)))
     if not kind:
         raise UndrawableError(ImageProblem.FORMAT(format=words))
     try:
@@ -266,11 +325,12 @@ def _compressed(message: Message, wish: Wish) -> tuple[Pixels, str]:
         # Only the header was read so far, so that a bomb is refused before it takes memory.
         _check_size(*image.size)
         size = "×".join(map(str, image.size))
-        note = f"{size} {kind.lower()} {words.partition(';')[0]}".strip()
+        encoding, _, _ = words.partition(";")
+        note = f"{size} {kind.lower()} {'' if encoding.lower() in _NAMED else encoding}".strip()
         if image.mode.startswith("I") or image.mode == "F":
             depth = np.asarray(image).astype(np.float32) * 1e-3
             picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0], wish)
-            return picture, f"{note}, {span}" if span else note
+            return picture, f"{note}, {span}"
         # A part that is zoomed needs all pixels.
         if wish.zoom <= 1:
             across = _SAMPLES * wish.width * wish.detail

@@ -40,7 +40,7 @@ class PointsProblem(Wording):
 
     NO_POINTS = "there is no valid point in it"
     NO_FIELD = "the cloud has no field {name}"
-    TOO_SHORT = "the cloud has {got:,} bytes; {points:,} points of {step} bytes need more"
+    TOO_SHORT = "the cloud has {got:,} bytes; {points:,} points of {step} bytes need {needed:,}"
     BAD_STEP = "a point of {step} bytes has no room for its fields"
 
 
@@ -103,14 +103,14 @@ def cloud_points(message: Message) -> Points:
     for name in ("x", "y", "z"):
         if name not in fields:
             raise UndrawableError(PointsProblem.NO_FIELD(name=name))
-    row_step = int(number(message, "row_step")) or width * step
-    if total and (row_step < width * step or len(content) < row_step * (height - 1) + width * step):
-        raise UndrawableError(PointsProblem.TOO_SHORT(got=len(content), points=total, step=step))
+    row_bytes, row_step = width * step, int(number(message, "row_step"))
     data = np.frombuffer(content, np.uint8)
-    # The last row may lack its padding, so that the bytes cannot be reshaped to rows with it.
-    if row_step != width * step and total:
-        rows = np.lib.stride_tricks.as_strided(data, (height, width * step), (row_step, 1), writeable=False)
+    # The last row may lack its padding. With a row_step that cannot be right, the rows follow each other, as in RViz.
+    if total and row_step > row_bytes and len(content) >= row_step * (height - 1) + row_bytes:
+        rows = np.lib.stride_tricks.as_strided(data, (height, row_bytes), (row_step, 1), writeable=False)
         data = np.ascontiguousarray(rows).ravel()
+    if len(data) < total * step:
+        raise UndrawableError(PointsProblem.TOO_SHORT(got=len(data), points=total, step=step, needed=total * step))
     stride = max(1, -(-total // MOST_POINTS))
 
     def column(name: str) -> Floats:
