@@ -114,6 +114,14 @@ def test_before_the_first_message(drawn: Callable[..., list[str]]) -> None:
     assert has_text(first, LookText.NO_MESSAGE)
 
 
+def test_why_there_is_no_message(drawn: Callable[..., list[str]]) -> None:
+    waiting = Viewed(Picture(waiting="2 publishers, best effort"), "robot1")
+    first, second, third = drawn(waiting, PICTURE, waiting, times=3)
+    assert "2 publishers" in first
+    assert "2 publishers" not in second
+    assert "picture" in third
+
+
 IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
 CHARACTERS = Cells(("a row", "──▶"), bytes((1,) * 8), ("", "robot"))
 CURVES = Series(0.0, 0.5, (Curve("x", (1.0, 2.0), (1.0, 3.0), 3.0, 2.0),))
@@ -361,6 +369,13 @@ def test_where_nothing_comes_it_gives_up(ran: Any, engine: ScriptedEngine) -> No
     assert done.code == 1
     assert says(done.err, LookText.NOTHING_CAME, topic="/scan", seconds=0.3)
     eventually(engine.viewing.cancelled)
+
+
+def test_what_is_known_where_nothing_comes(ran: Any, engine: ScriptedEngine) -> None:
+    engine.viewed = [Viewed(Picture(waiting="2 publishers, best effort"), "robot1")]
+    done = ran("/scan", "--once", "--timeout", "0.3")
+    assert done.code == 1
+    assert "2 publishers, best effort" in done.err
 
 
 def test_a_damaged_image_is_refused(ran: Any, engine: ScriptedEngine, tmp_path: Path) -> None:

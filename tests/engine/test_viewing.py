@@ -16,6 +16,7 @@ import msgspec
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from tests.support import constants, replaced
 from tests.support.bridge import carries, linked, now
@@ -170,6 +171,21 @@ def test_a_topic_of_this_side_is_drawn_here(pair: tuple[Engine, Engine], pc: Dom
     viewed = looked_while(talker, server, "/pose")
     assert viewed.where == ""
     assert views(server) == []
+
+
+@pytest.mark.parametrize("viewer_is_server", [True, False])
+def test_a_silent_topic_names_its_publishers(pair: tuple[Engine, Engine], pc: Domain, viewer_is_server: bool) -> None:
+    server, client = pair
+    silent = [pc.publisher("/camera", Image, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))]
+    silent += [pc.publisher("/camera", Image)]
+    eventually(partial(agree, pc.id, "/camera"))
+    context = inside(server).context
+    eventually(lambda: len(context.ros.publishers("/camera")) == len(silent))
+    viewed = (server if viewer_is_server else client).next_picture("me", ("/camera",), WISH).result(30)
+    assert viewed is not None
+    assert (viewed.picture.content, viewed.picture.problem) == (None, "")
+    assert "2 publishers" in viewed.picture.waiting
+    assert "best effort" in viewed.picture.waiting
 
 
 def test_a_bridged_topic_is_drawn_where_its_messages_are(bridge: Bridge, robot: Domain, pc: Domain) -> None:

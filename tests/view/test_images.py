@@ -179,6 +179,7 @@ def test_images_that_cannot_be_drawn(message: Image | CompressedImage, problem: 
     picture = drawn(WISH, message)
     assert picture.content is None
     assert has_text(picture.problem, problem)
+    assert "object at" not in picture.problem
 
 
 def test_a_decompression_bomb_is_refused() -> None:

@@ -19,6 +19,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_graph import agreed_type
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
+from rsb_bridge.view.drawing import VIEWS
 from rsb_bridge.view.worker import TakenSample, Task
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
@@ -36,6 +37,8 @@ _RESOLVE_EVERY = 2.0
 """s after which publishers and their QoS are looked up again. A round figure, as the two below."""
 _LATCHED_AGAIN_AFTER = 10.0
 """s after which kept messages may be asked for once more: one of them may be what ends the process that draws."""
+_LARGE = (VIEWS["sensor_msgs/msg/Image"], VIEWS["sensor_msgs/msg/PointCloud2"])
+"""Views of types whose messages may be larger than what DDS has room for."""
 _SLOWEST = 0.05
 """Hz of pictures at the least, also where less is wished."""
 
@@ -44,6 +47,8 @@ class ViewProblem(Wording):
     """The reason why a topic cannot be viewed."""
 
     MESSAGE_TOO_LARGE = "{topic}: a message of {size:,} bytes is not drawn; the limit is {limit:,} bytes"
+    UNHEARD = "{publishers}, nothing heard in {seconds:.0f} s"
+    UNHEARD_LARGE = "{publishers}, nothing heard in {seconds:.0f} s; large messages need a Fast DDS profile there"
     TYPE_UNKNOWN = "{topic}: the type {type_name} is not installed there, and no node of the topic describes it"
 
 
@@ -62,7 +67,7 @@ class _Feed:
     """The messages of one topic between two pictures. The ROS thread adds, the I/O thread takes.
 
     Attributes:
-        authors: names of the nodes that publish it, by their publishers' ids.
+        authors: names of the nodes that publish it, by their publishers' ids, or None if this bridge publishes it.
     """
 
     def __init__(self, viewable: TopicSpec, description: str) -> None:
@@ -70,7 +75,7 @@ class _Feed:
         self.description = viewable.type_name, description, viewable.type_hash
         self.resolved_at = 0.0
         self.subscription: Subscription | None = None
-        self.authors: dict[bytes, str] = {}
+        self.authors: dict[bytes, str] | None = None
         self.seen = 0
         self.size = 0
         self._lock = threading.Lock()
@@ -94,7 +99,8 @@ class _Feed:
         with self._lock:
             kept, self._kept, self._bytes = self._kept, deque(), 0
         topic, name, *_ = self.viewable
-        return [TakenSample(topic, name, each.payload, each.stamp, self.authors.get(each.gid, "")) for each in kept]
+        authors = self.authors or {}
+        return [TakenSample(topic, name, each.payload, each.stamp, authors.get(each.gid, "")) for each in kept]
 
     def close(self) -> None:
         if self.subscription is not None:
@@ -140,6 +146,7 @@ class TopicView:
         """Layers that could not be subscribed to lately, and when."""
         self._seen_before = 0
         """Messages of feeds that are closed."""
+        self._began = context.now()
         self._starts = 0
         """Of the renderer, with the last picture."""
         self._lacks_latched = False
@@ -184,9 +191,7 @@ class TopicView:
                 picture = await self._draw(topics)
             except LinkError as error:
                 picture = Picture(problem=sanitize_text(str(error)))
-            # Nothing before the first message: `look --once` would take it for its picture.
-            if picture.content is not None or picture.problem or picture.messages:
-                await self._deliver(picture)
+            await self._deliver(picture)
             due = began + 1 / max(_SLOWEST, min(MOST_RATE, self.wish.rate))
             await asyncio.sleep(max(due - now(), self._renderer.pause_after(self._number)))
             await self._until_news()
@@ -215,7 +220,16 @@ class TopicView:
         picture = await self._renderer.draw(task)
         self._lacks_latched |= self._starts not in (0, self._renderer.starts)
         self._starts = self._renderer.starts
-        return msgspec.structs.replace(picture, problem=picture.problem or sanitize_text(problem))
+        waiting = "" if seen or picture.problem else self._unheard(feeds[0])
+        return msgspec.structs.replace(picture, problem=picture.problem or sanitize_text(problem), waiting=waiting)
+
+    def _unheard(self, feed: _Feed) -> str:
+        """Return what is known of a topic of which no message has come."""
+        count = None if feed.authors is None else len(feed.authors)
+        publishers = "published by the bridge" if count is None else f"{count or 'no'} publisher{'s' * (count != 1)}"
+        reliability = feed.viewable.qos.reliability.replace("_", " ")
+        text = ViewProblem.UNHEARD_LARGE if VIEWS.get(feed.viewable.type_name) in _LARGE else ViewProblem.UNHEARD
+        return text(publishers=f"{publishers}, {reliability}", seconds=self._context.now() - self._began)
 
     async def _open_feeds(self, topics: tuple[str, ...]) -> None:
         now = self._context.now()
@@ -274,8 +288,8 @@ class TopicView:
 
         return sink
 
-    async def _resolve(self, topic: str) -> tuple[TopicSpec, dict[bytes, str]]:
-        """Return a topic as it is published now, and its publishers' nodes by their ids.
+    async def _resolve(self, topic: str) -> tuple[TopicSpec, dict[bytes, str] | None]:
+        """Return a topic as it is published now, and its publishers' nodes as in `_Feed.authors`.
 
         Raises:
             LinkError: it cannot be viewed.
@@ -286,14 +300,14 @@ class TopicView:
         if feed is not None:  # before the graph is asked: a look that fails is not repeated for each picture
             feed.resolved_at = self._context.now()
         if (viewable := self._bridged(topic)) is not None:
-            return viewable, {}
+            return viewable, None
         try:
             publishers = await asyncio.to_thread(self._context.ros.publishers, topic)
         except RosError as error:
             raise LinkError(str(error)) from None
         if not publishers:
             if feed is not None:  # its publisher may come back, and is heard then
-                return feed.viewable, feed.authors
+                return feed.viewable, {}
             raise LinkError(f"{topic} has no publisher here")
         type_name, type_hash = agreed_type(publishers)
         if not type_name:

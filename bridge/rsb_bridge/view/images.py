@@ -336,7 +336,9 @@ def _compressed(message: Message, wish: Wish) -> tuple[Pixels, str]:
             across = _SAMPLES * wish.width * wish.detail
             image.draft("RGB", (across, 2 * _SAMPLES * wish.height * wish.detail))  # JPEG: decodes less
         pixels = np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError, ValueError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+    except UnidentifiedImageError:  # its text names an object of Python
+        raise UndrawableError(ImageProblem.BROKEN(error="it has no header")) from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         # Pillow raises each of them for a damaged file.
         raise UndrawableError(ImageProblem.BROKEN(error=error)) from None
     return _pixels(_reduced(pixels, wish), wish), note

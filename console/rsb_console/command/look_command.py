@@ -30,7 +30,7 @@ from rich.style import Style
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
 from rsb_bridge.model.commands import EndLook
-from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Pixels, Wish
+from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Picture, Pixels, Wish
 from rsb_bridge.model.text import escape_text, single_cells
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
@@ -123,8 +123,9 @@ def _one(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
     seconds = _ANSWERED_WITHIN if arguments.timeout is None else arguments.timeout
     viewed = _first(engine, viewer, arguments, wish, seconds)
     if viewed is None or viewed.picture.content is None:
-        problem = viewed.picture.problem if viewed is not None else ""
-        text = problem or LookText.NOTHING_CAME(topic=arguments.topics[0], seconds=seconds)
+        picture = Picture() if viewed is None else viewed.picture
+        nothing = LookText.NOTHING_CAME(topic=arguments.topics[0], seconds=seconds)
+        text = picture.problem or ": ".join(part for part in (nothing, picture.waiting) if part)
         return failed(arguments, escape_text(text), FAILURE)
     if arguments.output is None:
         _print(viewed, wish, arguments)
@@ -151,7 +152,11 @@ def _first(engine: RemoteEngine, viewer: str, arguments: Namespace, wish: Wish, 
             viewed = engine.next_picture(viewer, tuple(arguments.topics), wish, arguments.link).result(left)
         except TimeoutError:
             break
-        if viewed is None or (viewed.picture.content is None and not viewed.picture.problem):
+        if viewed is None:
+            continue
+        if viewed.picture.content is None and not viewed.picture.problem:
+            if newest is None or newest.picture.waiting:
+                newest = viewed  # for its reason, if none comes
             continue
         drawn = viewed.picture.content is not None
         if not several or (drawn and (newest is None or newest.picture.content is None)):
@@ -216,7 +221,8 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
             try:
                 if asked.done():
                     answer, asked = asked, None
-                    if (newer := answer.result()) is not None:
+                    newer = answer.result()
+                    if newer is not None and (viewed is None or viewed.picture.waiting or not newer.picture.waiting):
                         viewed, came = newer, time.monotonic()
             except EngineError as error:
                 problem = str(error)
@@ -321,7 +327,7 @@ def _status(viewed: Viewed) -> str:
     picture = viewed.picture
     where = viewed.where or "this side"
     age = LookText.AGE(age=formats.age(viewed.age)) if viewed.age is not None else ""
-    parts = (where, age, " · ".join(picture.notes), picture.problem)
+    parts = (where, age, " · ".join(picture.notes), picture.problem or picture.waiting)
     return escape_text("  ".join(part for part in parts if part))
 
 

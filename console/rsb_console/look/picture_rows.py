@@ -124,7 +124,7 @@ def rgb_of(pixels: Pixels) -> bytes:
     """
     if pixels.coding == "rgb":
         return pixels.data
-    from PIL import Image  # noqa: PLC0415 -- optional, and needed only for images
+    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 -- optional, and needed only for images
 
     try:
         with warnings.catch_warnings():
@@ -132,6 +132,8 @@ def rgb_of(pixels: Pixels) -> bytes:
             image = Image.open(io.BytesIO(pixels.data), formats=["WEBP"])  # no other decoder for a stranger's bytes
         if image.size == (pixels.width, pixels.height):
             return image.convert("RGB").tobytes()
+    except UnidentifiedImageError:  # its text names an object of Python
+        raise UnreadableError("an image cannot be read: it has no header") from None
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise UnreadableError(f"an image cannot be read: {error}") from None
     raise UnreadableError("an image has another size than it says")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import secrets
+import textwrap
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -199,6 +200,8 @@ class ViewScreen(FullScreen[bool]):
         self._goes_on = asyncio.Event()
         self._goes_on.set()
         self._problem = ""
+        self._waiting = ""
+        """The publishing side's reason why no picture has come yet."""
         self._cursor: int | None = None
         """Column of a plot whose values are shown."""
         self._goal: Goal | None = None
@@ -259,14 +262,16 @@ class ViewScreen(FullScreen[bool]):
                 self._problem = ""
             except EngineError as error:
                 self._problem = str(error)
-                self._entitle()
+                self._draw()
                 await asyncio.sleep(_TRIED_AGAIN_AFTER)
                 continue
             if viewed is not None and self._goes_on.is_set():  # it may have been held since it asked
-                if viewed.picture.content is None and self._viewed is not None:  # keep the last good one in sight
-                    self._problem = viewed.picture.problem
-                else:
+                picture = viewed.picture
+                if picture.content is None and self._viewed is not None:  # keep the last good one in sight
+                    self._problem = picture.problem or picture.waiting
+                elif not picture.waiting:
                     self._viewed, self._came = viewed, time.monotonic()
+                self._waiting = picture.waiting
                 self._draw()
 
     async def _next(self) -> Viewed | None:
@@ -301,8 +306,14 @@ class ViewScreen(FullScreen[bool]):
                     rows = with_mark(rows, *self._goal.cell(scale), mark, width)
             except UnreadableError as error:
                 self._problem = str(error)
-        self.pane.show(rows)
+        self.pane.show(rows or self._reason())
         self._entitle()
+
+    def _reason(self) -> list[Row]:
+        """Return the rows of an empty pane: the reason why there is no picture."""
+        problem = "" if self._viewed is None else self._viewed.picture.problem
+        lines = textwrap.wrap(escape_text(self._problem or problem or self._waiting), self._wish.width)
+        return [(Part(line),) for line in lines]
 
     def _entitle(self) -> None:
         """Show what the picture is of, and how old it is."""
