@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from collections import Counter
+from concurrent.futures import wait
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -159,7 +160,9 @@ def test_a_topic_that_is_not_bridged_is_drawn_by_its_side(
     assert viewed.picture.type_name == "geometry_msgs/msg/PoseStamped"
     assert viewed.age is not None
     assert 0 <= viewed.age < 30
-    assert any(event.code == EventCode.LINK_VIEW_BEGAN and event.topic == topic for event in sender.events())
+    began = [each for each in sender.events() if each.code == EventCode.LINK_VIEW_BEGAN and each.topic == topic]
+    assert began
+    assert ("the server" if viewer_is_server else now(viewer).links[0].name) in began[-1].text
     assert views(viewer)
     assert now(viewer).routes == now(sender).routes == ()
     assert viewer.session.topics == ()
@@ -201,6 +204,32 @@ def test_a_bridged_topic_is_drawn_where_its_messages_are(bridge: Bridge, robot: 
     viewed = looked_while(talker, server, "/pose")
     assert viewed.where == ""
     assert views(client) == []
+
+
+def test_a_restart_neither_counts_nor_reports_a_view(
+    bridge: Bridge, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A viewer that waits meanwhile gets the first picture after it."""
+    constants.LOOK_WAITS_AT_MOST.set(monkeypatch, 60.0)
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    talker = Talker(pc, "/on_pc")
+    looked_while(talker, client, "/on_pc", link="robot1")
+    while True:
+        waiting = client.next_picture("me", ("/on_pc",), WISH, "robot1")
+        if not wait([waiting], 1.0).done:
+            break
+    steps: list[str] = []
+    client.restart(steps.append).result(60)
+    assert steps[-1].startswith("1 of 1 ")
+
+    def drawn() -> bool:
+        talker()
+        return waiting.done()
+
+    eventually(drawn)
+    assert waiting.result() is not None
+    for engine in (server, client):
+        assert not [event for event in engine.events() if event.code == EventCode.ROUTE_FAULT]
 
 
 def test_a_view_ends_with_its_viewer(pair: tuple[Engine, Engine], robot: Domain) -> None:

@@ -7,6 +7,7 @@ messages, and give way to them. `Look` tells the sending side what to draw.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,9 @@ VIEWS_OF_PEER = 4
 """Views that one peer has at the same time (PROTOCOL.md, 13). A round figure."""
 _ANSWERED_WITHIN = 15.0
 """s: the other side may have to ask three nodes for a type, 2.5 s each (`ros.type_descriptions`). A round figure."""
+_LOOK_EVERY = 0.5
+"""s after which a viewer that waits finds out that its route has another opening. A round figure: a restart takes as
+long."""
 _ENDED = "the view is closed"
 
 
@@ -154,7 +158,7 @@ class LinkViews(Extension):
         return msgspec.structs.replace(wish, rate=min(wish.rate, *limits)) if limits else wish
 
     def _log(self, topic: str, *, begins: bool) -> None:
-        text = f"{topic}: {self._link.name} {'looks at pictures of it' if begins else 'stopped looking'}"
+        text = f"{topic}: {self._link.peer_name} {'looks at pictures of it' if begins else 'stopped looking'}"
         code = EventCode.LINK_VIEW_BEGAN if begins else EventCode.LINK_VIEW_ENDED
         self._context.log(Level.INFO, code, text, link=self._link.name, topic=topic)
 
@@ -213,23 +217,34 @@ class LinkViews(Extension):
         Raises:
             LinkError: the peer refuses, or the link is lost.
         """
+        deadline = self._context.now() + seconds
+        while (left := deadline - self._context.now()) > 0:
+            await self._ask(view, topics, wish)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(min(left, _LOOK_EVERY)):
+                    await view.news.wait()
+            view.news.clear()
+            encoded, view.newest = view.newest, None
+            if encoded is not None:
+                return self._viewed(encoded)
+        return None
+
+    async def _ask(self, view: PeerView, topics: tuple[str, ...], wish: Wish) -> None:
+        """Tell the peer what to draw, unless it knows: a link that comes back has a new opening, of which it does not.
+
+        Raises:
+            LinkError: the peer refuses, or the link is lost.
+        """
         await self._opened(view)
         asked = view.route.id, topics, wish
-        if view.asked != asked:
-            view.asked = None  # without an answer, the peer may know the former wish or this one
-            self._request += 1
-            answer = await self._questions.ask(self._request, Look(self._request, *asked))
-            if answer.problem:
-                raise LinkError(answer.problem)
-            view.asked = asked
-        try:
-            async with asyncio.timeout(seconds):
-                await view.news.wait()
-        except TimeoutError:
-            return None
-        view.news.clear()
-        encoded, view.newest = view.newest, None
-        return None if encoded is None else self._viewed(encoded)
+        if view.asked == asked:
+            return
+        view.asked = None  # without an answer, the peer may know the former wish or this one
+        self._request += 1
+        answer = await self._questions.ask(self._request, Look(self._request, *asked))
+        if answer.problem:
+            raise LinkError(answer.problem)
+        view.asked = asked
 
     def _viewed(self, encoded: bytes) -> Viewed:
         try:

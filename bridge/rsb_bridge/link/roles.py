@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.server_link import ServerLink
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import RefusedClient
+    from rsb_bridge.route.route import Route
 
 _RESTART_WITHIN = 5.0
 """s that a restart waits for the peers. A round figure."""
@@ -126,14 +127,17 @@ class ClientRole:
         self._link.retry()
         await _until(lambda: self._link.linked, lambda: self._link.status.reason)
         step("linked; opening topics and services")
-        # Not kept over the wait: an edit meanwhile replaces a route.
         await _until(
-            lambda: all(r.life.accepted or r.life.refusal for r in self._link.routes.values()),
+            lambda: all(route.life.accepted or route.life.refusal for route in self._listed()),
             lambda: "the server has not answered for all topics and services yet",
         )
-        routes = self._link.routes.values()
+        routes = self._listed()
         refused = sum(1 for route in routes if route.life.refusal)
         step(f"{len(routes) - refused} of {len(routes)} topics and services accepted")
+
+    def _listed(self) -> list[Route]:
+        """Return the link's routes at present that operators know: an edit replaces a route, and views have some."""
+        return [route for route in self._link.routes.values() if route.purpose.in_graph]
 
 
 class ServerRole:

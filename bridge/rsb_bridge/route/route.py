@@ -385,7 +385,8 @@ class Route:
         self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
         verdict = self.verdict()
-        if said := self.judged.announce(verdict, now, self.peer.path.fault):
+        said = self.judged.announce(verdict, now, self.peer.path.fault)
+        if said and self.purpose.in_graph:  # of an internal route, its viewer or benchmark tells the operator
             shown, from_peer = self.judged.shown(verdict)
             since = self.context.wall() - (now - self.judged.since(shown, now))
             about: About = {"cause": said.cause, "state": shown.state, "since": since, "from_peer": from_peer}
