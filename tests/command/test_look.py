@@ -332,6 +332,50 @@ def test_a_picture_is_written_to_a_file(
         assert file.read_text(encoding="utf-8").splitlines()[1:] == ["0.000000,1.0,1.0", "0.500000,2.0,3.0"]
 
 
+@pytest.mark.parametrize(
+    ("options", "size"),
+    [([], (400, 150, 16)), (["--detail", "8"], (80, 23, 8)), (["--width", "50", "--detail", "2"], (50, 23, 2))],
+)
+def test_a_file_has_the_image_s_own_resolution(
+    ran: Any, engine: ScriptedEngine, tmp_path: Path, options: list[str], size: tuple[int, int, int]
+) -> None:
+    engine.viewed = [viewed(IMAGE)]
+    assert ran("/camera", "--output", str(tmp_path / "a.png"), *options).code == 0
+    ((_, wish, _),) = looks(engine)
+    assert (wish.width, wish.height, wish.detail) == size
+
+
+@pytest.mark.parametrize(("graphics", "sequence"), [("kitty", "\x1b_Ga=T"), ("sixel", "\x1bP")])
+@pytest.mark.parametrize(("options", "detail"), [([], 6), (["--detail", "8"], 8)])
+def test_one_picture_in_pixels(
+    ran: Any, engine: ScriptedEngine, graphics: str, sequence: str, options: list[str], detail: int
+) -> None:
+    """Larger than any that blocks are asked for, and the status below it."""
+    engine.viewed = [viewed(Pixels(640, 480, bytes(3 * 640 * 480)))]
+    done = ran("/camera", "--once", "--graphics", graphics, *options)
+    assert (done.code, done.err) == (0, "")
+    ((_, wish, _),) = looks(engine)
+    assert wish.detail == detail
+    before, _, after = done.out.partition(sequence)
+    rows = before.count("\n")
+    assert 1 <= rows <= wish.height
+    assert before.endswith(f"\x1b[{rows}A\x1b7")
+    below, _, status = after.rpartition(f"\x1b8\x1b[{rows}B")
+    assert below
+    assert says(status, LookText.AGE)
+
+
+def test_one_picture_asks_the_terminal(
+    ran: Any, engine: ScriptedEngine, terminal: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal(TERM="xterm", COLORTERM="truecolor")
+    replaced.GRAPHICS_OF_TERMINAL.set(monkeypatch, lambda: "kitty")
+    engine.viewed = [viewed(IMAGE), viewed(IMAGE), viewed()]
+    assert "\x1b_G" in ran("/camera", "--once").out
+    assert "\x1b_G" not in ran("/camera", "--once", "--json").out
+    assert "a row" in ran("/scan", "--once").out
+
+
 @pytest.mark.parametrize("name", ["picture.jpg", "picture", "picture.PNG", ".png"])
 def test_a_file_of_another_kind_is_wrong_usage(ran: Any, engine: ScriptedEngine, tmp_path: Path, name: str) -> None:
     done = ran("/scan", "--output", str(tmp_path / name))

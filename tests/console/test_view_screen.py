@@ -5,6 +5,7 @@ import csv
 import functools
 import math
 import re
+import struct
 import time
 from concurrent.futures import Future
 from dataclasses import replace
@@ -39,7 +40,20 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.by_hand import Draft
-from rsb_bridge.model.pictures import MOST_RATE, Cells, Curve, Picture, Pixels, Scale, Series, Viewed, Wish
+from rsb_bridge.model.pictures import (
+    MOST_COLUMNS,
+    MOST_DETAIL,
+    MOST_RATE,
+    MOST_ROWS,
+    Cells,
+    Curve,
+    Picture,
+    Pixels,
+    Scale,
+    Series,
+    Viewed,
+    Wish,
+)
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
@@ -81,6 +95,23 @@ async def comes(pilot: Pilot[None], answer: Viewed | Exception | None = None) ->
     await until(pilot, lambda: engine.viewing is not asked, "the next question")
     wish = looks(engine)[-1][1]
     assert isinstance(wish, Wish)
+    return wish
+
+
+async def written(pilot: Pilot[None], answer: Viewed | Exception) -> Wish:
+    """Press the key that writes an image, answer the question for it in full, and return that question's wish."""
+    assert isinstance(pilot.app, ConsoleApp)
+    engine = engine_of(pilot.app)
+    follows = engine.viewing
+    await pilot.press("p")
+    await until(pilot, lambda: engine.viewing is not follows, "the question for the whole image")
+    wish = looks(engine)[-1][1]
+    assert isinstance(wish, Wish)
+    if isinstance(answer, Exception):
+        engine.viewing.set_exception(answer)
+    else:
+        engine.viewing.set_result(answer)
+    engine.viewing = follows
     return wish
 
 
@@ -587,7 +618,7 @@ async def test_a_picture_is_written_to_a_file(
     await notified(pilot, ViewText.NO_PICTURE)
     await comes(pilot, viewed(content))
     await until(pilot, lambda: has_picture(app), "the picture")
-    await pilot.press("p")
+    await pilot.press("space", "p")  # a held one is written as it is seen
     await notified(pilot, ViewText.WRITTEN)
     (file,) = folder.iterdir()
     assert re.fullmatch(rf"robot2_scan-\d{{8}}-\d{{6}}\{suffix}", file.name)
@@ -597,6 +628,30 @@ async def test_a_picture_is_written_to_a_file(
         assert "the picture" in "".join(ElementTree.parse(file).getroot().itertext())
     else:
         assert len([*csv.reader(file.read_text(encoding="utf-8").splitlines())]) == 3
+
+
+@looking()
+async def test_an_image_is_written_in_its_own_resolution(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
+    await comes(pilot, viewed(IMAGE))
+    await until(pilot, lambda: has_picture(app), "the picture")
+    wish = await written(pilot, viewed(Pixels(640, 480, bytes(3 * 640 * 480))))
+    assert (wish.width, wish.height, wish.detail) == (MOST_COLUMNS, MOST_ROWS, MOST_DETAIL)
+    await notified(pilot, ViewText.WRITTEN)
+    (file,) = folder.iterdir()
+    assert struct.unpack(">II", file.read_bytes()[16:24]) == (640, 480)
+    assert ("end_look",) in engine_of(app).commands
+
+
+@looking()
+async def test_without_an_image_in_full_the_one_in_sight_is_written(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
+    await comes(pilot, viewed(IMAGE))
+    await until(pilot, lambda: has_picture(app), "the picture")
+    await written(pilot, EngineError("4 views of this link are open already"))
+    await notified(pilot, ViewText.WRITTEN)
+    (file,) = folder.iterdir()
+    assert struct.unpack(">II", file.read_bytes()[16:24]) == (2, 2)
 
 
 @looking()
@@ -686,7 +741,7 @@ async def test_a_damaged_image_is_refused_in_words(app: ConsoleApp, pilot: Pilot
     await until(pilot, lambda: "an image cannot be read" in title(app), "the reason")
     assert "an image cannot be read" in "".join(drawn(app))
     assert "object at" not in title(app)
-    await pilot.press("p")
+    await written(pilot, viewed(None, problem="drawing it failed"))
     await notified(pilot, ViewText.NOT_WRITTEN)
     await comes(pilot, viewed())
     await shown(pilot, "the picture")

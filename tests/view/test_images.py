@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from array import array
 
 import msgspec
 import numpy as np
@@ -15,7 +16,7 @@ from tests.support import surroundings
 from tests.support.wording import has_text
 from tests.view.samples import drawn
 
-from rsb_bridge.model.pictures import LONGEST_SIDE, Picture, Pixels, Wish
+from rsb_bridge.model.pictures import LONGEST_SIDE, Picture, Pixels, Wish, in_full
 from rsb_bridge.view.images import _BAYER, _DEPTHS, _NUMBERS, _PLANES, _YUV, ENCODINGS, ImageProblem
 from rsb_console.look.picture_rows import rgb_of
 
@@ -218,7 +219,17 @@ def test_terminals_that_show_pixels_get_more_of_them() -> None:
     assert _sizes(640, 480, webp=True) == (8, 6)
     assert _sizes(640, 480, webp=True, detail=6) == (48, 36)
     assert _sizes(64, 48, webp=True, detail=16) == (64, 48)
-    assert _sizes(2400, 1800, webp=True, detail=16, width=400, height=150) == (LONGEST_SIDE, 1200)
+
+
+def test_an_image_in_full_has_its_own_resolution() -> None:
+    """Noise, too, which takes most bytes."""
+    wish = in_full(msgspec.structs.replace(WISH, webp=True))
+    for width, height, expected in ((640, 480, (640, 480)), (1920, 1440, (1920, 1440)), (2400, 1800, (1920, 1440))):
+        noise = np.random.default_rng(1).integers(0, 256, 3 * width * height, np.uint8).tobytes()
+        content = drawn(wish, Image(encoding="rgb8", width=width, height=height, data=array("B", noise))).content
+        assert isinstance(content, Pixels)
+        assert (content.width, content.height) == expected
+    assert LONGEST_SIDE == 1920
 
 
 def test_detail_needs_webp(monkeypatch: pytest.MonkeyPatch) -> None:

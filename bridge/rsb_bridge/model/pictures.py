@@ -18,7 +18,7 @@ MOST_COLUMNS, MOST_ROWS = 400, 150
 """Cells of the largest picture."""
 MOST_DETAIL = 16
 """Pixels across a cell, of terminals that show pixels."""
-LONGEST_SIDE = 1600
+LONGEST_SIDE = 1920
 """Pixels of an image's width and height."""
 MOST_RATE = 10.0
 """Hz."""
@@ -76,6 +76,11 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
     match: _Text = ""
     webp: bool = False
     detail: Annotated[int, Meta(ge=1, le=MOST_DETAIL)] = 1
+
+
+def in_full(wish: Wish) -> Wish:
+    """Return a wish for an image in its own resolution, up to `LONGEST_SIDE`, if the viewer reads WebP."""
+    return msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS, detail=MOST_DETAIL)
 
 
 class Pixels(msgspec.Struct, frozen=True, omit_defaults=True, tag="pixels"):

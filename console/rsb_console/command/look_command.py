@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import fcntl
+import math
 import os
 import re
 import secrets
@@ -30,7 +31,7 @@ from rich.style import Style
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
 from rsb_bridge.model.commands import EndLook
-from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Picture, Pixels, Wish
+from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Picture, Pixels, Wish, in_full
 from rsb_bridge.model.text import escape_text, single_cells
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
@@ -73,8 +74,7 @@ _DEVICE = re.compile(rb"\x1b\[\?([0-9;]*)c")
 _SIXEL_ATTRIBUTE = b"4"
 _DEFINED_COLOUR = re.compile(r"#([0-9]+);2;[0-9]+;[0-9]+;[0-9]+")
 """The definition of a colour, which in xterm does not select it, too. textual-image 0.13 and newer does select it."""
-_IMAGE_ID = 1
-"""The number of the image, always the same, so that a terminal keeps one image and not all of them."""
+_NEXT_LINE, _KEEP_CURSOR, _TO_KEPT_CURSOR = "\n", "\x1b7", "\x1b8"
 _CHUNK = 4096
 """Bytes that kitty's protocol allows in one sequence."""
 _USUAL_CELL = 10.0, 20.0
@@ -99,8 +99,10 @@ def _look(arguments: Namespace) -> int:
     if file is not None and file.suffix not in FORMATS:
         raise UsageError(LookText.UNKNOWN_FORMAT(file=file, known=", ".join(FORMATS)))
     once = arguments.once or file is not None or not sys.stdout.isatty()
-    if arguments.graphics == "auto":
-        arguments.graphics = "blocks" if once or arguments.ascii else graphics_of_terminal()
+    if file is not None or arguments.json or (arguments.graphics == "auto" and arguments.ascii):
+        arguments.graphics = "blocks"
+    elif arguments.graphics == "auto":
+        arguments.graphics = graphics_of_terminal()
     elif problem := why_no_graphics(arguments.graphics):
         raise UsageError(problem)
     viewer = secrets.token_hex(8)
@@ -179,9 +181,16 @@ def _aged(viewed: Viewed, came: float) -> Viewed:
 
 
 def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
+    picture = viewed.picture
+    if arguments.graphics != "blocks" and isinstance(picture.content, Pixels):
+        try:
+            sys.stdout.write(inline(arguments.graphics, picture.content, wish.width, wish.height))
+        except UnreadableError as error:
+            raise EngineError(str(error)) from None
+        print_line(_status(viewed))
+        return
     console, rows = _console(arguments), _rows(viewed, wish, arguments)
     if arguments.json:
-        picture = viewed.picture
         print_line(
             json_line(
                 {
@@ -257,7 +266,7 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
 
 def _wish(arguments: Namespace) -> Wish:
     size = shutil.get_terminal_size((80, 24))
-    return Wish(
+    wish = Wish(
         width=max(1, min(MOST_COLUMNS, arguments.width or size.columns)),
         height=max(1, min(MOST_ROWS, arguments.height or size.lines - 1)),
         rate=arguments.rate,
@@ -270,15 +279,13 @@ def _wish(arguments: Namespace) -> Wish:
         seconds=arguments.seconds,
         match=arguments.match,
         webp=reads_webp(),
-        detail=_detail(arguments),
     )
-
-
-def _detail(arguments: Namespace) -> int:
-    if arguments.graphics == "blocks" and (arguments.output is None or arguments.output.suffix != ".png"):
-        # Characters show one pixel across a cell; more would cross the link for nothing.
-        return 1
-    return arguments.detail or (1 if arguments.graphics == "blocks" else _DETAIL)
+    is_file = arguments.output is not None and arguments.output.suffix == ".png"
+    if is_file and not (arguments.detail or arguments.width or arguments.height):
+        return in_full(wish)
+    # Characters show one pixel across a cell; more would cross the link for nothing.
+    finer = is_file or arguments.graphics != "blocks"
+    return msgspec.structs.replace(wish, detail=(arguments.detail or _DETAIL) if finer else 1)
 
 
 def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
@@ -371,10 +378,12 @@ class ImagePrinter:
 
     Args:
         protocol: ``kitty`` or ``sixel``.
+        image_id: kitty's number of the image. A terminal keeps one image of each number, and not all that were sent.
     """
 
-    def __init__(self, protocol: Graphics) -> None:
+    def __init__(self, protocol: Graphics, image_id: int = 1) -> None:
         self._protocol = protocol
+        self._id = image_id
 
     def printed(self, pixels: Pixels, width: int, height: int) -> str:
         """Return the sequence that shows an image at the cursor, as large as an area allows.
@@ -391,22 +400,36 @@ class ImagePrinter:
         if self._protocol == "kitty":
             columns = max(1, min(width, round(pixels.width * factor / across)))
             rows = max(1, min(height, round(pixels.height * factor / down)))
-            return _kitty(png(pixels), columns, rows)
+            return _kitty(png(pixels), self._id, columns, rows)
         least = max(1, height - 1) * down  # bands of 6 pixels: one that leaves the area would scroll the screen
         factor = min(factor, least / pixels.height, _FINEST / pixels.width, _FINEST / pixels.height)
         return _sixels(pixels, max(1, int(pixels.width * factor)), max(1, int(pixels.height * factor)))
 
     def closed(self) -> str:
         """Return the sequence that frees the terminal's memory."""
-        return f"\x1b_Ga=d,d=I,i={_IMAGE_ID},q=2\x1b\\" if self._protocol == "kitty" else ""
+        return f"\x1b_Ga=d,d=I,i={self._id},q=2\x1b\\" if self._protocol == "kitty" else ""
 
 
-def _kitty(image: bytes, columns: int, rows: int) -> str:
+def inline(protocol: Graphics, pixels: Pixels, width: int, height: int) -> str:
+    """Return the sequence that shows an image among the lines of a shell, and goes on below it.
+
+    Raises:
+        UnreadableError: the other side's image is damaged.
+    """
+    across, down = _cell_size()
+    rows = max(1, min(height, math.ceil(pixels.height * width * across / pixels.width / down)))
+    image_id = secrets.randbelow(1 << 31) + 1  # the images of former commands stay on the screen
+    image = ImagePrinter(protocol, image_id).printed(pixels, width, rows)
+    # The lines come first: at the end of the screen, they scroll it, which the image would not, or not enough.
+    return f"{_NEXT_LINE * rows}\x1b[{rows}A{_KEEP_CURSOR}{image}{_TO_KEPT_CURSOR}\x1b[{rows}B"
+
+
+def _kitty(image: bytes, image_id: int, columns: int, rows: int) -> str:
     """Return the sequence that transmits a PNG file and displays it; one of the same id replaces the one before."""
     encoded = base64.b64encode(image).decode()
     chunks = [encoded[at : at + _CHUNK] for at in range(0, len(encoded), _CHUNK)]
     # C=1 leaves the cursor where it is. q=2 keeps the terminal from answers, which would be read as keys.
-    keys = f"a=T,f=100,i={_IMAGE_ID},p=1,c={columns},r={rows},C=1,q=2,"
+    keys = f"a=T,f=100,i={image_id},p=1,c={columns},r={rows},C=1,q=2,"
     parts = []
     for number, chunk in enumerate(chunks, 1):
         parts.append(f"\x1b_G{keys}m={int(number < len(chunks))};{chunk}\x1b\\")

@@ -297,7 +297,7 @@ def _look_arguments(look: argparse.ArgumentParser, complete: Complete) -> None:
     look.add_argument("--height", type=count, metavar="N", help="cells; default: the terminal's")
     way = "how to show images: kitty or sixel (terminals that show pixels), or blocks; default: ask the terminal"
     look.add_argument("--graphics", choices=("auto", "kitty", "sixel", "blocks"), default="auto", help=way)
-    finer = "pixels of an image across a character, 1 to 16; with --output, more make a finer file"
+    finer = "pixels of an image across a character, 1 to 16; default: 6, and with --output the image's own"
     look.add_argument("--detail", type=int, choices=range(1, 17), metavar="N", help=finer)
     look.add_argument("--ascii", action="store_true", help="use neither colours nor block characters")
     look.set_defaults(command=lazily("look", "look_command"), kind="topic")

@@ -25,7 +25,17 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
 from rsb_bridge.model.commands import EndLook
 from rsb_bridge.model.names import other_side
-from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, TOPICS_AT_ONCE, Cells, Series, Wish
+from rsb_bridge.model.pictures import (
+    MOST_COLUMNS,
+    MOST_RATE,
+    MOST_ROWS,
+    TOPICS_AT_ONCE,
+    Cells,
+    Pixels,
+    Series,
+    Wish,
+    in_full,
+)
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.drawing import VIEWS
@@ -50,6 +60,7 @@ if TYPE_CHECKING:
     from rsb_console.screens.look_screen import Subject
 
 _TRIED_AGAIN_AFTER = 1.0  # s; a round figure: how long a refusal outlives its cause
+_IN_FULL_WITHIN = 5.0  # s. A round figure: an operator waits for the file
 _RATES = (0.2, 0.5, 1.0, 2.0, 5.0, MOST_RATE)
 _ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
 _WAYS = ("", "plot", "tree")
@@ -77,7 +88,7 @@ class ViewText(Wording):
     SIDE = "drawn by {side}"
     SIZE = "{size} a picture"
     WRITTEN = "written: {file}"
-    NOT_WRITTEN = "{file} cannot be written: {error}"
+    NOT_WRITTEN = "the picture cannot be written: {error}"
     NO_PICTURE = "there is no picture yet"
     NO_MAP = "a goal needs a map with a frame"
     GOAL_PLACE = "GOAL at {x:.2f}, {y:.2f} m in {frame}: arrows move it, ⏎ turns it, esc leaves"
@@ -88,6 +99,20 @@ class ViewText(Wording):
 
 def _is_points(type_name: str) -> bool:
     return VIEWS.get(type_name) == VIEWS["sensor_msgs/msg/PointCloud2"]
+
+
+def _write(topic: str, content: Cells | Pixels | Series) -> str:
+    """Write a picture to a file in the present folder; return a text that names it.
+
+    Raises:
+        OSError: it cannot be written; UnreadableError: the other side's image is damaged.
+    """
+    suffix = formats_of(content)[0]
+    name = topic.strip("/").replace("/", "_")
+    file = Path(f"{name}-{time.strftime('%Y%m%d-%H%M%S')}{suffix}").absolute()
+    replace_file(file, picture_file(content, suffix))
+    size = f", {content.width}×{content.height}" if isinstance(content, Pixels) else ""
+    return ViewText.WRITTEN(file=file) + size
 
 
 class PicturePane(Widget, can_focus=True):
@@ -483,18 +508,37 @@ class ViewScreen(FullScreen[bool]):
             self._goes_on.set()
         self._entitle()
 
-    def action_write(self) -> None:
-        """Write the picture to a file in the present folder."""
+    @work(group=DIALOG)
+    async def action_write(self) -> None:
+        """Write the picture to a file in the present folder, an image in its own resolution."""
         content = None if self._viewed is None else self._viewed.picture.content
         if content is None:
             self.notify(ViewText.NO_PICTURE(), markup=False)
             return
-        suffix = formats_of(content)[0]
-        name = self._subject.topics[0].strip("/").replace("/", "_")
-        file = Path(f"{name}-{time.strftime('%Y%m%d-%H%M%S')}{suffix}").absolute()
+        if isinstance(content, Pixels) and self._goes_on.is_set():
+            content = await self._image_in_full() or content
         try:
-            replace_file(file, picture_file(content, suffix))
+            text = await asyncio.to_thread(_write, self._subject.topics[0], content)
         except (OSError, UnreadableError) as error:
-            self.notify(ViewText.NOT_WRITTEN(file=file, error=error), severity="error", markup=False)
+            self.notify(ViewText.NOT_WRITTEN(error=error), severity="error", markup=False)
         else:
-            self.notify(ViewText.WRITTEN(file=file), markup=False)
+            self.notify(text, markup=False)
+
+    async def _image_in_full(self) -> Pixels | None:
+        """Return the image that comes next in its own resolution, or None if none comes."""
+        engine, viewer = self.console.engine, secrets.token_hex(8)
+        if engine is None:
+            return None
+        try:
+            async with asyncio.timeout(_IN_FULL_WITHIN):
+                while True:
+                    asked = engine.next_picture(viewer, self._topics, in_full(self._wish), self._subject.link)
+                    viewed = await asyncio.wrap_future(asked)
+                    if viewed is not None and isinstance(viewed.picture.content, Pixels):
+                        return viewed.picture.content
+                    if viewed is not None and viewed.picture.problem:
+                        return None
+        except (EngineError, TimeoutError):
+            return None
+        finally:
+            engine.do(EndLook(viewer))
