@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 from textual.binding import Binding
 
@@ -135,9 +135,24 @@ ACTIONS: tuple[Action, ...] = (
            Group.CONSOLE, in_footer=True),
 )  # fmt: skip
 
-KEYS_ON_SCREENS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
-    (
+
+class KeyChapter(NamedTuple):
+    """The keys of a screen that has its own.
+
+    Attributes:
+        screen: name of the screen's class, or of a base of it.
+        keys: keys, and their meaning.
+    """
+
+    title: str
+    screen: str
+    keys: tuple[tuple[str, str], ...]
+
+
+KEYS_ON_SCREENS: tuple[KeyChapter, ...] = (
+    KeyChapter(
         "On a picture (v, V)",
+        "ViewScreen",
         (
             ("esc q v", "Close it"),
             ("t", "Show the messages as text, or as a picture again"),
@@ -148,11 +163,12 @@ KEYS_ON_SCREENS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
             ("h", "Draw it in another way: usual, plot, tree"),
             ("l", "Of a map: lay the other topics over it, or show it alone"),
             ("< >", "Fewer or more pictures a second"),
-            ("p", "Write the picture to a file"),
+            ("p", "Write the picture to a file, an image in its own resolution"),
         ),
     ),
-    (
+    KeyChapter(
         "Goal on a map",
+        "ViewScreen",
         (
             ("g", "Begin to set a goal"),
             ("← → ↑ ↓", "Move it; after ⏎, turn it"),
@@ -160,8 +176,9 @@ KEYS_ON_SCREENS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
             ("esc", "Leave it"),
         ),
     ),
-    (
+    KeyChapter(
         "Drive (D, or d on a picture)",
+        "DriveScreen",
         (
             ("← → ↑ ↓", "Drive while a key is held"),
             ("uiojlm,.", "The same, and diagonally, as with teleop_twist_keyboard"),
@@ -172,8 +189,9 @@ KEYS_ON_SCREENS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
             ("esc q", "Leave"),
         ),
     ),
-    (
+    KeyChapter(
         "In a form",
+        "FormScreen",
         (
             ("↑ ↓ tab", "Next or previous field"),
             ("⏎", "Go to what is missing, else accept"),
@@ -182,7 +200,6 @@ KEYS_ON_SCREENS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
         ),
     ),
 )
-"""The keys of screens that have their own, with their meanings."""
 _CONSOLE_ACTIONS = {action.id: action for action in ACTIONS}
 _ON_FLEET = {
     "back": "Drop the filter, the marks",

@@ -185,7 +185,7 @@ class TerminalApp(App[ReturnType]):
     def action_help(self) -> None:
         from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
 
-        self.push_screen(HelpScreen(self, self.actions))
+        self.push_screen(HelpScreen(self, self.actions, self.screen))
 
     async def action_help_quit(self) -> None:  # type: ignore[override]  # Textual's waits for nothing
         """Ctrl+C: Textual would only explain it; to an operator it means quit."""

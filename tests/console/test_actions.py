@@ -176,7 +176,7 @@ async def test_a_new_session_from_other_screens(app: ConsoleApp, pilot: Pilot[No
 
 
 def test_the_keys_of_pictures_goals_and_driving_are_listed() -> None:
-    listed = " ".join(keys for _, rows in KEYS_ON_SCREENS for keys, _ in rows).split()
+    listed = " ".join(keys for chapter in KEYS_ON_SCREENS for keys, _ in chapter.keys).split()
     labels = {"plus": "+", "minus": "-", "space": "space", "escape": "esc", "enter": "⏎", "less_than_sign": "<",
               "greater_than_sign": ">", "left_square_bracket": "[", "right_square_bracket": "]", "left": "←",
               "right": "→", "up": "↑", "down": "↓", "equals_sign": "+", "f8": "F8"}  # fmt: skip

@@ -57,10 +57,12 @@ from rsb_bridge.model.pictures import (
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
+from rsb_console.actions import KEYS_ON_SCREENS
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.look.picture_rows import AXIS
 from rsb_console.screens.drive_screen import DriveScreen
+from rsb_console.screens.help import KeyList
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.screens.publish_screen import PublishScreen
 from rsb_console.screens.view_screen import PicturePane, ViewScreen, ViewText
@@ -150,6 +152,16 @@ def placing(app: ConsoleApp) -> Goal | None:
 def title(app: ConsoleApp) -> str:
     pane_title = screen_of(app).pane._border_title
     return "" if pane_title is None else pane_title.plain
+
+
+@looking()
+async def test_help_begins_with_the_keys_of_pictures(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("question_mark")
+    await shown(pilot, "Help: every key")
+    keys = app.screen.query_one(KeyList)
+    assert KEYS_ON_SCREENS[0].title in keys.render_line(0).text
+    rows = [keys.render_line(row).text for row in range(keys.size.height)]
+    assert any("Hold the picture" in row for row in rows)
 
 
 # -- pictures

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from functools import partial
 from itertools import groupby
-from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 from textual.binding import Binding
 from textual.command import DiscoveryHit, Hit, Provider
@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
     from textual.command import Hits
+    from textual.screen import Screen
 
-    from rsb_console.actions import Action
+    from rsb_console.actions import Action, KeyChapter
     from rsb_console.console_api import ConsoleShell
     from rsb_console.widgets.lines import Line
 
@@ -42,13 +43,18 @@ class KeyList(ScrolledLines):
 
 
 class HelpScreen(ModalScreen[None]):
-    """Every key; any of escape, q, ? and enter leaves."""
+    """Every key; any of escape, q, ? and enter leaves.
+
+    Args:
+        below: the screen on which the operator asks, whose keys come first.
+    """
 
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,f1,enter", "dismiss", show=False)]
 
-    def __init__(self, console: ConsoleShell, actions: Sequence[Action]) -> None:
+    def __init__(self, console: ConsoleShell, actions: Sequence[Action], below: Screen[Any]) -> None:
         super().__init__()
         self.console, self._actions = console, actions
+        self._classes_below = {each.__name__ for each in type(below).__mro__}
 
     def compose(self) -> ComposeResult:
         yield KeyList(self._lines)
@@ -57,6 +63,9 @@ class HelpScreen(ModalScreen[None]):
         room = max(20, width - KEYS_WIDTH - ID_WIDTH)
         shown = [action for action in self._actions if not (action.changes and self.console.readonly)]
         order = list(Group)
+        # The fleet's screen has no pictures, and nothing to drive.
+        chapters = KEYS_ON_SCREENS if any(action.id == "look" for action in shown) else ()
+        yield from self._chapters([each for each in chapters if each.screen in self._classes_below], room)
         for group, actions in groupby(sorted(shown, key=lambda a: order.index(a.group)), key=lambda a: a.group):
             yield ((group.value, "head"),)
             for action in actions:
@@ -65,17 +74,18 @@ class HelpScreen(ModalScreen[None]):
                 yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (f"{first:<{room}}", ""), (action.id, "dim"))
                 yield from ((((" " * KEYS_WIDTH + text), ""),) for text in more)
             yield ()
-        # The fleet's screen has no pictures, and nothing to drive.
-        if any(action.id == "look" for action in shown):
-            for chapter, keys_there in KEYS_ON_SCREENS:
-                yield ((chapter, "head"),)
-                for keys, meaning in keys_there:
-                    first, *more = textwrap.wrap(meaning, room + ID_WIDTH - 2)
-                    yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (first, ""))
-                    yield from (((" " * KEYS_WIDTH + text, ""),) for text in more)
-                yield ()
+        yield from self._chapters([each for each in chapters if each.screen not in self._classes_below], room)
         others = f"Other keys: {self.console.config / 'keys.yaml'}, one line each, like   pause: P"
         yield from (((text, "dim"),) for text in textwrap.wrap(others, max(20, width), drop_whitespace=False))
+
+    def _chapters(self, chapters: Sequence[KeyChapter], room: int) -> Iterator[Line]:
+        for chapter in chapters:
+            yield ((chapter.title, "head"),)
+            for keys, meaning in chapter.keys:
+                first, *more = textwrap.wrap(meaning, room + ID_WIDTH - 2)
+                yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (first, ""))
+                yield from (((" " * KEYS_WIDTH + text, ""),) for text in more)
+            yield ()
 
 
 @runtime_checkable
