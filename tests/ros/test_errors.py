@@ -88,12 +88,12 @@ def test_what_was_taken_before_an_error_is_not_lost(monkeypatch: pytest.MonkeyPa
     client = participant.create_client("/set", SET, "")
     eventually(lambda: writer.matched and client.ready)
 
-    def takes(take: Callable[[], Sequence[Any]], count: int) -> list[Any]:
+    def takes(take: Callable[[], Sequence[Any] | None], count: int) -> list[Any]:
         taken: list[Any] = []
 
         def have_come() -> bool:
             with contextlib.suppress(RosError):
-                taken.extend(take())
+                taken.extend(take() or ())
             return len(taken) >= count
 
         eventually(have_come, within=20)

@@ -33,12 +33,16 @@ _HEAP_TRIMMED_EVERY = 8.0
 
 @contextmanager
 def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[None]:
-    """Have the participant that the context creates free what its histories held. A user's own profiles have priority.
+    """Have the participant that the context creates free what its writers held. A user's own profiles have priority.
 
     rmw_fastrtps has Fast DDS reuse the memory of each message in a history for the next one, enlarged to the largest
     that it ever held. So 300 messages of 1 MB keep 180 MB for as long as the topic lasts. With the policy ``DYNAMIC`` a
     message's memory is freed with it; only an XML profile can ask for that, and only `_QOS_VARIABLE` makes it count.
     Other middlewares ignore the variables. They are removed again, since children of this process inherit what stays.
+
+    A reader must not free messages: after a writer of another DDS has withdrawn a message of which parts had come, Fast
+    DDS still reads the message (bench/withdrawn_message.py), and the process may crash. ``DYNAMIC_REUSABLE`` keeps the
+    memory, but allocates nothing before it is needed.
     """
     if any(name in environment for name in (*PROFILE_VARIABLES, _QOS_VARIABLE)) or any(
         path.exists() for path in _FOUND_BY_FAST_DDS

@@ -7,6 +7,7 @@ import os
 import re
 import secrets
 import threading
+import time
 from collections import defaultdict, deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
@@ -52,6 +53,16 @@ A round figure. One that is forgotten too early gets its last messages back, if 
 
 _STOP_WITHIN = 1.0
 """s, ten times as long as a sink waits for the I/O loop (`ros_thread._PATIENCE`)."""
+_FIRST_REST = 0.001
+_RESTS = 10
+"""Rests of an endpoint that gives nothing, each twice as long (s) as the one before: together 1 s.
+
+A reader of Fast DDS 2.14 recovers with its publisher's next large message, if there is one: within 10 ms at 100 Hz.
+"""
+_LOOKED_AT_EVERY = 0.005
+"""s between two looks at what rests. A round figure."""
+_RECOVERED_AFTER = 1.0
+"""s after which an endpoint that gives nothing again has its first rest. A round figure."""
 _Taken = TypeVar("_Taken")
 
 
@@ -297,23 +308,26 @@ class RosNode:
     def _serve(self, participant: Participant) -> None:
         drains: dict[int, Drain[Any]] = {}
         endpoints: tuple[Incoming, ...] = ()
+        some_rest = False
         turns = self.turns
         try:
             while self._participant is participant:
                 # Before `_drains` is read: an endpoint that is freed here is certainly missing there.
                 while self._retired:
                     self._retired.popleft().close()
-                if drains is not self._drains:
-                    drains = self._drains
-                    endpoints = tuple(each.endpoint for each in drains.values())
+                if some_rest or drains is not self._drains:
+                    drains, now = self._drains, time.monotonic()
+                    endpoints = tuple(each.endpoint for each in drains.values() if each.rests_until <= now)
+                    some_rest = len(endpoints) < len(drains)
                 # Unwatched, it waits without end: no timer wakes a quiet side.
-                addresses, graph_changed = participant.wait(endpoints, LONGEST_WAIT if turns.watched else None)
+                longest = _LOOKED_AT_EVERY if some_rest else LONGEST_WAIT if turns.watched else None
+                addresses, graph_changed = participant.wait(endpoints, longest)
                 if turns.watched:
                     turns.turned()
                 for address in addresses:
                     # A sink of this turn may have stopped the node. A drain that it has closed takes nothing.
                     if self._participant is participant:
-                        drains[address].deliver()
+                        some_rest = drains[address].deliver() or some_rest
                 if graph_changed:
                     self._on_graph_change()
         except Exception as error:  # noqa: BLE001 — no error may end the thread unnoticed
@@ -342,12 +356,13 @@ class Drain(Generic[_Taken]):
 
     Attributes:
         endpoint: which the thread frees.
+        rests_until: the thread leaves the endpoint alone until then (`time.monotonic`).
     """
 
     def __init__(
         self,
         endpoint: Incoming,
-        take: Callable[[int], Sequence[_Taken]],
+        take: Callable[[int], Sequence[_Taken] | None],
         sink: Callable[[Sequence[_Taken]], None],
         on_failure: OnFailure | None,
         retire: Callable[[Drain[_Taken]], None],
@@ -355,10 +370,12 @@ class Drain(Generic[_Taken]):
         """Begin.
 
         Args:
-            take: takes up to so many from it.
+            take: takes up to so many from it, or returns None if DDS gives nothing.
             retire: has the thread free the endpoint.
         """
         self.endpoint = endpoint
+        self.rests_until = 0.0
+        self._rests = 0
         self._take = take
         self._sink = sink
         self._on_failure = on_failure
@@ -366,20 +383,39 @@ class Drain(Generic[_Taken]):
         self._delivering = threading.RLock()  # a sink may close its own endpoint
         self._closed = False
 
-    def deliver(self) -> None:
-        """Take one batch and hand it on."""
+    def deliver(self) -> bool:
+        """Take one batch and hand it on. Return whether the endpoint has to rest, as DDS gave nothing."""
         with self._delivering:
             if self._closed:
-                return
+                return False
             try:
                 batch = self._take(BATCH)
+                if batch is None:
+                    self._rest()
+                    return True
             except RosError as error:
                 self.close()
                 if self._on_failure is not None:
                     self._on_failure(error)
-                return
+                return False
+            self._rests = 0
             if batch:  # all of it may have been our own messages
                 self._sink(batch)
+            return False
+
+    def _rest(self) -> None:
+        """Let the endpoint rest: DDS would report it again at once, and for ever.
+
+        Raises:
+            RosError: it has given nothing for too long.
+        """
+        now = time.monotonic()
+        if now > self.rests_until + _RECOVERED_AFTER:
+            self._rests = 0
+        if self._rests == _RESTS:
+            raise RosError(RosProblem.NOTHING_GIVEN())
+        self.rests_until = now + _FIRST_REST * 2**self._rests
+        self._rests += 1
 
     def close(self) -> None:
         """Take no more. The sink is not called again after this returns."""

@@ -229,7 +229,7 @@ class _Endpoints:
     def closed_at_end(self, endpoint: Any) -> None:
         self._ending.callback(endpoint.close)
 
-    def wait(self, kind: Kind, handle: Handle, take: Callable[[], Sequence[Any]]) -> Any:
+    def wait(self, kind: Kind, handle: Handle, take: Callable[[], Sequence[Any] | None]) -> Any:
         """Return the first thing that comes, or None if nothing comes."""
         room = {f"{kind}s": 1}
         waits = wait_set(self._context, guards=1, **room)

@@ -186,8 +186,8 @@ class ServiceEndpoint:
             self._closed = True
         self.handle.free()
 
-    def take(self, limit: int) -> list[Any]:
-        """Take up to `limit` of what has come.
+    def take(self, limit: int) -> list[Any] | None:
+        """Take up to `limit` of what has come, or return None if DDS gives nothing.
 
         Raises:
             RosError: rcl failed at the first of them.
@@ -203,7 +203,7 @@ class ServiceEndpoint:
             if one is None:
                 break
             taken.append(one)
-        return taken
+        return taken or None
 
     def _take(self) -> Request | Response | None:
         raise NotImplementedError

@@ -80,10 +80,10 @@ class Reader:
         self._guid_of = cyclone_dds.SubscriptionPublishers(handle.address).guid_of if cyclone_dds.is_used() else None
         self._made_at = time.monotonic()
 
-    def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
+    def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage] | None:
         """Take up to `limit` messages, except for the messages of publishers in `skip` (`Writer.told`).
 
-        Stop after `_ENOUGH` bytes.
+        Stop after `_ENOUGH` bytes. Return None if DDS gives no message, or an empty one, which ROS does not have.
 
         Raises:
             RosError: rcl failed at the first of them.
@@ -107,7 +107,10 @@ class Reader:
                     break
                 raise RosError(RosProblem.NOT_TAKEN(topic=self.topic, code=code))
             source, stamp, number, _, _, gid = unpack(info)
-            self._last_size = length = buffer.length
+            length = buffer.length
+            if not length:
+                break
+            self._last_size = length
             size += length
             # It has counted already: a flood of our own messages must not keep the thread from other endpoints.
             if gid in skip:
@@ -126,7 +129,7 @@ class Reader:
                 self.lost += number - previous - 1
             last[gid] = number
             taken.append(_new(RawMessage, (buffer.taken(), stamp, gid, number, 0, source)))
-        return taken
+        return taken if size else None
 
     def close(self) -> None:
         """Free it. To be called once."""
