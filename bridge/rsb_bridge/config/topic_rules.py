@@ -73,7 +73,7 @@ _OF_TOPICS = {
 """The keys that an internal route does not have, and their defaults."""
 _FOLDERS: dict[Kind, str] = {"service": "srv", "action": "action"}
 _TEXTS = {"topic": "/unnamed", "type": AUTO, "qos": AUTO, "remote_topic": None, "on_end": None}
-"""The fields that may be any text, each with what the other rules are given if it is an encryption key."""
+"""Free texts, and the stand-in that other rules see if one holds a key."""
 _PART = r"[A-Za-z][A-Za-z0-9_]*"
 
 

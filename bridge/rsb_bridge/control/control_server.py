@@ -29,7 +29,7 @@ _TURNS = 10
 """Turns of the loop after which the last accepted connection is a console, and aborted connections are closed.
 A round figure."""
 _SAID_WITHIN = 0.25
-"""s, twice, in which consoles have to take the end. Where one does not listen, the end of a bridge takes so long."""
+"""Seconds a console has to read the goodbye. A deaf console delays the shutdown by twice this."""
 _CLOSED_WITHIN = 2.0
 """s that `ControlServer.close` waits for its thread, so that no socket remains. The thread needs only `_SAID_WITHIN`,
 unless the machine starves it."""

@@ -55,7 +55,7 @@ _SIOCGIFFLAGS = 0x8913
 _ANSWERS_WITHIN = 2.0  # s
 _CONFINED_WITHIN = 20.0  # s; a slow computer starts Python for seconds
 _LOCKED_WITHIN = 5.0
-"""s until Fast DDS has locked a new file. Before that, to try the lock could take it from the program that starts."""
+"""s until Fast DDS has locked a new file. Trying the lock earlier could steal it from a starting program."""
 _Chain: TypeAlias = tuple[str, str, str]
 """Family, table and name."""
 _NAMED = 5

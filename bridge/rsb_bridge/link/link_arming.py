@@ -435,7 +435,7 @@ class LinkArming:
                 self._peer.send(Arm(route.id, route.arming.by))
 
     def _end_overdue(self) -> None:
-        """Disarm overdue routes; if a route becomes so before the lease's next beat, then at that time."""
+        """Disarm overdue routes, and schedule those that are due before the next beat."""
         now = self._context.now()
         for route in self._routes():
             if (why := route.arming.overdue(now)) is not None:
@@ -471,7 +471,7 @@ class LinkArming:
                         reason = f"disarmed ({who})"
                         self._disarmed_by(route, who, from_peer=True)
                     self._ended(route, why, reason)
-                    route.settling.answered(route_id)  # who disarms publishes nothing more, and sends no answer
+                    route.settling.answered(route_id)  # the side that disarms has stopped already, and sends no Settled
 
     def _armed_there(self, route: Route, who: str) -> None:
         arming, now = route.arming, self._context.now()

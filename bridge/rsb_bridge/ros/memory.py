@@ -28,7 +28,7 @@ _MOST_FREE_HEAP = 64 << 20
 _LITTLE_FREE_HEAP = 8 << 20
 """Bytes that may stay free. A round figure: one message of 6 MB comes and goes without the kernel."""
 _HEAP_TRIMMED_EVERY = 8.0
-"""s; to give 60 MB back takes 10 ms, and to get them again as many."""
+"""Seconds between trims. A trim of 60 MB costs 10 ms, and as much to grow again."""
 
 
 @contextmanager

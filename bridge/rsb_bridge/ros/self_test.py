@@ -131,7 +131,7 @@ def findings() -> Findings:
 
 
 def test() -> Findings:
-    """Test now; errors as `findings`."""
+    """Run the test; raise what `findings` raises."""
     with _alone() as context:
         try:
             return _found(ExtensionNode, context)
@@ -155,7 +155,7 @@ def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Finding
     no_numbers = "" if feature_supported(PUBLICATION_NUMBERS) else Shortfall.NO_NUMBERS(middleware=middleware)
     if middleware in {FAST_DDS, CYCLONE_DDS}:
         no_messages = _why_not(Shortfall.MESSAGES, partial(_try, node, context, _messages_cross), named_types, _MESSAGE)
-    else:  # it would look for what these type supports do not have
+    else:  # it needs symbols that these type supports lack
         no_messages = Shortfall.ANOTHER_MIDDLEWARE(middleware=middleware)
     if middleware == FAST_DDS:
         no_calls = no_messages or _why_not(  # the type of a call consists of two such messages

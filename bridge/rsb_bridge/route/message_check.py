@@ -42,7 +42,7 @@ _LOOKS_AGAIN_AFTER = 10.0
 """s until the nodes of a topic are asked again for the description of its type. A round figure: with a
 tenth of it, nodes that describe nothing would be asked each second."""
 _EXPLAINED = 4
-"""A malformed message costs about as much as so many others, as it is read again for the field that shows it."""
+"""A malformed message is charged as this many: it is read twice to name the field."""
 _REMEDY = "send less, or set check_messages: false"
 _BACKLOG_FULL = (
     "the other side sends more compressed messages than are unpacked here: send less, or without compression"

@@ -182,7 +182,7 @@ class _LostInARow:
             self._at = [*self._at[-1:], now]
 
     def counts(self, now: float) -> bool:
-        """Whether they are a fault: several, and no more time has passed than between two of them."""
+        """Whether the losses repeat: the last gap is no longer than the one before."""
         if self.lost.total() < _LEAST_LOST:
             return False
         apart = self._at[-1] - self._at[-2] if len(self._at) > 1 else 0.0

@@ -97,7 +97,7 @@ class Ports:
         self._acceptor = acceptor
         self._ports: dict[tuple[str, int], _Port] = {}
         self._opening = asyncio.Lock()
-        self._closed = 0  # how often
+        self._closings = 0
 
     async def open(self, name: str, number: int) -> Callable[[], None]:
         """Use a port of the transport of that name; it is bound if nobody uses it yet.
@@ -108,14 +108,14 @@ class Ports:
         Raises:
             ListenError: it can't be bound, or all are closed meanwhile.
         """
-        key, closed = (name, number), self._closed
+        key, closed = (name, number), self._closings
         # Two topics that name one port would bind it twice.
         async with self._opening:
             port = self._ports.get(key)
             if port is None:
                 transport = self._transports[name]
                 port = _Port(await transport.listen(transport.host(self._session), number, self._acceptor))
-                if closed != self._closed:  # a server that has stopped meanwhile would leave the port bound
+                if closed != self._closings:  # a server that has stopped meanwhile would leave the port bound
                     port.listener.close()
                     raise ListenError(PortProblem.CLOSED_AGAIN(kind=transport.port_kind, number=number))
                 self._ports[key] = port
@@ -131,7 +131,7 @@ class Ports:
 
     def close(self) -> None:
         """Close all ports, including ports that are being opened."""
-        self._closed += 1
+        self._closings += 1
         for port in self._ports.values():
             port.listener.close()
         self._ports.clear()

@@ -356,7 +356,7 @@ def router(endpoint: str) -> Process:
 
 
 def listening(server: Process, port: int) -> float:
-    """Wait until a port is listened on, and return the time of the last look that found it closed.
+    """Wait until a port is listened on, and return when it was last seen closed.
 
     It asks the kernel, since a connection would disturb the server.
     """

@@ -75,7 +75,7 @@ class Suite:
     """The measurements in one place.
 
     Args:
-        say: told what is being done.
+        say: progress callback.
     """
 
     def __init__(

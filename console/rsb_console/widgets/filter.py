@@ -77,7 +77,7 @@ class RowFilter:
         """Whether to show a line.
 
         Args:
-            columns: texts by the column's name; ``""`` is for what has no column of its own.
+            columns: cell texts by column; ``""`` holds the rest of the line.
             hidden: columns that only their name finds.
         """
         anywhere = [text for name, text in columns.items() if name not in hidden]
