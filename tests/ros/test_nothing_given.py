@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+import queue
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support import replaced
+from tests.support import constants, replaced
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.node import RosNode
 
 STRING, SET = "std_msgs/msg/String", "std_srvs/srv/SetBool"
+
+
+@pytest.fixture(autouse=True)
+def _rests_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    constants.NOTHING_A_SECOND.set(monkeypatch, 0)
 
 
 class _Takes:
@@ -124,3 +130,34 @@ def test_server_and_client_rest_and_fail(open_node: Callable[..., RosNode], monk
     eventually(lambda: len(failures) == 2)
     assert answered.count < 20
     assert all(says(str(each), RosProblem.NOTHING_GIVEN) for each in failures)
+
+
+def test_answers_of_other_clients_are_no_fault(
+    open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """DDS reports them to each client of a service, and gives it nothing."""
+    monkeypatch.undo()
+    provider, busy, idle = open_node(name="provider"), open_node(name="busy"), open_node(name="idle")
+    takes = _Takes(monkeypatch, replaced.TAKE_RESPONSE, NO_RESPONSE)
+    takes.gives_nothing = False
+    answers, idle_answers, failures = list[Any](), list[Any](), list[RosError]()
+    requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def asked(batch: Sequence[Any]) -> None:
+        for each in batch:
+            requests.put(each)
+
+    server = provider.serve("/set", SET, "", asked)
+    client = busy.call_service("/set", SET, "", answers.extend)
+    other: Any = idle.call_service("/set", SET, "", idle_answers.extend, failures.append)
+    eventually(lambda: client.ready and other.ready)
+    for number in range(1, 31):
+        client.call(b"\0\1\0\0\0\0\0\0")
+        server.answer(requests.get(timeout=10).caller, b"\0\1" + bytes(11))
+        eventually(lambda number=number: len(answers) == number)
+    eventually(lambda: takes.count > 60)  # of each answer at least one by either client
+    other.call(b"\0\1\0\0\0\0\0\0")
+    server.answer(requests.get(timeout=10).caller, b"\0\1" + bytes(11))
+    eventually(lambda: idle_answers)
+    assert not failures
+    assert not other.rests_until

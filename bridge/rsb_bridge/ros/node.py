@@ -63,6 +63,10 @@ _LOOKED_AT_EVERY = 0.005
 """s between two looks at what rests. A round figure."""
 _RECOVERED_AFTER = 1.0
 """s after which an endpoint that gives nothing again has its first rest. A round figure."""
+_NOTHING_A_SECOND = 5000
+"""Times a second that an endpoint may be given nothing before it rests. DDS reports to each client of a service the
+answers of all of them, and to a reader messages that expire before they are taken. A reader with the fault is reported
+200,000 times; a round figure between that and what nodes send."""
 _Taken = TypeVar("_Taken")
 
 
@@ -376,6 +380,7 @@ class Drain(Generic[_Taken]):
         self.endpoint = endpoint
         self.rests_until = 0.0
         self._rests = 0
+        self._given_nothing, self._counted_from = 0, 0.0
         self._take = take
         self._sink = sink
         self._on_failure = on_failure
@@ -391,8 +396,7 @@ class Drain(Generic[_Taken]):
             try:
                 batch = self._take(BATCH)
                 if batch is None:
-                    self._rest()
-                    return True
+                    return self._rests_now()
             except RosError as error:
                 self.close()
                 if self._on_failure is not None:
@@ -403,19 +407,25 @@ class Drain(Generic[_Taken]):
                 self._sink(batch)
             return False
 
-    def _rest(self) -> None:
-        """Let the endpoint rest: DDS would report it again at once, and for ever.
+    def _rests_now(self) -> bool:
+        """Note that nothing was given. If that happens too often, let the endpoint rest: it would go on for ever.
 
         Raises:
             RosError: it has given nothing for too long.
         """
         now = time.monotonic()
+        if now > self._counted_from + 1.0:
+            self._given_nothing, self._counted_from = 0, now
+        self._given_nothing += 1
+        if self._given_nothing <= _NOTHING_A_SECOND:
+            return False
         if now > self.rests_until + _RECOVERED_AFTER:
             self._rests = 0
         if self._rests == _RESTS:
             raise RosError(RosProblem.NOTHING_GIVEN())
         self.rests_until = now + _FIRST_REST * 2**self._rests
         self._rests += 1
+        return True
 
     def close(self) -> None:
         """Take no more. The sink is not called again after this returns."""
