@@ -267,7 +267,9 @@ class InputGate:
 
     def _is_open_too_long(self, screen: GuardedScreen, drawn_at: float, now: float) -> bool:
         relayed = self.pulse is not None and self.pulse.relayed
-        return relayed and screen.moves and screen.seen_after > 0.0 and now - drawn_at > ANSWERED_WITHIN
+        # A question that opens by itself is over soon by itself, too.
+        waits = screen.moves and screen.seen_after > 0.0 and not screen.opens_itself
+        return relayed and waits and now - drawn_at > ANSWERED_WITHIN
 
     def _was_seen(self, screen: GuardedScreen, came_at: float, heard: float) -> bool:
         """Whether the operator may have read a screen before input that came at a time (s), after an answer."""
