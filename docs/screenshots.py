@@ -1,20 +1,28 @@
-"""Takes the pictures of the console on the running demos: ``make screenshots``, or those that are named."""
+"""Takes the pictures of the console on the running demos: ``make screenshots``, or those that are named.
+
+It needs no terminal: its own has 24-bit colours, wherever it runs.
+"""
 
 from __future__ import annotations
 
+import argparse
 import asyncio
-import sys
+import os
 import threading
 import time
+from collections.abc import Awaitable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.route import lease
 from rsb_console.app import ConsoleApp
 from rsb_console.command.demo import seen, simulated, trouble
 from rsb_console.fleet_app import FleetApp
+from rsb_console.screens.dialog import ArmScreen
+from rsb_console.screens.drive_screen import DriveScreen
 from rsb_console.screens.view_screen import ViewScreen
 from rsb_console.session.demo_session import running_demo
 from rsb_console.widgets.fleet_table import FleetView
@@ -26,27 +34,37 @@ if TYPE_CHECKING:
 
     from rsb_console.fleet.fleet import FleetSource, Robot, RobotFleet
 
-PICTURES = Path(__file__).parent / "pictures"
+FOLDER = Path(__file__).parent / "pictures"
+TERMINAL = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
 FLOWING = 6  # topics of the demo, its service, and its robot's parameters
 HISTORY = 60  # s: long enough for a curve to be worth a picture
 WIDE, NARROW, LOW = (120, 36), (80, 24), (120, 24)
 ROBOTS = 8
 
 
-async def take(pilot: Pilot[Any], name: str, *keys: str) -> None:
-    """Press `keys`, and keep what the screen shows then."""
-    await pilot.press(*keys)
-    await pilot.pause(1.0)
-    pilot.app.save_screenshot(f"{name}.svg", str(PICTURES))
+class Album:
+    """The folder of the pictures."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    async def take(self, pilot: Pilot[Any], name: str, *keys: str) -> None:
+        """Press `keys`, and keep what the screen shows then."""
+        await pilot.press(*keys)
+        await pilot.pause(1.0)
+        self.keep(name, pilot.app.export_screenshot())
+
+    def keep(self, name: str, picture: str) -> None:
+        (self.folder / f"{name}.svg").write_text(picture, encoding="utf-8")
 
 
-async def until(condition: Callable[[], bool], pilot: Pilot[Any], seconds: float = 90.0) -> None:
+async def until(condition: Callable[[], bool | Awaitable[bool]], pilot: Pilot[Any], seconds: float = 180.0) -> None:
     """Wait for it."""
     deadline = time.monotonic() + seconds
-    while not condition():
+    while not (await found if isinstance(found := condition(), Awaitable) else found):
         if time.monotonic() > deadline:
             raise SystemExit("the demo does not do what the pictures want")
-        await pilot.pause(0.5)
+        await pilot.pause(0.2)
 
 
 def states(app: ConsoleApp) -> list[str]:
@@ -54,10 +72,10 @@ def states(app: ConsoleApp) -> list[str]:
     return [route.state.value for route in app.snapshot().routes]
 
 
-async def of_a_robot() -> None:
+async def of_a_robot(album: Album) -> None:
     """Those of the demo."""
     with running_demo() as demo:
-        app = ConsoleApp(demo.session, demo.path, theme="dark", config=PICTURES)
+        app = ConsoleApp(demo.session, demo.path, theme="dark", config=album.folder)
         try:
             async with app.run_test(size=WIDE) as pilot:
                 await until(lambda: states(app).count("ok") == FLOWING, pilot)
@@ -65,28 +83,28 @@ async def of_a_robot() -> None:
                 demo.robot.mute("/scan")  # the one fault of the pictures, which the lines at the top explain
                 await until(lambda: "stopped" in states(app), pilot)
                 await pilot.pause(1.0)  # the table puts the fault on top, and the cursor stays on its topic
-                await take(pilot, "main", "g")
-                await take(pilot, "add-topic", "a")
-                await take(pilot, "help", "escape", "question_mark")
+                await album.take(pilot, "main", "g")
+                await album.take(pilot, "add-topic", "a")
+                await album.take(pilot, "help", "escape", "question_mark")
                 await pilot.press("escape", "slash", *"set_light", "enter", "C")
                 await until(lambda: "data" in app.screen.form.values.get("request", ""), pilot)  # type: ignore[attr-defined]
                 await pilot.press("f9", "y")
-                await take(pilot, "call")
-                await take(pilot, "service", "escape")
+                await album.take(pilot, "call")
+                await album.take(pilot, "service", "escape")
                 await pilot.press("escape", "g", "t", "t")
-                await take(pilot, "light")
+                await album.take(pilot, "light")
                 await pilot.press("t", "t")
                 await pilot.resize_terminal(*NARROW)
-                await take(pilot, "narrow")
-                await take(pilot, "detail", "enter")
+                await album.take(pilot, "narrow")
+                await album.take(pilot, "detail", "enter")
         finally:
             await asyncio.to_thread(app.stop)
 
 
-async def of_pictures() -> None:
+async def of_pictures(album: Album) -> None:
     """Those of the robot's camera and map."""
     with running_demo() as demo:
-        app = ConsoleApp(demo.session, demo.path, theme="dark", config=PICTURES)
+        app = ConsoleApp(demo.session, demo.path, theme="dark", config=album.folder)
         try:
             async with app.run_test(size=NARROW) as pilot:
                 await until(lambda: states(app).count("ok") == FLOWING, pilot)
@@ -94,32 +112,50 @@ async def of_pictures() -> None:
                 await pilot.pause(2.0)
                 await pilot.press(*"camera", "enter")
                 await until(lambda: drawn(app), pilot)
-                await take(pilot, "look-camera", "greater_than_sign")
-                await pilot.press("d", "A", "y")
-                await until(lambda: any(each.arming and each.arming.armed for each in app.snapshot().routes), pilot)
-                await pilot.press(*"iiuu")
-                await pilot.press("u")
-                pilot.app.save_screenshot("drive.svg", str(PICTURES))  # before the robot stands again
+                await album.take(pilot, "look-camera", "greater_than_sign")
+                await pilot.press(*["less_than_sign"] * 3, "d")  # drawing takes the time that driving needs here
+                album.keep("drive", await driving(app, pilot))
                 await pilot.press("escape", "escape", "slash", *"map", "enter", "v")
                 await until(lambda: drawn(app), pilot)
                 await pilot.pause(3.0)
-                await take(pilot, "look-map")
-                await take(pilot, "goal", "g", *["right"] * 8, *["up"] * 3)
+                await album.take(pilot, "look-map")
+                await album.take(pilot, "goal", "g", *["right"] * 8, *["up"] * 3)
         finally:
             await asyncio.to_thread(app.stop)
 
 
 def drawn(app: ConsoleApp) -> bool:
     """Whether a picture of a message is on the screen."""
-    return isinstance(app.screen, ViewScreen) and app.screen.has_content
+    return isinstance(app.screen, ViewScreen) and app.screen.content is not None
 
 
-async def of_a_fleet() -> None:
+async def driving(app: ConsoleApp, pilot: Pilot[Any]) -> str:
+    """Return the picture of a robot that drives. On a busy machine it is disarmed now and then, and armed again."""
+    picture = ""
+
+    async def drives() -> bool:
+        nonlocal picture
+        armed = [each.arming for each in app.snapshot().routes if each.arming and each.arming.armed]
+        if isinstance(app.screen, ArmScreen):
+            await pilot.press("y")
+        elif isinstance(app.screen, DriveScreen) and not armed:
+            await pilot.press("A")
+        else:
+            await pilot.press(*"iu")  # ahead, and to the left
+            if any(arming.velocity and arming.velocity[0] for arming in armed):
+                picture = app.export_screenshot()
+        return "moving" in picture and "stood" not in picture
+
+    await until(drives, pilot)
+    return picture
+
+
+async def of_a_fleet(album: Album) -> None:
     """The one of the demo of a fleet, when a robot is away, and another one has lost a topic."""
     over = threading.Event()
     with simulated(ROBOTS) as running, seen(running) as fleet:
         _of_no_machine(fleet.sources[0])
-        app = FleetApp(fleet, FleetView(), theme="dark", config=PICTURES)
+        app = FleetApp(fleet, FleetView(), theme="dark", config=album.folder)
         async with app.run_test(size=LOW) as pilot:
             await until(lambda: all(robot.summary.battery for robot in robots(fleet)), pilot)
             troubling = threading.Thread(target=trouble, args=(running, over.is_set))
@@ -127,7 +163,7 @@ async def of_a_fleet() -> None:
             try:
                 await until(lambda: {RobotState.MISSING, RobotState.FAULT} <= states_of(fleet), pilot)
                 await pilot.pause(1.0)
-                await take(pilot, "fleet", "g", "j")  # on the robot with the fault
+                await album.take(pilot, "fleet", "g", "j")  # on the robot with the fault
             finally:
                 over.set()
                 await asyncio.to_thread(troubling.join)
@@ -151,7 +187,21 @@ def states_of(fleet: RobotFleet) -> set[RobotState]:
 
 PARTS = {"robot": of_a_robot, "look": of_pictures, "fleet": of_a_fleet}
 
+
+def main() -> None:
+    """Take the pictures that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("parts", nargs="*", metavar="PART", choices=[*PARTS, []], help=f"of {', '.join(PARTS)}")
+    parser.add_argument("--folder", type=Path, default=FOLDER)
+    arguments = parser.parse_args()
+    os.environ.pop("NO_COLOR", None)
+    os.environ |= TERMINAL
+    # This process draws, drives and bridges: on a busy machine it may stand still for more than a lease's second.
+    lease.LASTS = lease.SLOW = 5.0
+    arguments.folder.mkdir(exist_ok=True)
+    for part in arguments.parts or PARTS:
+        asyncio.run(PARTS[part](Album(arguments.folder)))
+
+
 if __name__ == "__main__":
-    PICTURES.mkdir(exist_ok=True)
-    for part in sys.argv[1:] or PARTS:
-        asyncio.run(PARTS[part]())
+    main()

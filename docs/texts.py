@@ -23,12 +23,7 @@ class _Texts(ast.NodeVisitor):
             self.generic_visit(node)
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> None:
-        self._take(
-            "".join(
-                part.value if isinstance(part, ast.Constant) else f"{{{ast.unparse(part.value)}}}"  # type: ignore[attr-defined]
-                for part in node.values
-            )
-        )
+        self._take("".join(_source(part) for part in node.values))
         for part in node.values:
             if isinstance(part, ast.FormattedValue):
                 self.visit(part.value)
@@ -40,6 +35,13 @@ class _Texts(ast.NodeVisitor):
     def _take(self, text: str) -> None:
         if _SEVERAL_WORDS.search(text):
             self.found.append(text.encode("unicode_escape").decode() if not text.isprintable() else text)
+
+
+def _source(part: ast.expr) -> str:
+    """Return a part of an f-string: its text, or the source of its expression."""
+    if isinstance(part, ast.Constant):
+        return str(part.value)
+    return f"{{{ast.unparse(part.value)}}}" if isinstance(part, ast.FormattedValue) else ""
 
 
 def page() -> str:

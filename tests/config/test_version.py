@@ -10,12 +10,11 @@ import xml.etree.ElementTree as ET
 from html import unescape
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pytest
 
 import rsb_bridge
-
-if TYPE_CHECKING:
-    import pytest
 
 ROOT = Path(__file__).parents[2]
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -61,6 +60,13 @@ def test_pictures_show_this_version() -> None:
     for name, versions in shown.items():
         current = {VERSION} if UNRELEASED else {NUMBER, f"{NUMBER}.dev0"}  # a release keeps its earlier entries
         assert set(versions) <= current, f"{name}: make screenshots"
+
+
+@pytest.mark.parametrize("name", ["look-camera", "drive"])
+def test_pictures_of_a_camera_are_in_colour(name: str) -> None:
+    """A terminal of 16 colours would draw them in four greys."""
+    picture = read(f"docs/pictures/{name}.svg")
+    assert len(set(re.findall(r"#[0-9a-f]{6}", picture))) > 100, "make screenshots"
 
 
 def test_no_picture_cuts_the_version() -> None:

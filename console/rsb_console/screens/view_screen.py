@@ -237,6 +237,11 @@ class ViewScreen(FullScreen[bool]):
         self._entitle()
         yield self.pane
 
+    @property
+    def content(self) -> Cells | Pixels | Series | None:
+        """The picture in sight, or None."""
+        return None if self._viewed is None else self._viewed.picture.content
+
     def on_mount(self) -> None:
         # The age of a picture grows without a new one.
         self.set_interval(1.0, self._entitle)
@@ -315,7 +320,7 @@ class ViewScreen(FullScreen[bool]):
     def _draw(self) -> None:
         if not self.pane.is_attached:
             return
-        content = None if self._viewed is None else self._viewed.picture.content
+        content = self.content
         rows: list[Row] = []
         if content is not None:
             try:
@@ -388,7 +393,7 @@ class ViewScreen(FullScreen[bool]):
 
     def action_move(self, right: float, up: float) -> None:
         """Move the goal, a plot's cursor, or the view."""
-        content = None if self._viewed is None else self._viewed.picture.content
+        content = self.content
         columns, rows = round(right / _PAN), round(-up / _PAN)
         if self._goal is not None and (scale := self._scale) is not None:
             turned, moved = self._goal.turned(-columns * _TURN), self._goal.moved(scale, columns, rows)
@@ -422,7 +427,7 @@ class ViewScreen(FullScreen[bool]):
 
     @property
     def _scale(self) -> Scale | None:
-        content = None if self._viewed is None else self._viewed.picture.content
+        content = self.content
         return content.scale if isinstance(content, Cells) else None
 
     def action_leave(self) -> None:
@@ -511,7 +516,7 @@ class ViewScreen(FullScreen[bool]):
     @work(group=DIALOG)
     async def action_write(self) -> None:
         """Write the picture to a file in the present folder, an image in its own resolution."""
-        content = None if self._viewed is None else self._viewed.picture.content
+        content = self.content
         if content is None:
             self.notify(ViewText.NO_PICTURE(), markup=False)
             return
