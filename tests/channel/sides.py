@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.data_stream import StreamPair, stream_channel
+from rsb_bridge.channel.data_stream import StreamPair, stream_channel, take_receipts
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.window import ReceiptBook, Window
 from rsb_bridge.model.session import weight_of
@@ -120,16 +120,7 @@ class Side:
             asyncio.get_running_loop().call_soon(self.other.take_receipts, message)
 
     def take_receipts(self, message: Receipts) -> None:
-        streams = {each.number: each for each in self.pair.streams()}  # not ended ones, which receipts may cross
-        for number, every in message.every:
-            if number in streams:
-                streams[number].set_interval(every)
-        for number, received in message.received:
-            if number in streams:
-                streams[number].receipt(received)
-        for number in message.given_up:
-            if number in streams:
-                streams[number].given_up()
+        take_receipts(message, self.pair.streams(), self.scheduler)
 
     async def acknowledges_all(self) -> None:
         """Wait until all that the other side has sent is here, and it knows that."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.sides import Radio, Route, connected, pass_seconds
+from tests.support.constants import STREAM_DEAD_AFTER
 
 from rsb_bridge.transport.streams import StreamHandler
 
@@ -164,8 +165,11 @@ class Holding(StreamHandler):
             self._stream.received(each)
 
 
-async def test_a_stream_on_which_nothing_gets_through_does_not_hold_the_other_one() -> None:
+async def test_a_stream_on_which_nothing_gets_through_does_not_hold_the_other_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """It fills the window of both. It takes nothing more meanwhile, and no byte is counted twice once it goes on."""
+    STREAM_DEAD_AFTER.set(monkeypatch, 60.0)  # it is not given up yet
     small, images = Route(1, outgoing=True), Route(2, always=40_000, outgoing=True)
 
     async def talk(near: Side, far: Side) -> list[float]:
@@ -213,3 +217,21 @@ async def test_without_receipts_little_is_in_transit() -> None:
         await pass_seconds(10, near, far)
         assert 0 < near.in_transit() <= 8 * 1024
         assert not near.routes[1].channel.moves
+
+
+async def test_rare_receipts_are_no_full_link() -> None:
+    """Where a topic becomes rarer, its receipts come once a second, with those of another stream."""
+    small, large = Route(1, outgoing=True), Route(2, outgoing=True)
+    async with connected(small, large, open_streams=Radio(1e9, kernel=1 << 20, delay=0.001).open) as (near, far):
+        windows = []
+        for step in range(1500):  # 20 ms each
+            small.send(bytes(100))
+            if step % (6 if step < 500 else 17) == 0:
+                large.send(bytes(600_000))
+            if step % 50 == 0:
+                near.tick()
+            if step % 50 == 25:
+                far.tick()
+            await asyncio.sleep(0.02)
+            windows.append(near.scheduler.grows)
+        assert all(windows)

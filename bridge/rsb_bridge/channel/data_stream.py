@@ -28,12 +28,13 @@ from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.channel.channel import RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
     from rsb_bridge.channel.scheduler import Scheduler
     from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.messages import Receipts
 
 _OF_ROUTES = (DATA, MOVED, RESUMED)
 _KIND_AND_ROUTE = struct.Struct(">BxI")
@@ -207,18 +208,39 @@ class DataStream(StreamHandler):
         """Send a receipt after every `every` bytes from now on."""
         self._counter.set_interval(every)
 
-    def receipt(self, count: int) -> None:
-        """Take the peer's receipt of the first `count` bytes."""
+    def receipt(self, count: int) -> int:
+        """Take the peer's receipt of the first `count` bytes; return how many are no longer in transit by it."""
         acknowledged = min(count, self.sent)  # a peer that claims more gains nothing
         if acknowledged <= self.acknowledged:
-            return
+            return 0
         before, self.acknowledged = self.in_transit, acknowledged
         self.moved_at = self._pair.book.now()
-        every = self._pair.scheduler.acknowledge(before - self.in_transit)
+        return before - self.in_transit
+
+    def ask(self, every: int) -> None:
+        """Have the peer send a receipt after every `every` bytes from now on."""
         # The window changes with each receipt: to ask each time would cost a message for each receipt.
         if every >= 2 * self._asked or 2 * every <= self._asked:
             self._asked = every
             self._pair.book.ask(self.number, every)
+
+
+def take_receipts(receipts: Receipts, streams: Iterable[DataStream], scheduler: Scheduler) -> None:
+    """Take a message with the peer's receipts and intervals; entries of streams that have ended may cross that."""
+    by_number = {each.number: each for each in streams}
+    for number, every in receipts.every:
+        if number in by_number:
+            by_number[number].set_interval(every)
+    # Together: by the receipt of a quiet stream alone, the bytes that a busy one has sent since its last receipt would
+    # seem to wait on the path.
+    received = [(by_number[number], count) for number, count in receipts.received if number in by_number]
+    if received:
+        every = scheduler.acknowledge(sum([stream.receipt(count) for stream, count in received]))
+        for stream, _ in received:
+            stream.ask(every)
+    for number in receipts.given_up:
+        if number in by_number:
+            by_number[number].given_up()
 
 
 class StreamPair:

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.data_stream import StreamPair, stream_channel
+from rsb_bridge.channel.data_stream import StreamPair, stream_channel, take_receipts
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.channel.window import ReceiptBook, Window
@@ -278,16 +278,8 @@ class DataChannels:
 
     def handle_receipts(self, receipts: Receipts) -> None:
         """Hand the peer's receipts and intervals to the streams."""
-        streams = {each.number: each for each in self._streams()}  # not of ended ones, which receipts may cross
-        for number, every in receipts.every:
-            if number in streams:
-                streams[number].set_interval(every)
-        for number, received in receipts.received:
-            if number in streams:
-                streams[number].receipt(received)
-        for number in receipts.given_up:
-            if number in streams:
-                streams[number].given_up()
+        if self.scheduler is not None:
+            take_receipts(receipts, self._streams(), self.scheduler)
 
     def tick(self, control_quiet: float) -> None:
         """Send pending receipts, and close the window of a stalled link. Called once a second.
