@@ -28,7 +28,7 @@ from rsb_bridge.channel.udp_channel import (
 from rsb_bridge.transport.streams import Address, StreamHandler
 from rsb_bridge.transport.transport import Acceptor, DatagramSocket
 from rsb_bridge.transport.udp import Udp
-from rsb_bridge.wire.datagram import DatagramWriter, Probe
+from rsb_bridge.wire.datagram import DatagramWriter, Probe, Urgent
 from rsb_bridge.wire.framing import LEASED, Budget
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite, Role
 
@@ -285,6 +285,24 @@ async def test_an_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeyp
         client.send_urgent(b"the last")
         await until(lambda: taken[-1:] == [b"the last"])
         assert taken == [b"both come", b"one is lost", b"the last"]
+
+
+@pytest.mark.parametrize("closes", [False, True])
+async def test_incomplete_urgent_messages_expire(closes: bool) -> None:
+    """No honest peer cuts them, but one may send the first half of each."""
+    async with serving() as server:
+        client, _ = server.connect(b"link one")
+        await ready(client)
+        for _ in range(20):
+            client.send(server.probes[0].write(Urgent(bytes(2000)), 1400)[:1])
+        budget, there = server.keys[b"link one"].budget, server.channels[b"link one"]
+        await until(lambda: budget.held > 20_000)
+        if closes:
+            there.close()
+        else:
+            server.time += 5.1
+            there.tick()
+        assert budget.held == 0
 
 
 async def test_a_connection_that_is_over_is_forgotten() -> None:

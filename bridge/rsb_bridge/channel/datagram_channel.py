@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.channel import Counts
 from rsb_bridge.channel.datagram_carrier import WINDOW
 from rsb_bridge.channel.scheduler import SendingEnd
-from rsb_bridge.channel.udp_channel import TIMES, BufferShortage
+from rsb_bridge.channel.udp_channel import EXPIRE, NEWEST_EXPIRES, TIMES, BufferShortage
 from rsb_bridge.transport.streams import PacketCounts
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.wire.datagram import Arrived
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 _REPEATS, _REPEATED_AFTER = 5, 0.1
 """How often the last command is sent again, and s from one to the next: no further one makes up for a lost stop. On a
 link that loses 30 %, its first two copies get lost once in 11 times, and all seven once in 4,500."""
-_EXPIRE, _NEWEST_EXPIRES = 1.0, 5.0
-"""s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns. Both
-are of the protocol (PROTOCOL.md, 2)."""
 
 
 class _DatagramChannel:
@@ -258,7 +255,7 @@ class DatagramReceiver(_DatagramChannel):
 
     def expire(self, now: float) -> None:
         """Give up messages whose fragments did not come in time."""
-        self._codec.expire(now, _EXPIRE, _NEWEST_EXPIRES)
+        self._codec.expire(now, EXPIRE, NEWEST_EXPIRES)
 
 
 def datagram_channel(

@@ -27,6 +27,11 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import Buffer
 
 
+EXPIRE, NEWEST_EXPIRES = 1.0, 5.0
+"""s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns. Both
+are of the protocol (PROTOCOL.md, 2)."""
+
+
 class PathProbe:
     """Seals and opens the probes of one connection, over all its UDP channels: one key, one sequence each way.
 
@@ -52,6 +57,14 @@ class PathProbe:
             return unpack_probe(message[0])
         except ProtocolError:
             return None
+
+    def expire(self, now: float) -> None:
+        """Give up messages whose fragments did not come in time."""
+        self._reader.expire(now, EXPIRE, NEWEST_EXPIRES)
+
+    def forget(self) -> None:
+        """Give up all messages that are incomplete: none of an honest peer's is cut."""
+        self._reader.close()
 
 
 _SILENT = 6.0
@@ -280,6 +293,7 @@ class UdpChannel:
         self.trouble = self._silence() if quiet > _SILENT else ""
         if self.receive_buffer < RECEIVE_BUFFER:
             self.receive_buffer = self.socket.receive_buffer  # its limit may have been raised
+        self._probe.expire(now)
         for receiver in self._receivers.values():
             receiver.expire(now)
         self.send_receipts()
@@ -296,6 +310,7 @@ class UdpChannel:
             if self._carrier is not None:
                 self.socket.when_writable.discard(self._carrier.writable)
                 self._carrier.close()
+            self._probe.forget()
             self._free()
             self.on_close()
 
