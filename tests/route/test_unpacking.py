@@ -16,9 +16,10 @@ from tests.support.virtual_time import T, Ts, VirtualLoop
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.message_check import EXPANDED_ASIDE, EXPANSION_A_TURN, EXPANSION_AT_ONCE
+from rsb_bridge.route.message_check import EXPANDED_ASIDE, EXPANSION_A_TURN, EXPANSION_AT_ONCE, PUBLISHED_ASIDE
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.messages import Describe, Propose
 from rsb_bridge.wire.records import Source
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
 
 LARGE = EXPANSION_A_TURN * 3 // 4
+HUGE = PUBLISHED_ASIDE + 1
+"""Published on another thread, too."""
 MEDIUM = EXPANDED_ASIDE - 100
 """Unpacked on the loop."""
 
@@ -44,8 +47,11 @@ class Published:
 
     def __init__(self) -> None:
         self.sizes: list[int] = []
+        self.refuses = False
 
     def publish(self, content: bytes) -> None:
+        if self.refuses:
+            raise RosError("refused")
         self.sizes.append(len(content))
 
     def close(self) -> None:
@@ -152,6 +158,53 @@ def test_long_messages_are_unpacked_off_the_loop_in_order(loop: HeldLoop, make_c
         loop.finish_one()
     assert ros.published.sizes[4:] == [LARGE + 2, LARGE + 1, 5, 4]
     assert not loop.errors
+
+
+def test_longest_messages_are_published_off_the_loop(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
+    """They keep their order, and none is unpacked before the one that waits for DDS, as each takes memory."""
+    ros, peer = OnePublisher(), FakePeer()
+    context = make_context(ros=ros)
+    one, other = opened(context, peer, "/one"), opened(context, peer, "/other")
+    one.deliver([grown(HUGE), (b"small", 0, 0)])
+    other.deliver([grown(LARGE)])
+    loop.finish_one()
+    one.deliver([(b"last", 0, 0)])
+    assert not ros.published.sizes
+    assert len(loop.held) == 1
+    loop.finish_one()
+    assert ros.published.sizes == [HUGE, 5, 4]
+    loop.finish_one()
+    assert ros.published.sizes == [HUGE, 5, 4, LARGE]
+    assert not loop.errors
+
+
+def test_refused_long_message_counts_as_dropped(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
+    ros = OnePublisher()
+    route = opened(make_context(ros=ros), FakePeer(), "/one")
+    route.deliver([grown(HUGE), (b"small", 0, 0)])
+    loop.finish_one()
+    ros.published.refuses = True
+    work, done = loop.held.popleft()
+    done.set_result(work())
+    ros.published.refuses = False
+    loop.run_until_complete(asyncio.sleep(0.1))
+    assert ros.published.sizes == [5]
+    report = route.news()
+    assert report is not None
+    assert (report.delivered, sum(report.dropped.values())) == (1, 1)
+
+
+def test_long_message_of_an_earlier_opening_holds_nothing_up(
+    loop: HeldLoop, make_context: Callable[..., Context]
+) -> None:
+    ros, peer = OnePublisher(), FakePeer()
+    route = opened(make_context(ros=ros), peer, "/one")
+    route.deliver([grown(HUGE), (b"small", 0, 0)])
+    loop.finish_one()
+    route.close("over")
+    assert not loop.errors
+    loop.finish_one()
+    assert ros.published.sizes == [HUGE]
 
 
 def test_a_backlog_is_bounded(

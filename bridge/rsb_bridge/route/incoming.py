@@ -27,7 +27,7 @@ from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_whe
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import CAUSES, reported_ledger
 from rsb_bridge.route.lifecycle import RouteEvent
-from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
+from rsb_bridge.route.message_check import PUBLISHED_ASIDE, ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
 from rsb_bridge.route.source_publishers import SlowSubscriberError, SourcePublishers, bounded
@@ -40,7 +40,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable, Iterator
 
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.gates import LastLook
     from rsb_bridge.route.route import Owner
+    from rsb_bridge.route.source_publishers import VolatileTopic
 
 _INCOMPLETE_IN_A_ROW = 3
 """Messages given up incomplete since the last whole one. A round figure: nothing was measured. One may be bad luck."""
@@ -295,7 +296,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop."""
-        if self._unpacker.waiting:
+        if self._unpacker.holds:
             self._unpacker.wait(messages)
             return
         (batch, arriving, leaving), sinks, began = self._gates, self.outputs.sinks, self.context.now()
@@ -309,7 +310,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         checker = self.check.checker
         # With a bounded number of lengths, a check takes next to no time, and nothing of the budget: one call less.
         check = None if checker is None else self.check.check if checker.loops else checker.check
-        count, size, number, published, look = 0, 0, 0, b"", None
+        count, size, number, published = 0, 0, 0, b""
         # An iterator, so that `*messages` below is the rest after a message that has to wait.
         messages = iter(messages)
         for message in messages:
@@ -331,21 +332,22 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 self._dropped["unknown source"] += 1
                 continue
             sink = sinks[flags >> SOURCE_SHIFT]
-            if leaving is not None:
-                look = partial(leaving, sample, began)
+            look = None if leaving is None else partial(leaving, sample, began)
             try:
                 header, content = self._unpack(payload, flags) if flags & _PACKED else (_NO_HISTORY, payload)
                 if check is not None:
                     check(content)
                 if isinstance(sink, LatchedTopic):
                     self._publish_latched(sink, header, content, look)
+                # One that may come too late is looked at as DDS gets it.
+                elif len(content) > PUBLISHED_ASIDE and look is None and self.purpose.in_graph:
+                    self._publish_aside(sink, content, messages)
                 elif (why := sink.publish(content, look)) is not None:
                     raise _NotPublishedError(CAUSES[why])
             except _CAUGHT as error:
                 self._drop(error)
             else:
-                count += 1
-                size += len(payload)
+                count, size = count + 1, size + len(payload)
                 published, sent = content, stamp  # the last one's are the batch's sample
         if count:
             self._published(count, size, published, (now - sent) / 1e9, began)
@@ -388,6 +390,11 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         header, rest = split_history(payload) if flags & HISTORY else (_NO_HISTORY, payload)
         return header, self._unpacker.unpack(rest) if flags & ZSTD else rest
 
+    def _publish_aside(self, sink: VolatileTopic, content: bytes, later: Iterator[Message]) -> None:
+        """Publish a long message on another thread; later ones wait until it is done."""
+        self._unpacker.publish(sink.reserve(content), content, partial(self._not_published, self.id))
+        self._unpacker.wait(later)
+
     def _publish_latched(
         self, topic: LatchedTopic, header: HistoryHeader, content: bytes, look: LastLook | None
     ) -> None:
@@ -403,9 +410,13 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 raise _NotPublishedError(CAUSES[why])
             publish()
         except _CAUGHT as error:
-            if self.id == opening:  # else its counts are closed
-                self._delivered -= 1
-                self._drop(error)
+            self._not_published(opening, error)
+
+    def _not_published(self, opening: int, error: Exception) -> None:
+        """Note that a message counts as delivered in an opening, and is not published."""
+        if self.id == opening:  # else its counts are closed
+            self._delivered -= 1
+            self._drop(error)
 
     def _drop(self, error: Exception) -> None:
         """Count a message that is not published, and tell operators why."""

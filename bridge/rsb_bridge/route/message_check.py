@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.checker import Checker
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.ros_interface import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint, Publisher
     from rsb_bridge.wire.framing import Message
 
 EXPANSION_AT_ONCE = 4 * MESSAGE_LIMIT
@@ -33,6 +33,8 @@ EXPANSION_A_TURN = 8 << 20
 ms."""
 EXPANDED_ASIDE = 1 << 20
 """Bytes; longer messages are unpacked on another thread. 63 MiB take 30 ms, in which no link would be served."""
+PUBLISHED_ASIDE = 8 << 20
+"""Bytes; longer messages are given to DDS on that thread, too. For 63 MiB it takes 40 to 200 ms."""
 BACKLOG_LIMIT = 2 * MESSAGE_LIMIT
 """Bytes of one route's messages that wait behind one that is unpacked. The sender's window is far smaller."""
 CHECKED_AT_ONCE = 2 * STEPS
@@ -78,33 +80,65 @@ class _Expansion:
                 self.result = zstandard.ZstdError("not enough memory to unpack it")
 
 
+class _Publication:
+    """A long message that is given to DDS on another thread.
+
+    Args:
+        then: called on the loop with the reason why it is not published, or None.
+    """
+
+    wanted = True
+
+    def __init__(self, publisher: Publisher, content: bytes, then: Callable[[RosError | None], None]) -> None:
+        self._publisher, self._content = publisher, content
+        self._then = then
+        self._error: RosError | None = None
+
+    def run(self) -> None:
+        """Publish it, on any thread."""
+        try:
+            self._publisher.publish(self._content)
+        except RosError as error:
+            self._error = error
+
+    def then(self) -> None:
+        self._then(self._error)
+
+
 class ExpansionBudget:
     """Limits on the growth of one link's compressed messages when unpacked here, at once and over time.
 
-    Long messages are unpacked on another thread, one at a time.
+    Long messages are unpacked, and published, on another thread, one at a time.
     """
 
     def __init__(self, now: float) -> None:
         self.over_time = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, now)
         self._this_turn = 0
         self._waiting: deque[Callable[[], None]] = deque()
-        self._expansions: deque[_Expansion] = deque()  # the first one is being unpacked
+        self._aside: deque[_Expansion | _Publication] = deque()
+        self._is_busy = False
 
     def expand(self, expansion: _Expansion, loop: asyncio.AbstractEventLoop) -> None:
         """Unpack a message on another thread, after all messages that already wait for it."""
-        self._expansions.append(expansion)
-        if len(self._expansions) == 1:
-            self._expand_next(loop)
+        self._aside.append(expansion)
+        self._do_next(loop)
 
-    def _expand_next(self, loop: asyncio.AbstractEventLoop) -> None:
-        loop.run_in_executor(None, self._expansions[0].run).add_done_callback(lambda _: self._expanded(loop))
+    def publish(self, publication: _Publication, loop: asyncio.AbstractEventLoop) -> None:
+        """Publish a message on another thread, before further ones are unpacked: each takes memory until then."""
+        self._aside.appendleft(publication)
+        self._do_next(loop)
 
-    def _expanded(self, loop: asyncio.AbstractEventLoop) -> None:
-        expansion = self._expansions.popleft()
-        if self._expansions:
-            self._expand_next(loop)
-        if expansion.wanted:
-            expansion.then()
+    def _do_next(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._aside and not self._is_busy:
+            self._is_busy = True
+            work = self._aside.popleft()
+            loop.run_in_executor(None, work.run).add_done_callback(lambda _: self._done(work, loop))
+
+    def _done(self, work: _Expansion | _Publication, loop: asyncio.AbstractEventLoop) -> None:
+        if work.wanted:
+            work.then()
+        self._is_busy = False
+        self._do_next(loop)
 
     def begin(self, size: int, loop: asyncio.AbstractEventLoop) -> bool:
         """Whether a message that grows by `size` bytes may be unpacked at this turn of the loop; if so, it counts."""
@@ -148,6 +182,7 @@ class Unpacker:
 
     Attributes:
         waiting: the messages that wait, oldest first.
+        holds: whether further messages have to wait, too.
     """
 
     def __init__(
@@ -158,6 +193,7 @@ class Unpacker:
         reopen: Callable[[EventCode, str], None],
     ) -> None:
         self.waiting: list[Message] = []
+        self.holds = False
         self._size = 0  # bytes that wait
         self._budget = budget
         self._context = context
@@ -165,6 +201,7 @@ class Unpacker:
         self._reopen = reopen
         self._decompressor = zstandard.ZstdDecompressor()
         self._expansion: _Expansion | None = None
+        self._publication: _Publication | None = None
 
     def begin(self, message: Message) -> bool:
         """Return whether a message can be unpacked at this turn of the loop. One that will be refused costs no turn.
@@ -195,8 +232,9 @@ class Unpacker:
         return False
 
     def wait(self, messages: Iterable[Message]) -> None:
-        """Have messages wait until the first of them is unpacked."""
+        """Have messages wait until the first of them is unpacked, or the one before them is published."""
         messages = tuple(messages)
+        self.holds = True
         self.waiting += messages
         self._size += sum([len(each[0]) for each in messages])
         if self._size > BACKLOG_LIMIT:
@@ -204,11 +242,31 @@ class Unpacker:
 
     def _go_on(self) -> None:
         waiting, self.waiting, self._size = self.waiting, [], 0
+        self.holds = False
         self._deliver(waiting)
+
+    def publish(self, publisher: Publisher, content: bytes, failed: Callable[[RosError], None]) -> None:
+        """Publish a long message on another thread; later ones of this route wait until that is done.
+
+        Args:
+            failed: called with the reason if it is not published.
+        """
+
+        def then(error: RosError | None) -> None:
+            if error is not None:
+                failed(error)
+            if self._publication is publication:  # else that opening is over
+                self._publication = None
+                self._go_on()
+
+        publication = self._publication = _Publication(publisher, content, then)
+        self.holds = True
+        self._budget.publish(publication, self._context.loop)
 
     def clear(self) -> None:
         """Drop the messages that wait."""
-        self.waiting, self._size = [], 0
+        self.waiting, self._size, self.holds = [], 0, False
+        self._publication = None
         self.forget()
 
     def forget(self) -> None:

@@ -141,6 +141,11 @@ class VolatileTopic:
         self._publisher.publish(content)
         return None
 
+    def reserve(self, content: bytes) -> Publisher:
+        """Take memory for a long message as `publish` does, and return the publisher to give it to."""
+        self._make_room(len(content) + MESSAGE_COST, self._memory())
+        return self._publisher
+
     def _make_room(self, size: int, memory: int) -> None:
         """Take memory for the next message: ask DDS what is acknowledged, or have another publisher, if needed."""
         growth, deep = size - memory, self._depth > self._lasting_depth

@@ -352,7 +352,7 @@ class CallsRoute(Route):
     def deliver(self, messages: Iterable[Message]) -> None:
         """Handle frames that arrived whole and authentic, or queue them for later turns of the I/O loop."""
         # Frames keep their order, also behind one that is unpacked off the loop.
-        if self._unpacker.waiting:
+        if self._unpacker.holds:
             self._unpacker.wait(messages)
             return
         self.losses.arrived()
