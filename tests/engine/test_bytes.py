@@ -11,7 +11,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from tests.support import replaced
 from tests.support.bridge import Bridge, carries, happened, heard, link, protocol_of, route, settled
-from tests.support.domain import Domain, text
+from tests.support.domain import LATCHED, Domain, text
 from tests.support.filled import filled
 from tests.support.long import long, long_cases
 from tests.support.participants import KnownNode, agree
@@ -21,8 +21,11 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.native.typesupport import installed_class
 from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_bridge.route.topic_verdict import USE_TCP
 from rsb_bridge.wire.sealing import CipherSuite
 
 INSTALLED: dict[str, Any] = {name: found for name in SHORT_NAMES.values() if (found := installed_class(name))}
@@ -220,5 +223,24 @@ def test_a_message_that_udp_does_not_carry_is_counted_and_said(bridge: Bridge, r
     assert heard(there, 1) == [text("small")]
     ledger = settled(client, "/big", 2)
     assert ledger.dropped == {"too large": 1}
-    assert happened(client, EventCode.ROUTE_TOO_LARGE, "use tcp")
-    assert "use tcp" in route(client, "/big").last_error
+    assert happened(client, EventCode.ROUTE_TOO_LARGE, USE_TCP)
+    assert USE_TCP in route(client, "/big").last_error
+
+
+def test_a_latched_message_that_is_too_large_is_down_on_both_sides(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """It is published once, and so no share of the topic's messages."""
+    out = robot.publisher("/map", qos=LATCHED)
+    out.publish(text("x" * (9 * MEGABYTE)))
+    sides = bridge.both(Topic("/map", "transmit", protocol="udp"))
+
+    def judged(state: State, cause: Cause) -> bool:
+        shown = [route(side, "/map") for side in sides]
+        return [(each.state, each.cause) for each in shown] == [(state, cause)] * 2
+
+    eventually(lambda: judged(State.DOWN, Cause.TOO_LARGE))
+    there = pc.listener("/map", qos=LATCHED)
+    out.publish(text("small"))
+    assert heard(there, 1) == [text("small")]
+    eventually(lambda: judged(State.OK, Cause.NONE))
+    out.publish(text("x" * (9 * MEGABYTE)))
+    eventually(lambda: judged(State.SLOW, Cause.TOO_LARGE))

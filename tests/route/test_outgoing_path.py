@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.route.test_gates import armed
 from tests.route.test_loop_filter import FIRST, World, world
 
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lease import LeaseHalf
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.wire.framing import MESSAGE_LIMIT
+from rsb_bridge.route.sending import remedy_for_size
+from rsb_bridge.route.topic_verdict import USE_TCP
+from rsb_bridge.transport.registry import default_transports
+from rsb_bridge.wire.framing import CONTENT_LIMIT
+from rsb_bridge.wire.messages import Propose
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -152,18 +155,26 @@ def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link(worl
 def test_a_message_is_not_too_large_for_the_receiver_alone(world: World) -> None:
     """Compressed it would pass here, and the receiver would not unpack it."""
     path, ledger = world.path, world.ledger
-    path.offer([RawMessage(bytes(MESSAGE_LIMIT + 1), 1, FIRST)])
+    path.offer([RawMessage(bytes(CONTENT_LIMIT + 1), 1, FIRST)])
     assert not world.sent
     assert ledger.dropped["too large"] == 1
 
 
-@pytest.mark.parametrize(("largest", "remedy"), [(8 << 20, "use tcp"), (MESSAGE_LIMIT, "publish smaller ones")])
-def test_the_remedy_for_a_message_that_no_transport_carries(largest: int, remedy: str, world: World) -> None:
-    outbox(world).largest = largest
-    world.path.offer([RawMessage(bytes(MESSAGE_LIMIT + 1), 1, FIRST)])
-    assert not world.sent
-    (said,) = [each.text for each in world.context.events.after(0) if each.code == EventCode.ROUTE_TOO_LARGE]
-    assert said.endswith(remedy)
+@pytest.mark.parametrize("world", [{"compression": "zstd"}], indirect=True)
+def test_what_crosses_counts_after_compression(world: World) -> None:
+    world.path.offer([RawMessage(bytes(100_000_000), 1, FIRST)])
+    (sent,) = world.sent
+    assert len(sent) < 20_000
+    assert not world.ledger.dropped
+
+
+@pytest.mark.parametrize(
+    ("protocol", "compression", "remedy"),
+    [("udp", "none", USE_TCP), ("tcp", "none", "set compression: zstd"), ("tcp", "zstd", "publish smaller ones")],
+)
+def test_the_remedy_for_too_large_messages(protocol: Any, compression: Any, remedy: str) -> None:
+    proposal = Propose(route=1, topic="/map", remote_topic="/map", from_client=True, compression=compression)
+    assert remedy_for_size(default_transports()[protocol], proposal) == remedy
 
 
 def test_a_message_without_a_channel_is_lost(world: World) -> None:

@@ -11,7 +11,7 @@ from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT
+from rsb_bridge.wire.framing import CONTENT_LIMIT, HISTORY, MESSAGE_LIMIT
 from rsb_bridge.wire.headers import split_history
 from rsb_bridge.wire.protocol_error import ProtocolError
 
@@ -296,7 +296,7 @@ class Unpacker:
 def _growth(payload: bytes) -> int:
     size = zstandard.frame_content_size(payload)
     # A frame without a size (-1) could grow without limit.
-    if not 0 <= size <= MESSAGE_LIMIT:
+    if not 0 <= size <= CONTENT_LIMIT:
         raise zstandard.ZstdError(f"a compressed message claims {size:,} bytes")
     return size - len(payload)
 

@@ -24,7 +24,7 @@ from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.resolving import Resolver
-from rsb_bridge.route.sending import OutgoingPath
+from rsb_bridge.route.sending import OutgoingPath, remedy_for_size
 from rsb_bridge.route.topic_route import MEASURED_FOR, Signs, TopicRoute
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import TopicProgress
@@ -520,6 +520,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             received=self._ledger.received_now,
             published=self._ledger.delivered_now,
             kept=self.has_kept,
+            undelivered=self.notices.undelivered,
             subscribers=report.subscribers if report else None,
             deaf=report.nodes if report else (),
         )
@@ -535,7 +536,12 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def facts(self) -> Facts:
         facts = super().facts()
-        facts = facts._replace(left_out=self.notices.warning, rate=self.meter.rate, datagrams=self.datagrams())
+        facts = facts._replace(
+            left_out=self.notices.warning,
+            rate=self.meter.rate,
+            datagrams=self.datagrams(),
+            remedy_for_size=remedy_for_size(self.transport, self.proposal),
+        )
         facts = self._health.added_to(facts)
         loss = facts.loss
         if loss is None or self.peer.fullness.out is not None:

@@ -20,7 +20,8 @@ from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
 from rsb_bridge.route.route import route_weight
-from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message
+from rsb_bridge.route.topic_verdict import USE_TCP
+from rsb_bridge.wire.framing import CONTENT_LIMIT, HISTORY, MESSAGE_LIMIT, ZSTD, Message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -216,6 +217,13 @@ class Overload:
         self._grows, self._before, self._turned = False, None, False
 
 
+def remedy_for_size(transport: Transport, proposal: Propose) -> str:
+    """Return what an operator can do about messages that are too large for a route."""
+    if transport.largest_message < MESSAGE_LIMIT:
+        return USE_TCP
+    return "publish smaller ones" if proposal.compression == "zstd" else "set compression: zstd"
+
+
 class Outbox:
     """The queue before a channel, which counts what it drops in the ledger.
 
@@ -236,6 +244,7 @@ class Outbox:
     ) -> None:
         self.leaving: Sift[Message] | None = None
         self._transport = transport
+        self._proposal = proposal
         self._automatic = proposal.qos is None
         self._ledger = ledger
         self._failed = failed
@@ -342,10 +351,9 @@ class Outbox:
     def too_large(self, size: int) -> None:
         """Count a message of so many bytes, which the transport does not carry, and tell operators."""
         self._ledger.drop("too large", 1)
-        name = self._transport.name
-        remedy = "use tcp" if self.largest < MESSAGE_LIMIT else "publish smaller ones"
-        text = f"a message of {size:,} bytes is more than {name} carries here ({self.largest:,}): {remedy}"
-        self._failed(EventCode.ROUTE_TOO_LARGE, text)
+        sizes = f"{size / 1e6:,.1f} MB, more than {self._transport.name} carries ({self.largest / 1e6:.1f})"
+        remedy = remedy_for_size(self._transport, self._proposal)
+        self._failed(EventCode.ROUTE_TOO_LARGE, f"a message has {sizes}: {remedy}")
 
 
 class OutgoingPath:
@@ -460,10 +468,10 @@ class OutgoingPath:
     def _compressed(self, message: Message) -> Message:
         """Return a message as it is sent: compressed if both sides agreed on that and it gets smaller.
 
-        The receiver unpacks no more than `MESSAGE_LIMIT`; a longer message stays as it is, and is dropped here.
+        The receiver unpacks no more than `CONTENT_LIMIT`; a longer message stays as it is, and is dropped here.
         """
         payload, stamp, flags = message
-        if self._compressor is not None and len(payload) <= MESSAGE_LIMIT:
+        if self._compressor is not None and len(payload) <= CONTENT_LIMIT:
             smaller = self._compressor.compress(payload)
             if len(smaller) < len(payload):
                 return smaller, stamp, flags | ZSTD

@@ -53,7 +53,7 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
     ),
     "too large": (
         Cause.TOO_LARGE,
-        "they are larger than its transport carries: use protocol: tcp, or publish smaller ones",
+        "they are larger than its transport carries",
     ),
     "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
     "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
@@ -84,7 +84,8 @@ class TopicProgress(NamedTuple):
         received: messages of this opening.
         published: messages of this opening.
         kept: whether the receiving side keeps messages of a latched topic.
-        undelivered: on the receiving side, the reason why none was received, or empty.
+        undelivered: the reason why the newest message was too large to be sent, on the receiving side why none was
+            received, or empty.
         subscribers: subscriptions on the receiving side that DDS has matched, which may be known before their nodes
             are, or None if their number is unknown.
         deaf: the subscribers, if they do not match.
@@ -128,6 +129,7 @@ class Facts(NamedTuple):
         lost_in_dds: messages that DDS lost in the last `LATELY` s before they could be taken.
         loss: between the two sides, or None if it is negligible.
         datagrams: about how many a message takes, or 0 if its transport has none.
+        remedy_for_size: what to do about messages that are too large.
         armed: whether it has to be armed: then TCP would lose more of it, since late messages are dropped.
         expired: the messages that were dropped lately because they were too old, or None if they are few.
         full: the rates of the link if it is full, or None.
@@ -148,6 +150,7 @@ class Facts(NamedTuple):
     lost_in_dds: int = 0
     loss: Loss | None = None
     datagrams: int = 0
+    remedy_for_size: str = ""
     armed: bool = False
     late: Late | None = None
     expired: Expired | None = None
@@ -204,7 +207,7 @@ def topic_stages(status: RouteStatus, progress: TopicProgress) -> tuple[Stage, .
         stage("QoS compatible", known and not clash, clash, failed=known and bool(clash)),
         stage("subscribed", progress.subscribed, failure, failed=bool(failure)),
         *link_and_acceptance(status),
-        stage("sent", progress.sent > 0 or progress.kept),
+        stage("sent", progress.sent > 0 or progress.kept, progress.undelivered if status.sends else ""),
         stage("received", progress.received > 0 or progress.kept, progress.undelivered, note=progress.undelivered),
         stage("published", progress.published > 0 or progress.kept),
         stage("subscriber seen", bool(progress.subscribers), _why_none_hears(status, progress)),
@@ -428,6 +431,8 @@ def _lossy(facts: Facts) -> Verdict | None:
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
     elif facts.loss_of_full_link and cause is Cause.LOSSY:
         why = "the link was full"
+    elif cause is Cause.TOO_LARGE:
+        why += f": {facts.remedy_for_size}"
     # The figures still contain the losses before the recovery.
     if loss.recovering:
         if facts.shown_cause not in LOSS_CAUSES:
@@ -438,6 +443,17 @@ def _lossy(facts: Facts) -> Verdict | None:
         return Verdict(State.DOWN, cause, f"{text}, for {LASTING}: {why}", loss.since)
     text = f"{loss.lost:,} of the last {loss.of:,} messages ({loss.share:.0%}) did not arrive"
     return Verdict(State.SLOW, cause, f"{text}, for {LASTING}: {why}", loss.since)
+
+
+def _too_large(facts: Facts) -> Verdict | None:
+    """Judge what `_lossy` cannot: the newest message of a latched topic, or one before any was sent."""
+    progress = facts.progress
+    if not (facts.status.sends and facts.status.flowing and progress.undelivered):
+        return None
+    some = progress.sent > 0 or progress.kept
+    if some and not (progress.qos is not None and progress.qos.latched):
+        return None
+    return Verdict(State.SLOW if some else State.DOWN, Cause.TOO_LARGE, progress.undelivered)
 
 
 # --- the receiving side
@@ -501,6 +517,7 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _publishers_types,
     _unresolved,
     _lossy,
+    _too_large,
     _stale,
     _stopped,
     _expired,

@@ -121,6 +121,8 @@ CONTROL_LIMIT = 1 << 20
 """Both of the protocol: bytes of the longest frame of somebody who has proven no key, and of any other."""
 MESSAGE_LIMIT = 64 << 20
 """Bytes of the longest message, as sent (compressed, if it is)."""
+CONTENT_LIMIT = 2 * MESSAGE_LIMIT
+"""Bytes of the longest compressed message, once it is unpacked: a map of 100 MB is 1 MB on the wire."""
 UNFINISHED_LIMIT = 4 * MESSAGE_LIMIT
 """Bytes of incomplete messages that all readers of a link hold together: 64 messages of 8 MB, each half received."""
 
