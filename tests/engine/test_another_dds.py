@@ -1,0 +1,182 @@
+"""Programs with another DDS in both domains, Cyclone DDS, beside stock nodes: the bridge treats them alike."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from tests.support.bridge import heard, route
+from tests.support.domain import text
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.verdict import Cause
+
+pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: it has wheels for Python 3.11 to 3.13")
+
+from cyclonedds.core import Policy
+from cyclonedds.util import duration
+from tests.support.cyclone import CycloneProgram
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+USUAL, ALL = Qos(), Qos(history="keep_all")
+BEST_EFFORT, LATCHED = Qos(reliability="best_effort"), Qos(durability="transient_local", depth=3)
+
+
+class Stock:
+    """A stock node's endpoints, with the methods of `CycloneProgram`."""
+
+    def __init__(self, domain: Domain) -> None:
+        self._domain = domain
+
+    def writer(self, topic: str, qos: Qos = USUAL) -> Any:
+        return _StockWriter(self._domain.publisher(topic, qos=_profile(qos)))
+
+    def reader(self, topic: str, qos: Qos = USUAL) -> Any:
+        return _StockReader(self._domain.listener(topic, qos=_profile(qos)))
+
+
+class _StockWriter:
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+
+    @property
+    def matched(self) -> int:
+        count: int = self._publisher.get_subscription_count()
+        return count
+
+    def publish(self, words: str) -> None:
+        self._publisher.publish(text(words))
+
+
+class _StockReader:
+    def __init__(self, listener: Any) -> None:
+        self._listener = listener
+
+    @property
+    def texts(self) -> list[str]:
+        texts: list[str] = self._listener.texts(1000)
+        return texts
+
+
+def _profile(qos: Qos) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST if qos.history == "keep_last" else HistoryPolicy.KEEP_ALL,
+        depth=qos.depth,
+        reliability=ReliabilityPolicy.RELIABLE if qos.reliability == "reliable" else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.latched else DurabilityPolicy.VOLATILE,
+        deadline=Duration(seconds=qos.deadline),
+        lifespan=Duration(seconds=qos.lifespan),
+    )
+
+
+@pytest.fixture(params=["cyclone", "ros"])
+def sides(request: pytest.FixtureRequest, robot: Domain, pc: Domain) -> Iterator[tuple[Any, Any]]:
+    """A program in the robot's domain, and one in the PC's."""
+    if request.param == "ros":
+        yield Stock(robot), Stock(pc)
+    else:
+        with closing(CycloneProgram(robot.id)) as near, closing(CycloneProgram(pc.id)) as far:
+            yield near, far
+
+
+def crossed(writer: Any, reader: Any, messages: list[str]) -> None:
+    """Have these messages cross, after one by which the route is known to be open."""
+
+    def is_open() -> bool:
+        writer.publish("first")
+        return bool(reader.texts)
+
+    eventually(is_open)
+    for each in messages:
+        writer.publish(each)
+    eventually(lambda: reader.texts[-len(messages) :] == messages)
+
+
+@pytest.mark.parametrize("qos", [Qos(), BEST_EFFORT, LATCHED, ALL], ids=["reliable", "best_effort", "latched", "all"])
+def test_messages_cross_in_both_directions(bridge: Bridge, sides: tuple[Any, Any], qos: Qos) -> None:
+    near, far = sides
+    up, down = near.writer("/up", qos), far.writer("/down", qos)
+    bridge.both(Topic("/up", "transmit"), Topic("/down", "receive"))
+    heard_up, heard_down = far.reader("/up", qos), near.reader("/down", qos)
+    messages = ["a", "", "ä" * 40_000, "b"]
+    crossed(up, heard_up, messages)
+    crossed(down, heard_down, messages)
+
+
+def test_large_messages_cross(bridge: Bridge, sides: tuple[Any, Any]) -> None:
+    """From Fast DDS to Cyclone DDS, the first large one is usually lost, also without a bridge."""
+    near, far = sides
+    writer, reader = near.writer("/large"), far.reader("/large")
+    bridge.both(Topic("/large", "transmit"))
+    for large in "x" * 1_000_000, "y" * 3_000_000:
+
+        def has_crossed(large: str = large) -> bool:
+            writer.publish(large)
+            return large in reader.texts
+
+        eventually(has_crossed)
+
+
+def test_late_joiner_hears_latched_history(bridge: Bridge, sides: tuple[Any, Any]) -> None:
+    near, far = sides
+    writers = near.writer("/up", LATCHED), far.writer("/down", LATCHED)
+    for number in range(5):
+        for each in writers:
+            each.publish(str(number))
+    bridge.both(Topic("/up", "transmit"), Topic("/down", "receive"))
+    for reader in far.reader("/up", LATCHED), near.reader("/down", LATCHED):
+        eventually(lambda reader=reader: reader.texts == ["2", "3", "4"])
+
+
+def test_nothing_of_keep_all_is_lost(bridge: Bridge, sides: tuple[Any, Any]) -> None:
+    near, far = sides
+    writer, reader = near.writer("/all", ALL), far.reader("/all", ALL)
+    bridge.both(Topic("/all", "transmit"))
+    crossed(writer, reader, [str(number) for number in range(500)])
+
+
+def test_deadline_and_lifespan_reach_far_side(bridge: Bridge, sides: tuple[Any, Any], pc: Domain) -> None:
+    near, _ = sides
+    near.writer("/timed", Qos(deadline=2.0, lifespan=4.0))
+    bridge.both(Topic("/timed", "transmit"))
+    found = eventually(lambda: pc.node.get_publishers_info_by_topic("/timed"))
+    assert (found[0].qos_profile.deadline, found[0].qos_profile.lifespan) == (Duration(seconds=2), Duration(seconds=4))
+
+
+def test_manual_liveliness_crosses_as_automatic(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    lease = Duration(seconds=1)
+    manual = QoSProfile(depth=10, liveliness=LivelinessPolicy.MANUAL_BY_TOPIC, liveliness_lease_duration=lease)
+    stock = _StockWriter(robot.publisher("/stock", qos=manual))
+    with closing(CycloneProgram(robot.id)) as near:
+        writer = near.writer("/cyclone", Qos(), Policy.Liveliness.ManualByTopic(duration(seconds=1)))
+        bridge.both(Topic("/stock", "transmit"), Topic("/cyclone", "transmit"))
+        for topic, each in (("/stock", stock), ("/cyclone", writer)):
+            crossed(each, _StockReader(pc.listener(topic)), ["a", "b"])
+            offered = pc.node.get_publishers_info_by_topic(topic)[0].qos_profile.liveliness
+            assert offered == LivelinessPolicy.AUTOMATIC
+
+
+def test_program_that_is_killed_returns(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    server, client = bridge.both(Topic("/numbers", "transmit"))
+    listener = pc.listener("/numbers")
+    command = [sys.executable, "-m", "tests.support.cyclone", str(robot.id), "/numbers"]
+    for _ in range(2):
+        listener.forget()
+        with subprocess.Popen(command, cwd=Path(__file__).parents[2]) as program:
+            heard(listener, 5)
+            program.kill()
+        eventually(lambda: route(client, "/numbers").cause in {Cause.NO_PUBLISHER, Cause.PUBLISHER_GONE})
+        eventually(lambda: route(server, "/numbers").cause in {Cause.NO_PUBLISHER, Cause.PUBLISHER_GONE})

@@ -1,0 +1,116 @@
+"""Programs of a domain that are no ROS nodes: a participant of Cyclone DDS with writers and readers of std_msgs/String.
+
+``python -m tests.support.cyclone DOMAIN TOPIC`` writes numbers, 20 a second, until it is killed.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.pub import DataWriter, Publisher
+from cyclonedds.sub import DataReader, Subscriber
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from rsb_bridge.model import qos as model
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+os.environ["CYCLONEDDS_URI"] = (
+    "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/></Interfaces>"
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    "<MaxAutoParticipantIndex>64</MaxAutoParticipantIndex><LeaseDuration>2s</LeaseDuration>"
+    "<Peers><Peer address='localhost'/></Peers></Discovery></Domain></CycloneDDS>"
+)
+_MOST = 1000
+_USUAL = model.Qos()
+
+STRING = make_idl_struct("String", "std_msgs::msg::dds_::String_", {"data": str})
+
+
+class CycloneProgram:
+    """One participant."""
+
+    def __init__(self, domain_id: int) -> None:
+        self._participant: Any = DomainParticipant(domain_id)
+        self._endpoints: list[Any] = []  # the last reference to one deletes it
+
+    def writer(self, topic: str, qos: model.Qos = _USUAL, *more: Any) -> CycloneWriter:
+        """Write to a topic.
+
+        Args:
+            more: policies of Cyclone that ROS does not have.
+        """
+        given = Qos(*_policies(qos), *more)
+        group = Publisher(self._participant, qos=Qos(*(each for each in more if isinstance(each, Policy.Partition))))
+        self._endpoints.append(DataWriter(group, Topic(self._participant, f"rt{topic}", STRING), given))
+        return CycloneWriter(self._endpoints[-1])
+
+    def reader(self, topic: str, qos: model.Qos = _USUAL, *more: Any) -> CycloneReader:
+        """Read from a topic."""
+        given, group = Qos(*_policies(qos), *more), Subscriber(self._participant)
+        self._endpoints.append(DataReader(group, Topic(self._participant, f"rt{topic}", STRING), given))
+        return CycloneReader(self._endpoints[-1])
+
+    def close(self) -> None:
+        self._endpoints.clear()
+        self._participant = None
+
+
+class CycloneWriter:
+    def __init__(self, writer: Any) -> None:
+        self._writer = writer
+
+    @property
+    def matched(self) -> int:
+        return len(self._writer.get_matched_subscriptions())
+
+    def publish(self, text: str) -> None:
+        self._writer.write(STRING(data=text))
+
+
+class CycloneReader:
+    def __init__(self, reader: Any) -> None:
+        self._reader = reader
+        self._texts: list[str] = []
+
+    @property
+    def texts(self) -> list[str]:
+        """All that has come so far."""
+        self._texts += [each.data for each in self._reader.take(_MOST)]
+        return self._texts
+
+
+def _policies(qos: model.Qos) -> Iterator[Any]:
+    yield Policy.DataRepresentation(use_cdrv0_representation=True)
+    reliable = Policy.Reliability.Reliable(duration(seconds=10))
+    yield reliable if qos.reliability == "reliable" else Policy.Reliability.BestEffort
+    kept = Policy.History.KeepLast(qos.depth) if qos.history == "keep_last" else Policy.History.KeepAll
+    yield kept
+    if qos.latched:
+        yield Policy.Durability.TransientLocal
+        yield Policy.DurabilityService(duration(seconds=0), kept, _MOST, 1, _MOST)
+    if qos.deadline:
+        yield Policy.Deadline(duration(seconds=qos.deadline))
+    if qos.lifespan:
+        yield Policy.Lifespan(duration(seconds=qos.lifespan))
+
+
+def main() -> None:
+    domain, topic = sys.argv[1:]
+    writer = CycloneProgram(int(domain)).writer(topic)
+    for number in itertools.count():
+        writer.publish(str(number))
+        time.sleep(0.05)
+
+
+if __name__ == "__main__":
+    main()
