@@ -18,6 +18,8 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.ros_interface import BARE_DDS
+from rsb_bridge.route.topic_verdict import NOT_MATCHED, PUBLISHED_NOTHING
 
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: it has wheels for Python 3.11 to 3.13")
 
@@ -167,6 +169,26 @@ def test_manual_liveliness_crosses_as_automatic(bridge: Bridge, robot: Domain, p
             crossed(each, _StockReader(pc.listener(topic)), ["a", "b"])
             offered = pc.node.get_publishers_info_by_topic(topic)[0].qos_profile.liveliness
             assert offered == LivelinessPolicy.AUTOMATIC
+
+
+def test_program_is_named_as_no_node(bridge: Bridge, robot: Domain) -> None:
+    with closing(CycloneProgram(robot.id)) as near:
+        near.writer("/silent")
+        _, client = bridge.both(Topic("/silent", "transmit"))
+        expected = f"{BARE_DDS} {PUBLISHED_NOTHING[0]}"
+        eventually(lambda: route(client, "/silent").reason == expected)
+
+
+@pytest.mark.parametrize("policy", [Policy.Ownership.Exclusive, Policy.Partition(["cell"])], ids=["owned", "parted"])
+def test_writer_that_does_not_match_is_named(bridge: Bridge, robot: Domain, pc: Domain, policy: Any) -> None:
+    with closing(CycloneProgram(robot.id)) as near:
+        writer = near.writer("/apart", USUAL, policy)
+        server, client = bridge.both(Topic("/apart", "transmit"))
+        eventually(lambda: route(client, "/apart").reason == f"{BARE_DDS} {NOT_MATCHED[0]}")
+        eventually(lambda: NOT_MATCHED[0] in route(server, "/apart").reason)
+        writer.publish("a")
+        crossed(near.writer("/apart"), _StockReader(pc.listener("/apart")), ["b"])
+        eventually(lambda: route(client, "/apart").state == "ok")
 
 
 def test_program_that_is_killed_returns(bridge: Bridge, robot: Domain, pc: Domain) -> None:

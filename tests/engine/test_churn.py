@@ -26,6 +26,7 @@ _WITHIN = 60.0
 
 class Subscription:
     lost = 0
+    matched = 1
 
     def __init__(self, sink: Any) -> None:
         self.sink = sink

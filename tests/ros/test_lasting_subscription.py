@@ -14,6 +14,7 @@ from rsb_bridge.ros.ros_interface import OnFailure, RosError
 
 class _Opened:
     lost = 3
+    matched = 1
 
     def __init__(self, on_failure: OnFailure) -> None:
         self.fail = on_failure

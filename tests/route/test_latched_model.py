@@ -51,7 +51,7 @@ class Writer:
 class NearDds:
     """The sending side's DDS: histories come first, and each reader hears each writer in order, a little late."""
 
-    node_name = "rsb_robot1_0123abcd"
+    node_name = "_rsb_robot1_0123abcd"
     shortfalls: tuple[str, ...] = ()
 
     def __init__(self, loop: VirtualLoop, random: Random, lifespan: float) -> None:
@@ -104,6 +104,7 @@ class NearDds:
 
 class NearReader:
     lost = 0
+    matched = 1
 
     def __init__(self, dds: NearDds, sink: Sink) -> None:
         self._dds = dds

@@ -70,6 +70,7 @@ class Graph(NoRos):
 
         class Subscription:
             lost = 0
+            matched = 1
 
             def close(self) -> None:
                 pass

@@ -43,6 +43,7 @@ class FakeSubscription:
     def __init__(self, qos: Qos) -> None:
         self.qos = qos
         self.lost = 0
+        self.matched = 1
         self.closed = False
 
     def close(self) -> None:

@@ -242,6 +242,7 @@ class Reader(Taker[RawMessage]):
         self.qos = qos
         self.seen_qos = msgspec.structs.replace(qos, depth=0)
         self.lost = 0
+        self.matched = 1
         self.taken = 0
         self.on_take: Callable[[list[RawMessage]], None] | None = None
         self._origin = (node, origin)

@@ -70,6 +70,7 @@ class BenchSource:
         self._thread: threading.Thread | None = None
         self._stops = False
         self.lost = 0
+        self.matched = 1
         self.sent = 0
         self.rate = 0.0
 
@@ -180,6 +181,7 @@ class PictureSource:
         self._closed = closed
         self._number = 0
         self.lost = 0
+        self.matched = 1
         self.closed = False
 
     def send(self, encoded: bytes, stamp: int) -> None:

@@ -56,6 +56,11 @@ class LastingSubscription:
         """Messages that DDS lost before they could be taken, over all attempts."""
         return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
 
+    @property
+    def matched(self) -> int:
+        """How many publishers DDS has matched with it; 0 after a failure."""
+        return self._subscription.matched if self._subscription is not None else 0
+
     def reopen(self) -> None:
         """Subscribe again; if that fails, retry later."""
         if self._subscription is not None:

@@ -493,6 +493,10 @@ class _Subscription(Drain[RawMessage]):
     def lost(self) -> int:
         return self._reader.lost
 
+    @property
+    def matched(self) -> int:
+        return self._reader.matched
+
 
 class _Publisher:
     """A writer that counts other nodes' subscriptions only."""

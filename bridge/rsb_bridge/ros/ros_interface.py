@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from rsb_bridge.model.wording import Wording
 
@@ -55,6 +55,10 @@ class RosError(Exception):
     """ROS refused something; the message says what and what to do, in an operator's words."""
 
 
+BARE_DDS: Final = "a DDS program that is no ROS node"
+"""The node's name of an endpoint that no node has."""
+
+
 class TopicSpec(NamedTuple):
     """A topic to subscribe to or to publish.
 
@@ -91,7 +95,7 @@ class Endpoint(NamedTuple):
     """A publisher or subscription that some node has on a topic.
 
     Attributes:
-        node: its node's full name, ``/namespace/name``; empty while only the endpoint is discovered.
+        node: its node's full name, ``/namespace/name``; `BARE_DDS`, or empty while only the endpoint is discovered.
         type_name: ``pkg/msg/Name``, or a foreign DDS program's own type name: printable, 255 characters.
         type_hash: ``RIHS01_...``, or empty if unknown.
         qos: its policies, clamped (`rsb_bridge.model.qos.clamp_qos`); the depth is unknown to others, and 0 here.
@@ -115,6 +119,10 @@ class Subscription(Protocol):
         Of a publisher that was there before the subscription, those before the first message taken are not counted:
         they were published for others. Of a publisher that came later, they are.
         """
+
+    @property
+    def matched(self) -> int:
+        """How many publishers DDS has matched with it, our own node's too."""
 
     def close(self) -> None:
         """Stop taking, and free it. After it returns the sink is not called again. May be called twice."""

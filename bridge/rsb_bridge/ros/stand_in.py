@@ -220,6 +220,7 @@ class _Reader:
     """The bridge's subscription to a topic of the stand-in."""
 
     lost = 0
+    matched = 1
 
     def __init__(self, sink: Sink, among: list[_Reader]) -> None:
         self._sink: Sink | None = sink

@@ -131,6 +131,15 @@ class Reader:
             taken.append(_new(RawMessage, (buffer.taken(), stamp, gid, number, 0, source)))
         return taken if size else None
 
+    @property
+    def matched(self) -> int:
+        """How many publishers match it, our own node's too; 0 once closed."""
+        try:
+            count: int = self.handle.rclpy.get_publisher_count()
+        except RuntimeError:
+            return 0
+        return count
+
     def close(self) -> None:
         """Free it. To be called once."""
         self.handle.free()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.cdr.checker import Checker, UncheckableError
 from rsb_bridge.cdr.description import DescriptionError, hash_of_text, read_description
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import BARE_DDS, RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -104,7 +104,8 @@ class TypeDescriptions:
         ros = self._ros
         try:
             endpoints = [*ros.publishers(topic), *ros.subscriptions(topic)]
-            nodes = dict.fromkeys(each.node for each in endpoints if each.node and each.type_hash == type_hash)
+            having = [each.node for each in endpoints if each.type_hash == type_hash]
+            nodes = dict.fromkeys(each for each in having if each and each != BARE_DDS)
             for node in list(nodes)[:_NODES]:
                 text = ros.ask_description(node, type_name, type_hash, lambda: not self._closed)
                 # Any node may answer anything; the next one may have the right one.

@@ -516,6 +516,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             why_unresolved=self._resolver.why(),
             subscribed=self._subscription.receives,
             subscribe_failed=self._subscription.failure,
+            unmatched=self._subscription.is_unmatched,
             sent=self._ledger.sent_now,
             received=self._ledger.received_now,
             published=self._ledger.delivered_now,

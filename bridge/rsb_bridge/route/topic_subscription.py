@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.meters import RateMeter
 
 
+_MATCHED_WITHIN = 2
+"""Ticks. A round figure: DDS matches a publisher that it lists within milliseconds."""
+
+
 class TopicSubscription:
     """A route's subscription, begun again with each opening. It hands all messages to `OutgoingPath`, on the I/O loop.
 
@@ -78,6 +82,7 @@ class TopicSubscription:
         self._depth = 0
         self._bounds: dict[bytes, Bounds] = {}  # of the depths of a latched topic's publishers
         self._lost_before = self._lost_seen = 0
+        self._unmatched_ticks = 0
 
     # --- the subscription
 
@@ -156,9 +161,17 @@ class TopicSubscription:
         """Messages that DDS lost before they could be taken, over all openings."""
         return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
 
+    @property
+    def is_unmatched(self) -> bool:
+        """Whether DDS has matched no publisher for a while: a listed one then differs in what the list lacks."""
+        return self.receives and self._unmatched_ticks > _MATCHED_WITHIN
+
     def tick(self) -> None:
         """Subscribe again if DDS has lost messages that a deeper history would have kept. Called once a second."""
-        if self._subscription is None or self.lost == self._lost_seen:
+        if self._subscription is None:
+            return
+        self._unmatched_ticks = 0 if self._subscription.matched else self._unmatched_ticks + 1
+        if self.lost == self._lost_seen:
             return
         self._lost_seen = self.lost
         before, depth = self._depth, self._qos().depth

@@ -38,6 +38,10 @@ LEFT_OUT_LATCHED = (
     "latches its messages, but this topic is volatile: use qos: auto",
     "latch their messages, but this topic is volatile: use qos: auto",
 )
+NOT_MATCHED = (
+    "does not match the subscription: its partition, ownership or key differs",
+    "do not match the subscription: their partition, ownership or key differs",
+)
 """Verbs for one silent publisher, and for several."""
 _NAMED = 3
 """Nodes that a sentence names."""
@@ -80,6 +84,7 @@ class TopicProgress(NamedTuple):
         why_unresolved: the same in words, or the other side's reason.
         clash: on the receiving side, the reason why a subscription does not match `qos`, or empty.
         subscribe_failed: the reason why its subscription failed, or empty.
+        unmatched: on the sending side, whether DDS matches none of the publishers with its subscription.
         sent: messages of this opening.
         received: messages of this opening.
         published: messages of this opening.
@@ -104,6 +109,7 @@ class TopicProgress(NamedTuple):
     clash: str = ""
     subscribed: bool = False
     subscribe_failed: str = ""
+    unmatched: bool = False
     sent: int = 0
     received: int = 0
     published: int = 0
@@ -286,6 +292,8 @@ def _stale(facts: Facts) -> Verdict | None:
 def _why_silent(facts: Facts) -> tuple[Cause, str]:
     """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = facts.status.came or facts.status.came_before
+    if facts.progress.endpoints and facts.progress.unmatched:
+        return Cause.PUBLISHER_SILENT, _plural(facts.progress.endpoints, *NOT_MATCHED)
     if facts.progress.endpoints:
         # A publisher that has just come has had no time for its first message.
         stopped = [each for each in facts.progress.endpoints if each.gid not in facts.new] if ever else []
@@ -318,6 +326,8 @@ def _waiting(facts: Facts) -> Verdict | None:
             and all(p.qos.latched for p in facts.progress.endpoints)
         ):
             verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
+        elif facts.progress.unmatched:
+            verbs = NOT_MATCHED
         text = _plural(facts.progress.endpoints, *verbs)
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
     missing = "" if facts.status.flowing else waits_for(facts.status, facts.progress)

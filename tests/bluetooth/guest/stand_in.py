@@ -156,6 +156,7 @@ class StandIn(NoRos):
 
 class _Subscription:
     lost = 0
+    matched = 1
 
     def __init__(self, sinks: dict[str, Sink], topic: str) -> None:
         self._sinks = sinks

@@ -19,7 +19,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.distribution import described
 from rsb_bridge.ros.native.librcl import reset_error
 from rsb_bridge.ros.native.typesupport import HASH_PREFIX
-from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
+from rsb_bridge.ros.ros_interface import BARE_DDS, Endpoint, RosError, RosProblem
 
 if TYPE_CHECKING:
     import threading
@@ -209,7 +209,10 @@ class Handle:
 
 
 _INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE
-_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
+_NODES = {
+    "_NODE_NAME_UNKNOWN_": "",  # of an endpoint that was discovered before its node
+    "_CREATED_BY_BARE_DDS_APP_": BARE_DDS,
+}
 _DEEPEST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
 
 
@@ -234,9 +237,9 @@ def _duration(seconds: float) -> Duration:
 def endpoint_of(info: dict[str, Any]) -> Endpoint:
     """An endpoint of the graph. Any DDS program may have put it there, so nothing in it is trusted."""
     type_hash, profile = info.get("topic_type_hash"), info["qos_profile"]
-    known = info["node_name"] != _UNKNOWN_NODE
+    node = _NODES.get(info["node_name"])
     return Endpoint(
-        node=sanitize_text(f"{info['node_namespace'].rstrip('/')}/{info['node_name']}") if known else "",
+        node=sanitize_text(f"{info['node_namespace'].rstrip('/')}/{info['node_name']}") if node is None else node,
         type_name=safe_type_name(info["topic_type"]),
         type_hash=f"{HASH_PREFIX}{type_hash['value'].hex()}" if type_hash and type_hash["version"] == 1 else "",
         qos=clamp_qos(
