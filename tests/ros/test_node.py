@@ -7,6 +7,8 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from rclpy.node import HIDDEN_NODE_PREFIX
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from tests.ros.domains import ANOTHER
@@ -89,10 +91,19 @@ def test_graph_shows_others_and_not_ourselves(open_node: Callable[..., RosNode],
     topics = eventually(lambda: found if "/theirs" in (found := ours.topics()) else None)
     assert topics["/theirs"] == topics["/shared"] == [STRING]
     assert "/ours_only" not in topics
-    [seen] = eventually(lambda: [name for name in rclpy_node.get_node_names() if name.startswith("rsb_robot_1__")])
+    [seen] = eventually(lambda: [name for name in rclpy_node.get_node_names() if name.startswith("_rsb_robot_1__")])
     published = eventually(lambda: rclpy_node.get_publisher_names_and_types_by_node(seen, "/"))
     assert published == [("/shared", [STRING])]
     assert rclpy_node.get_service_names_and_types_by_node(seen, "/") == []
+
+
+def test_visible_nodes_have_parameters(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
+    """`ros2 param list` asks every node that is not hidden."""
+    ours = open_node()
+    names = eventually(lambda: found if ours.node_name in (found := rclpy_node.get_node_names()) else None)
+    visible = [name for name in names if not name.startswith(HIDDEN_NODE_PREFIX)]
+    assert visible
+    assert all(AsyncParameterClient(rclpy_node, name).wait_for_services(10.0) for name in visible)
 
 
 def test_two_bridges_of_one_name_are_two_nodes(open_node: Callable[..., RosNode]) -> None:

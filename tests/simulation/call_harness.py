@@ -155,7 +155,7 @@ class CallHarness(Bed):
 
     @property
     def offered(self) -> bool:
-        return any(each.node.startswith("/rsb_") for each in self.near.domain.services.servers[self.near_name])
+        return any(each.node.startswith("/_rsb_") for each in self.near.domain.services.servers[self.near_name])
 
     async def ready(self, client: ScriptedClient) -> None:
         await until(lambda: client.endpoint.ready, 30.0)

@@ -294,7 +294,7 @@ async def offer_fails(world: World, service: ServiceFlow | ActionFlow, random: R
         clients = far.clients[service.far_services[lane]]
         ends: tuple[tuple[Server | Client, ...], ...] = (tuple(servers), tuple(clients))
         for end in random.choice(ends):
-            if end.node.startswith("/rsb_"):
+            if end.node.startswith("/_rsb_"):
                 end.fail()
 
 

@@ -32,7 +32,7 @@ class Node:
         self.on_writer: Callable[[Writer, Hashable], None] | None = None
         self.on_reader: Callable[[Reader, Hashable], None] | None = None
         self._domain = domain
-        self.node_name = f"rsb_{name}_{instance_id}"
+        self.node_name = f"_rsb_{name}_{instance_id}"
         self._name = f"/{self.node_name}"
         self._stopped = self._stalled = False
 

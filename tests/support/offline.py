@@ -87,7 +87,7 @@ class FakePeer:
         self.fullness = LinkFullness(lambda *_: None)
         self.path = PathWatch(lambda *_: None, lambda: None)
         self.revisions = Revisions()
-        self.bridges: tuple[str, ...] = ("rsb_robot1_fedcba98",)
+        self.bridges: tuple[str, ...] = ("_rsb_robot1_fedcba98",)
         self.budget = PeerBudget(0.0)
         self.profile = NO_PROFILE
         self.clock, self.stamps = ClockOffset(), ClockOffset()

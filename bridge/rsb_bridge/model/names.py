@@ -1,6 +1,6 @@
 """Names: of topics, of types, of a session's files, of the hops that messages have crossed, and of keys.
 
-A *hop* is a bridge that took messages, and the topic it took them from: ``rsb_robot1_1a2b3c4d/scan``, the name of its
+A *hop* is a bridge that took messages, and the topic it took them from: ``_rsb_robot1_1a2b3c4d/scan``, the name of its
 ROS node and that of the topic. Messages that crossed the same bridges have the same `Via`: so no message crosses a
 bridge twice.
 """

@@ -17,7 +17,7 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from rclpy.node import HIDDEN_NODE_PREFIX, Node
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,7 +43,7 @@ class _Asking:
     def __init__(self, domain: int) -> None:
         self._context = Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
-        self._node = Node("rsb_doctor", context=self._context, enable_rosout=False, start_parameter_services=False)
+        self._node = Node("_rsb_doctor", context=self._context, enable_rosout=False, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
 
@@ -63,9 +63,7 @@ class _Asking:
         infos = self._node.get_subscriptions_info_by_topic(topic)
         # A node with two subscriptions is listed twice, and asked once.
         names = {(each.node_namespace.rstrip("/"), each.node_name) for each in infos}
-        return sorted(
-            f"{space}/{name}" for space, name in names if not name.startswith(("rsb_", "_NODE_NAME_UNKNOWN_"))
-        )
+        return sorted(f"{space}/{name}" for space, name in names if not name.startswith(HIDDEN_NODE_PREFIX))
 
     def timeouts(self, node: str) -> dict[str, Any] | None:
         """Return a node's parameters that sound like a timeout, or None if it does not answer."""

@@ -84,8 +84,9 @@ class RosNode:
     def __init__(self, domain_id: int, name: str) -> None:
         self.instance_id = secrets.token_hex(4)
         self._domain_id = domain_id
-        # In ROS, a node's name has letters, digits and _ only, and at most 255 of them.
-        self.node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
+        # In ROS, a node's name has letters, digits and _ only, and at most 255 of them. A _ at its beginning hides the
+        # node: `ros2 param list` asks all others, and waits 5 s for each that has no parameters.
+        self.node_name = f"_rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
         self.turns = RosTurns(self._wake)
         self.shortfalls: tuple[str, ...] = ()
         self._lock = threading.Lock()

@@ -56,7 +56,7 @@ class NoRos:
     """A ROS graph that has nothing in it, and takes nothing."""
 
     instance_id = "0123abcd"
-    node_name = "rsb_robot1_0123abcd"
+    node_name = "_rsb_robot1_0123abcd"
     shortfalls: tuple[str, ...] = ()
     turns = RosTurns()
 
@@ -144,7 +144,7 @@ class StandIn(NoRos):
 
     def __init__(self, name: str, talks: Sequence[Talk], hears: Sequence[str] = ()) -> None:
         self.instance_id = secrets.token_hex(4)
-        self.node_name = f"rsb_{name}_{self.instance_id}"
+        self.node_name = f"_rsb_{name}_{self.instance_id}"
         self.shortfalls: tuple[str, ...] = ()
         self.talks = tuple(talks)
         self.published = dict.fromkeys((each.topic for each in talks), 0)

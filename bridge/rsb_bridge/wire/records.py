@@ -61,7 +61,7 @@ class Source(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Attributes:
         via: the bridges that they have crossed when they arrive, the first one first, the sending side last. Of each,
-            its node's name and the topic that it took them from: ``rsb_robot1_1a2b3c4d/scan``.
+            its node's name and the topic that it took them from: ``_rsb_robot1_1a2b3c4d/scan``.
         live: False: for now none of its messages will come.
     """
 

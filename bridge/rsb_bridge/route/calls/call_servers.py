@@ -32,7 +32,7 @@ _NAMED = 4
 _EXPLAINED_WITHIN = 3.0
 """s that a node has to announce where its answers come from; after that it counts as no bridge. A round
 figure."""
-_BRIDGE = re.compile(r"/rsb_\w+_[0-9a-f]{8}")
+_BRIDGE = re.compile(r"/_rsb_\w+_[0-9a-f]{8}")
 """The name of a bridge's node; it always counts as a bridge, even if a busy machine delays its announcement."""
 _ANNOUNCED_WITHIN = 3.0
 """s within which a living bridge announces its offers to a new one. A round figure."""
