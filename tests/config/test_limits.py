@@ -65,6 +65,7 @@ policies = st.fixed_dictionaries(
         "depth": depths,
         "deadline": around(QOS_TIME),
         "lifespan": around(QOS_TIME),
+        "liveliness_lease_duration": around(QOS_TIME),
     },
 )
 TOPIC_FIELDS: dict[str, st.SearchStrategy[Any]] = {

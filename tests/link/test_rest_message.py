@@ -106,6 +106,9 @@ class Voice:
         self._robot, self._loop = robot, loop
         self.is_open, self.has_moved = True, False
 
+    def assert_liveliness(self) -> None:
+        pass
+
     def publish(self, payload: bytes) -> None:
         assert self.is_open
         if bytes(payload) == MOVES:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, ReliabilityPolicy
 from tests.ros.domains import ANOTHER
 
 from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscriptions
@@ -27,6 +27,8 @@ def endpoint_info(**changes: Any) -> dict[str, Any]:
         "history": HistoryPolicy.KEEP_LAST,
         "deadline": Duration(nanoseconds=2**63 - 1),
         "lifespan": Duration(nanoseconds=2**63 - 1),
+        "liveliness": LivelinessPolicy.AUTOMATIC,
+        "liveliness_lease_duration": Duration(nanoseconds=2**63 - 1),
     }
     info = {
         "node_name": "node",
@@ -48,6 +50,7 @@ def endpoint_info(**changes: Any) -> dict[str, Any]:
         (Qos(deadline=inf, lifespan=1e9), Qos(lifespan=1e9)),
         (Qos(depth=2**70, deadline=2.0), Qos(depth=100_000, deadline=2.0)),
         (Qos(depth=-5), Qos(depth=0)),
+        (Qos(liveliness_lease_duration=1e-9), Qos(liveliness_lease_duration=0.001)),
     ],
 )
 def test_a_qos_is_clamped_to_what_every_message_takes(announced: Qos, clamped: Qos) -> None:

@@ -13,7 +13,7 @@ from rsb_bridge.ros.ros_interface import OnFailure, RosError
 
 
 class _Opened:
-    lost = 3
+    lost, alive = 3, True
     matched = 1
 
     def __init__(self, on_failure: OnFailure) -> None:

@@ -7,15 +7,30 @@ from itertools import product
 import pytest
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 
-from rsb_bridge.model.qos import PROFILES, Durability, Qos, QosMismatch, Reliability, incompatible, match_publishers
+from rsb_bridge.model.qos import (
+    PROFILES,
+    Durability,
+    Liveliness,
+    Qos,
+    QosMismatch,
+    Reliability,
+    incompatible,
+    match_publishers,
+    match_subscriptions,
+)
 from rsb_bridge.ros.native.rclpy_extension import rcl_profile
 
 RELIABILITIES: tuple[Reliability, ...] = ("reliable", "best_effort")
 DURABILITIES: tuple[Durability, ...] = ("volatile", "transient_local")
+KINDS: tuple[Liveliness, ...] = ("automatic", "manual_by_topic")
+TIMES = (0.0, 1.0, 2.0)
 POLICIES = [
-    Qos(reliability=reliability, durability=durability, deadline=deadline)
-    for reliability, durability, deadline in product(RELIABILITIES, DURABILITIES, (0.0, 1.0, 2.0))
+    *(Qos(each, durability, deadline=time) for each, durability, time in product(RELIABILITIES, DURABILITIES, TIMES)),
+    *(Qos(liveliness=kind, liveliness_lease_duration=lease) for kind, lease in product(KINDS, TIMES)),
 ]
+
+
+MANUAL = Qos(liveliness="manual_by_topic", liveliness_lease_duration=1.0)
 
 
 @pytest.mark.parametrize("offered", POLICIES)
@@ -47,11 +62,19 @@ def test_incompatible_says_every_reason() -> None:
         ([PROFILES["latched"], PROFILES["default"]], Qos()),
         ([PROFILES["default"], PROFILES["sensor_data"]], Qos(reliability="best_effort")),
         ([Qos(deadline=1.0, lifespan=3.0), Qos(deadline=2.0)], Qos(deadline=2.0)),
+        ([MANUAL, MANUAL], MANUAL),
+        ([MANUAL, Qos(liveliness_lease_duration=2.0)], Qos(liveliness_lease_duration=2.0)),
+        ([MANUAL, Qos()], Qos()),
     ],
 )
 def test_match_publishers(offered: list[Qos], matched: Qos) -> None:
     assert match_publishers(offered) == matched
     assert not any(incompatible(each, matched) for each in offered)
+
+
+@pytest.mark.parametrize("requested", [[MANUAL, Qos()], [MANUAL, Qos(liveliness_lease_duration=0.5)]])
+def test_match_subscriptions_offers_each_its_liveliness(requested: list[Qos]) -> None:
+    assert not any(incompatible(match_subscriptions(requested), each) for each in requested)
 
 
 @pytest.mark.parametrize("absurd", [Qos(depth=0), Qos(depth=2**70), Qos(deadline=1e300), Qos(lifespan=float("nan"))])

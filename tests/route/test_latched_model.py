@@ -103,7 +103,7 @@ class NearDds:
 
 
 class NearReader:
-    lost = 0
+    lost, alive = 0, True
     matched = 1
 
     def __init__(self, dds: NearDds, sink: Sink) -> None:
@@ -178,6 +178,9 @@ class FarPublisher:
     @property
     def acknowledged(self) -> bool:
         return not self._unheard
+
+    def assert_liveliness(self) -> None:
+        pass
 
     def publish(self, content: bytes) -> None:
         assert self in self._dds.open

@@ -185,6 +185,9 @@ class Writer:
         self._domain = domain
         domain.add_writer(self)
 
+    def assert_liveliness(self) -> None:
+        pass
+
     def publish(self, payload: bytes) -> None:
         if self.closed:
             return
@@ -243,6 +246,7 @@ class Reader(Taker[RawMessage]):
         self.seen_qos = msgspec.structs.replace(qos, depth=0)
         self.lost = 0
         self.matched = 1
+        self.alive = True
         self.taken = 0
         self.on_take: Callable[[list[RawMessage]], None] | None = None
         self._origin = (node, origin)

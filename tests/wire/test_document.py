@@ -84,7 +84,7 @@ def test_the_limits_are_documented() -> None:
         f"at most {TEXT_LENGTH} characters, reasons and verdicts' texts {REASON_LENGTH}; "
         f"a rate is 0 or {RATE.low:g} to 10^{math.log10(RATE.high):.0f} Hz, "
         f"a depth {DEPTH.low} to {DEPTH.high:,}, "
-        f"a deadline or lifespan 0 or {QOS_TIME.low:g} to 10^{math.log10(QOS_TIME.high):.0f} s"
+        f"a deadline, lifespan or lease 0 or {QOS_TIME.low:g} to 10^{math.log10(QOS_TIME.high):.0f} s"
     )
     assert figures in " ".join(DOCUMENT.split())
     assert f"0: never warns; else {STALE_AFTER.low:g} to 10^{math.log10(STALE_AFTER.high):.0f} s" in DOCUMENT

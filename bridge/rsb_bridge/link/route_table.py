@@ -110,7 +110,7 @@ def _dispatch(message: _HalfMessage, route: Route) -> None:
         case Ready() if isinstance(route, OutgoingRoute):
             route.peer_ready(message)
         case Publishers() if isinstance(route, IncomingRoute):
-            route.outputs.present(message.present)
+            route.told_of_publishers(message)
         case Provide() if isinstance(route, CallingRoute):
             route.provided(message)
 

@@ -67,7 +67,7 @@ LATCHED_DEPTH = 1000
 """Most messages of one publisher that the receiving side keeps for late joiners; the publisher may keep more.
 /rosout has this depth."""
 QOS_TIME = Range(0.001, 1e9)
-"""s: a deadline or lifespan where there is one. The shortest costs no timer storm, the longest is 30 years."""
+"""s: a deadline, lifespan or lease where there is one. The shortest costs no timer storm, the longest is 30 years."""
 RATE = Range(0.001, 1e6)
 """Hz: a message in a quarter of an hour to more than DDS carries."""
 SPEED = Range(0.01, 1000)

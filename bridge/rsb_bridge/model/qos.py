@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Reliability = Literal["reliable", "best_effort"]
 Durability = Literal["volatile", "transient_local"]
 History = Literal["keep_last", "keep_all"]
+Liveliness = Literal["automatic", "manual_by_topic"]
 
 
 class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -30,6 +31,9 @@ class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults
         depth: messages (`rsb_bridge.model.limits.DEPTH`).
         deadline: s (`rsb_bridge.model.limits.QOS_TIME`); 0 is no deadline.
         lifespan: s, as the deadline; 0 is no expiry.
+        liveliness: who asserts that a publisher is alive: its process, or the publisher itself.
+        liveliness_lease_duration: s, as the deadline, after which a publisher that is not asserted is not alive; 0 is
+            no limit.
     """
 
     reliability: Reliability = "reliable"
@@ -38,6 +42,8 @@ class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults
     depth: int = 10
     deadline: float = 0.0
     lifespan: float = 0.0
+    liveliness: Liveliness = "automatic"
+    liveliness_lease_duration: float = 0.0
 
     @property
     def latched(self) -> bool:
@@ -55,6 +61,8 @@ PROFILES: dict[str, Qos] = {
 }
 """QoS by name. ``latched`` is not ROS 2's: it is what ROS 1 called a latched topic."""
 
+TIMES = ("deadline", "lifespan", "liveliness_lease_duration")
+"""Policies that are times in s."""
 AUTO = "auto"
 AUTO_SECONDS = 5.0
 """What a reliable volatile topic brings in this time may wait with ``auto``: a link that stalls longer is given up."""
@@ -64,6 +72,8 @@ _DEPTH_AT_FIRST = 500
 """Messages before a rate is measured: as many as a topic of 100 Hz brings in `AUTO_SECONDS`."""
 _MOST_AUTO = 10_000
 """Messages: as many as the receiving side keeps (`limits.KEPT_DEPTH`)."""
+_ASSERTED_EVERY = 0.02
+"""s between two assertions of liveliness at least. Each takes 10 µs."""
 QUEUE_BYTES = 32 << 20
 """Of one topic's messages that wait in one place: in DDS, for the link, or until their publisher is known, so that a
 large image which comes first is not lost. Not measured."""
@@ -84,6 +94,9 @@ class QosMismatch(Wording):
     POLICY = "the publisher offers {offer}, the subscription asks for {request}"
     DEADLINE = "a deadline of {seconds:g} s"
     NO_DEADLINE = "no deadline"
+    LIVELINESS = "liveliness {kind}"
+    LEASE = "a liveliness lease of {seconds:g} s"
+    NO_LEASE = "no liveliness lease"
 
 
 def parse_qos(value: object) -> Qos | None:
@@ -140,8 +153,8 @@ def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
     """
     if qos.depth not in DEPTH and (depth_known or qos.depth):
         return QosProblem.DEPTH_OUT_OF_RANGE(depth=qos.depth, range=DEPTH)
-    for policy, seconds in (("deadline", qos.deadline), ("lifespan", qos.lifespan)):
-        if seconds and seconds not in QOS_TIME:
+    for policy in TIMES:
+        if (seconds := getattr(qos, policy)) and seconds not in QOS_TIME:
             return QosProblem.TIME_OUT_OF_RANGE(policy=policy, seconds=seconds, range=QOS_TIME)
     return ""
 
@@ -162,6 +175,8 @@ def match_publishers(offered: Sequence[Qos]) -> Qos:
         durability="transient_local" if all(qos.durability == "transient_local" for qos in offered) else "volatile",
         deadline=_loosest([qos.deadline for qos in offered]),
         lifespan=_loosest([qos.lifespan for qos in offered]),
+        liveliness="automatic" if any(qos.liveliness == "automatic" for qos in offered) else "manual_by_topic",
+        liveliness_lease_duration=_loosest([qos.liveliness_lease_duration for qos in offered]),
     )
 
 
@@ -171,12 +186,21 @@ def match_subscriptions(requested: Sequence[Qos]) -> Qos:
     Args:
         requested: at least one; depths are not known to others and do not matter.
     """
-    deadlines = [qos.deadline for qos in requested if qos.deadline]
     return Qos(
         reliability="reliable" if any(qos.reliability == "reliable" for qos in requested) else "best_effort",
         durability="transient_local" if any(qos.durability == "transient_local" for qos in requested) else "volatile",
-        deadline=min(deadlines, default=0.0),
+        deadline=_strictest([qos.deadline for qos in requested]),
+        liveliness="manual_by_topic" if any(qos.liveliness == "manual_by_topic" for qos in requested) else "automatic",
+        liveliness_lease_duration=_strictest([qos.liveliness_lease_duration for qos in requested]),
     )
+
+
+def parts_of_lease(seconds: float, publishers: int = 1) -> float:
+    """Return the time (s) after which publishers with a liveliness lease are asserted, or looked at, again.
+
+    A third of the lease, so that one late assertion ends none; but at most 50 of them a second, which a peer may ask.
+    """
+    return max(seconds / 3, publishers * _ASSERTED_EVERY)
 
 
 def auto_depth(rate: float | None, mean_size: float) -> int:
@@ -198,14 +222,12 @@ def auto_depth(rate: float | None, mean_size: float) -> int:
 def clamp_qos(qos: Qos) -> Qos:
     """Return the QoS nearest to one in the graph, which may be anything, that wire messages may carry.
 
-    A deadline or lifespan that is shorter than the shortest becomes that, one beyond the longest (or none at all, as
-    NaN) becomes 0.
+    A time that is shorter than the shortest becomes that, one beyond the longest (or none at all, as NaN) becomes 0.
     """
-    depth = min(max(qos.depth, 0), int(DEPTH.high))
-    deadline, lifespan = _clamp_time(qos.deadline), _clamp_time(qos.lifespan)
-    if (depth, deadline, lifespan) == (qos.depth, qos.deadline, qos.lifespan):
+    if not qos_problem(qos, depth_known=False):
         return qos
-    return msgspec.structs.replace(qos, depth=depth, deadline=deadline, lifespan=lifespan)
+    times = {policy: _clamp_time(getattr(qos, policy)) for policy in TIMES}
+    return msgspec.structs.replace(qos, depth=min(max(qos.depth, 0), int(DEPTH.high)), **times)
 
 
 def _clamp_time(seconds: float) -> float:
@@ -214,6 +236,10 @@ def _clamp_time(seconds: float) -> float:
 
 def _loosest(seconds: list[float]) -> float:
     return 0.0 if 0.0 in seconds else max(seconds)
+
+
+def _strictest(seconds: list[float]) -> float:
+    return min(filter(None, seconds), default=0.0)
 
 
 def clashes(offered: Qos, requested: Qos) -> list[tuple[str, str]]:
@@ -229,6 +255,12 @@ def clashes(offered: Qos, requested: Qos) -> list[tuple[str, str]]:
     if requested.deadline and not 0 < offered.deadline <= requested.deadline:
         offer = QosMismatch.DEADLINE(seconds=offered.deadline) if offered.deadline else QosMismatch.NO_DEADLINE()
         found.append((offer, QosMismatch.DEADLINE(seconds=requested.deadline)))
+    if offered.liveliness == "automatic" and requested.liveliness == "manual_by_topic":
+        found.append((QosMismatch.LIVELINESS(kind="automatic"), QosMismatch.LIVELINESS(kind="manual_by_topic")))
+    had, asked = offered.liveliness_lease_duration, requested.liveliness_lease_duration
+    if asked and not 0 < had <= asked:
+        lease = QosMismatch.LEASE(seconds=had) if had else QosMismatch.NO_LEASE()
+        found.append((lease, QosMismatch.LEASE(seconds=asked)))
     return found
 
 

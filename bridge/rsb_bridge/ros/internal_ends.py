@@ -69,7 +69,7 @@ class BenchSource:
         self._closed = closed
         self._thread: threading.Thread | None = None
         self._stops = False
-        self.lost = 0
+        self.lost, self.alive = 0, True
         self.matched = 1
         self.sent = 0
         self.rate = 0.0
@@ -144,6 +144,9 @@ class BenchDrain:
         self.closed = False
         self.gid = secrets.token_bytes(len(_GID))
 
+    def assert_liveliness(self) -> None:
+        """Do nothing: its messages have no lease."""
+
     def publish(self, payload: bytes) -> None:
         """Take one message, if the limit admits it."""
         if not self._admits(self, len(payload)):
@@ -180,7 +183,7 @@ class PictureSource:
         self._sink = sink
         self._closed = closed
         self._number = 0
-        self.lost = 0
+        self.lost, self.alive = 0, True
         self.matched = 1
         self.closed = False
 
@@ -214,6 +217,9 @@ class PictureSink:
         self._closed = closed
         self.taken: Callable[[bytes], None] = lambda _: None
         self.gid = secrets.token_bytes(len(_GID))
+
+    def assert_liveliness(self) -> None:
+        """Do nothing: its messages have no lease."""
 
     def publish(self, payload: bytes) -> None:
         """Take a picture."""

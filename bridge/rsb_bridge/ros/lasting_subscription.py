@@ -61,6 +61,11 @@ class LastingSubscription:
         """How many publishers DDS has matched with it; 0 after a failure."""
         return self._subscription.matched if self._subscription is not None else 0
 
+    @property
+    def alive(self) -> bool:
+        """Whether a publisher is known to be alive; only asked if the QoS has a lease."""
+        return self._subscription is not None and self._subscription.alive
+
     def reopen(self) -> None:
         """Subscribe again; if that fails, retry later."""
         if self._subscription is not None:

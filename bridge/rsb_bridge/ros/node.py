@@ -196,7 +196,7 @@ class RosNode:
             reader = participant.create_reader(spec)
             key = (reader.topic, origin)
             # It gets the set itself: the messages of publishers that this link makes later are left out, too.
-            subscription = _Subscription(reader, spec.qos, sink, on_failure, key, self._own[key], self._retire)
+            subscription = _Subscription(reader, spec.qos, sink, on_failure, key, self._own[key], self)
             self._drain(subscription, participant)
         return subscription
 
@@ -236,7 +236,7 @@ class RosNode:
         with self._lock:
             participant = self._joined()
             created = participant.create_server(service, type_name, type_hash)
-            server = ServerDrain(created, sink, on_failure, self._retire)
+            server = ServerDrain(created, sink, on_failure, self.retire)
             self._drain(server, participant)
         return server
 
@@ -246,7 +246,7 @@ class RosNode:
         with self._lock:
             participant = self._joined()
             created = participant.create_client(service, type_name, type_hash)
-            client = ClientDrain(created, sink, on_failure, self._retire)
+            client = ClientDrain(created, sink, on_failure, self.retire)
             self._drain(client, participant)
         return client
 
@@ -254,6 +254,16 @@ class RosNode:
         """How many of our own subscriptions match a publisher of that QoS on a topic."""
         # DDS counts a subscription whose QoS does not fit as not matched, so it is not subtracted either.
         return sum(each.topic == topic and not incompatible(offered, each.qos) for each in self._subscriptions())
+
+    def own_asserted(self, key: _Key, requested: Qos) -> int:
+        """How many of our own publishers of a key are alive for a subscription of that QoS."""
+        now = time.monotonic()
+        return sum(
+            each.key == key
+            and now - each.asserted_at < each.qos.liveliness_lease_duration
+            and not incompatible(each.qos, requested)
+            for each in self._publishers
+        )
 
     def forget(self, publisher: _Publisher) -> None:
         """Drop a publisher that was closed."""
@@ -288,7 +298,7 @@ class RosNode:
         self._drains = {**self._drains, drain.endpoint.handle.address: drain}
         participant.wake()
 
-    def _retire(self, drain: Drain[Any]) -> None:
+    def retire(self, drain: Drain[Any]) -> None:
         """Have the thread free a drain's endpoint.
 
         It is out of `_drains` before it is in `_retired`, so that no wait begins with a freed one.
@@ -481,14 +491,15 @@ class _Subscription(Drain[RawMessage]):
         on_failure: OnFailure | None,
         key: _Key,
         own: set[bytes],
-        retire: Callable[[Drain[Any]], None],
+        node: RosNode,
     ) -> None:
-        super().__init__(reader, partial(reader.take, skip=own), sink, on_failure, retire)
+        super().__init__(reader, partial(reader.take, skip=own), sink, on_failure, node.retire)
         self.topic = reader.topic
         self.qos = qos
         self.key = key
         self.own = own
         self._reader = reader
+        self._node = node
 
     @property
     def lost(self) -> int:
@@ -497,6 +508,10 @@ class _Subscription(Drain[RawMessage]):
     @property
     def matched(self) -> int:
         return self._reader.matched
+
+    @property
+    def alive(self) -> bool:
+        return self._reader.alive > self._node.own_asserted(self.key, self.qos)
 
 
 class _Publisher:
@@ -508,18 +523,23 @@ class _Publisher:
         self.topic = writer.topic
         self.publish = writer.publish
         self.gid = writer.gid
-        self._qos = qos
+        self.qos = qos
+        self.asserted_at = float("-inf")
         self._node = node
 
     @property
     def subscriber_count(self) -> int:
-        own = self._node.own_subscriptions(self.topic, self._qos)
+        own = self._node.own_subscriptions(self.topic, self.qos)
         # The two are counted one after the other: a subscription of ours may have come in between.
         return max(0, self.writer.matched - own)
 
     @property
     def acknowledged(self) -> bool:
         return self.writer.acknowledged
+
+    def assert_liveliness(self) -> None:
+        self.asserted_at = time.monotonic()
+        self.writer.assert_liveliness()
 
     def close(self) -> None:
         self._node.forget(self)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import threading
 from collections import Counter
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import msgspec
 from rclpy.context import Context
 
 from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
@@ -27,6 +29,7 @@ from rsb_bridge.ros.native.rclpy_extension import (
     SUBSCRIPTIONS,
     TOPICS,
     Handle,
+    LivelinessOfPublishers,
     ask,
     endpoint_of,
     guard_condition,
@@ -59,6 +62,8 @@ if TYPE_CHECKING:
 
 _TRY_AGAIN_NS = 100_000_000
 """After that, kept answers are tried again if nothing happens before: half of the interval between two attempts."""
+_DIFFERENT_LEASES = 1000
+"""Readers that may have the same lease at a time. A round figure: the last one's is 1 ms longer."""
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
 
 _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
@@ -106,6 +111,7 @@ class Participant:
         self._late: dict[RawServiceServer, None] = {}
         self._waits = self._wait_set(self._capacity)
         self._buffer = TakeBuffer()
+        self._lease_numbers = itertools.count()
         # The middleware has a participant's entities locked while it asks a type support that is in Python, where the
         # GIL may change hands: nobody may have it then and want that lock.
         self._entities = threading.RLock()
@@ -165,8 +171,14 @@ class Participant:
         """
         # The history of a latched topic may begin with any number, as its publisher keeps the newest only.
         earlier = None if spec.qos.latched else frozenset(each.gid for each in self.publishers(spec.topic))
-        handle = self._create("subscription", spec.topic, borrow_type(spec.type_name, spec.type_hash), spec.qos)
-        return Reader(handle, self._buffer, earlier)
+        qos = spec.qos
+        if lease := qos.liveliness_lease_duration:
+            # Fast DDS tells only the first of a participant's readers with the same lease who is alive.
+            lease += next(self._lease_numbers) % _DIFFERENT_LEASES * 1e-6
+            qos = msgspec.structs.replace(qos, liveliness_lease_duration=lease)
+        handle = self._create("subscription", spec.topic, borrow_type(spec.type_name, spec.type_hash), qos)
+        liveliness = LivelinessOfPublishers(handle.rclpy) if lease else None
+        return Reader(handle, self._buffer, earlier, liveliness)
 
     def create_writer(self, spec: TopicSpec) -> Writer:
         """Create a raw publisher; errors as `create_reader`.
@@ -175,9 +187,9 @@ class Participant:
         behind, and then refuse the message; so it keeps the same number and lets the oldest go instead.
         """
         topic, type_name, type_hash, qos = spec
-        kept = Qos(qos.reliability, qos.durability, "keep_last", _KEPT, qos.deadline, qos.lifespan)
-        asked = kept if qos.history == "keep_all" else qos
-        return Writer(self._create("publisher", topic, borrow_type(type_name, type_hash), asked))
+        if qos.history == "keep_all":
+            qos = msgspec.structs.replace(qos, history="keep_last", depth=_KEPT)
+        return Writer(self._create("publisher", topic, borrow_type(type_name, type_hash), qos))
 
     def create_server(self, service: str, type_name: str, type_hash: str) -> RawServiceServer | TypedServer:
         """Create a raw service; errors as `create_reader`."""

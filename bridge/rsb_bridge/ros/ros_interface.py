@@ -124,6 +124,10 @@ class Subscription(Protocol):
     def matched(self) -> int:
         """How many publishers DDS has matched with it, our own node's too."""
 
+    @property
+    def alive(self) -> bool:
+        """Whether a publisher of others that matches asserts its liveliness. Only asked if the QoS has a lease."""
+
     def close(self) -> None:
         """Stop taking, and free it. After it returns the sink is not called again. May be called twice."""
 
@@ -151,6 +155,9 @@ class Publisher(Protocol):
     @property
     def acknowledged(self) -> bool:
         """Whether every reliable subscription has acknowledged all messages, so that DDS keeps none for them."""
+
+    def assert_liveliness(self) -> None:
+        """Assert that it is alive, as each message does. Only called if its liveliness is ``manual_by_topic``."""
 
     def close(self) -> None:
         """Free it. May be called twice."""

@@ -219,7 +219,7 @@ class StandIn(NoRos):
 class _Reader:
     """The bridge's subscription to a topic of the stand-in."""
 
-    lost = 0
+    lost, alive = 0, True
     matched = 1
 
     def __init__(self, sink: Sink, among: list[_Reader]) -> None:
@@ -246,6 +246,9 @@ class _Writer:
         self.subscriber_count = int(topic in received)
         self._topic = topic
         self._received = received
+
+    def assert_liveliness(self) -> None:
+        """Do nothing: its subscriptions have no lease."""
 
     def publish(self, payload: bytes) -> None:
         if self.subscriber_count:

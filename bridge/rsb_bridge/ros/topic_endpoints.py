@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import threading
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Literal
 
 from rsb_bridge.ros.native import cyclone_dds
@@ -25,14 +26,14 @@ from rsb_bridge.ros.native.librcl import (
     take_message,
     wait_for_all_acked,
 )
-from rsb_bridge.ros.native.rclpy_extension import reason_of
+from rsb_bridge.ros.native.rclpy_extension import assert_liveliness, reason_of
 from rsb_bridge.ros.ros_interface import RawMessage, RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
     from rsb_bridge.ros.native.librcl import TakeBuffer
-    from rsb_bridge.ros.native.rclpy_extension import Handle
+    from rsb_bridge.ros.native.rclpy_extension import Handle, LivelinessOfPublishers
 
 _PUBLISHERS_REMEMBERED = 1024
 """Publishers of one subscription whose newest numbers are kept. A round figure; see `Reader._forget_oldest`."""
@@ -62,12 +63,19 @@ class Reader:
 
     kind: Literal["subscription"] = "subscription"
 
-    def __init__(self, handle: Handle, buffer: TakeBuffer, earlier: frozenset[bytes] | None) -> None:
+    def __init__(
+        self,
+        handle: Handle,
+        buffer: TakeBuffer,
+        earlier: frozenset[bytes] | None,
+        liveliness: LivelinessOfPublishers | None = None,
+    ) -> None:
         """Begin to count.
 
         Args:
             buffer: memory for taken messages, shared by the readers of a thread.
             earlier: publishers from before the subscription, or None if each publisher's first messages are history.
+            liveliness: of its publishers, or None if the QoS has no lease.
         """
         self.handle = handle
         self.topic: str = handle.rclpy.get_topic_name()
@@ -79,6 +87,7 @@ class Reader:
         self._earlier = earlier
         self._guid_of = cyclone_dds.SubscriptionPublishers(handle.address).guid_of if cyclone_dds.is_used() else None
         self._made_at = time.monotonic()
+        self._liveliness = liveliness
 
     def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage] | None:
         """Take up to `limit` messages, except for the messages of publishers in `skip` (`Writer.told`).
@@ -140,8 +149,15 @@ class Reader:
             return 0
         return count
 
+    @property
+    def alive(self) -> int:
+        """How many matching publishers are alive, our own node's too; 0 without a lease."""
+        return 0 if self._liveliness is None else self._liveliness.alive
+
     def close(self) -> None:
         """Free it. To be called once."""
+        if self._liveliness is not None:
+            self._liveliness.close()
         self.handle.free()
 
     def _is_newcomer(self, gid: bytes) -> bool:
@@ -220,6 +236,11 @@ class Writer:
         if code:
             reset_error()
         return not code
+
+    def assert_liveliness(self) -> None:
+        """Assert that it is alive, if it is not closed."""
+        with suppress(RuntimeError), self._handle.rclpy:
+            assert_liveliness(self._handle.rclpy)
 
     def close(self) -> None:
         """Free it. May be called twice, and from two threads."""

@@ -15,7 +15,7 @@ from rsb_bridge.channel.channel import Counts, ReceivingChannel
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
-from rsb_bridge.model.qos import AUTO_DEPTH, clashes, incompatible, match_subscriptions
+from rsb_bridge.model.qos import AUTO_DEPTH, clashes, incompatible, match_subscriptions, parts_of_lease
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
@@ -35,11 +35,12 @@ from rsb_bridge.route.topic_route import Signs, TopicRoute
 from rsb_bridge.route.topic_verdict import TopicProgress
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
-from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
+from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready, Refuse
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable, Collection, Iterable, Iterator
 
     from rsb_bridge.cdr.known_types import Velocity
@@ -134,6 +135,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._report: SentReport | None = None
         self._is_reported = False  # this opening
         self._sender_ledger = Ledger()
+        self._offered: Qos | None = None  # by the publishers here
         self._subscriber_qos: Qos | None = None
         self._clash = ""
         self._subscribers = 0
@@ -142,6 +144,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._received_before = 0
         self._expired_before = 0
         self._hint = ("", "")
+        self._alive = False  # a publisher on the sending side, by its liveliness lease
+        self._asserts_again: asyncio.TimerHandle | None = None
 
     # --- setting up
 
@@ -158,6 +162,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._report_at = _REPORTS_AFTER
             self._dropped.clear()
         self._unpacker.clear()
+        self._alive = False
         super().close(reason)
 
     def described(self, description: Describe) -> None:
@@ -187,6 +192,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._refuse_type(str(error))
             return
         self.type_name, self.type_hash, self.qos = type_and_qos
+        self._offered = spec.qos
         self.settle_age()
         self.check.begin(description.type)
         newest: dict[bytes, int] = {}
@@ -198,6 +204,23 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.life.handle(RouteEvent.READY)
         self._verdict = None
         self.advance()
+
+    def told_of_publishers(self, publishers: Publishers) -> None:
+        """Take the publishers that the sending side has now."""
+        self.outputs.present(publishers.present)
+        self._alive = publishers.alive
+        self._assert_liveliness()
+
+    def _assert_liveliness(self) -> None:
+        """Have subscriptions here see the publishers of the sending side alive as long as they are."""
+        if self._asserts_again is not None:
+            self._asserts_again.cancel()
+            self._asserts_again = None
+        lease = self.qos.liveliness_lease_duration if self.qos is not None else 0.0
+        if not self._alive or not lease:
+            return
+        count = self.outputs.assert_liveliness() if self.flowing else 1
+        self._asserts_again = self.context.loop.call_later(parts_of_lease(lease, count), self._assert_liveliness)
 
     def _counted_before(self) -> ReceivedReport | None:
         """Return the counts of the last opening with messages, or None if it was with another process of the peer."""
@@ -269,13 +292,13 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         requested = [endpoint.qos for endpoint in self.endpoints]
         self._subscriber_qos = match_subscriptions(requested) if requested else None
         self._clash, self._others = "", ()
-        if self.qos is None:
+        if self._offered is None:
             return
-        if any(clashes(self.qos, qos) for qos in requested):
+        if any(clashes(self._offered, qos) for qos in requested):
             # Only then: it searches the graph, and only a clash needs the result.
             self._others = tuple(self.ends.publishers(self.remote_topic))
         if not self._subscribers:
-            self._clash = next((clash for qos in requested if (clash := incompatible(self.qos, qos))), "")
+            self._clash = next((clash for qos in requested if (clash := incompatible(self._offered, qos))), "")
 
     def destroy(self) -> None:
         """End it for good, its publisher too."""
@@ -534,7 +557,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             publishers=report.publishers if report else None,
             described=self.life.described,
             type_name=self.type_name,
-            qos=self.qos,
+            qos=self._offered,
             why_unresolved=peer.text,
             clash=self._clash or (peer.text if peer.cause == Cause.QOS_INCOMPATIBLE else ""),
             subscribed=report is not None and report.subscribed,

@@ -139,7 +139,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._present: dict[bytes, int] | None = None  # the publishers and depths that the peer knows
+        self._told: Publishers | None = None  # of the publishers, to the peer
         self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
         self._report: ReceivedReport | None = None  # of the present opening
         self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
@@ -243,7 +243,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self.settle_age()
         self.log_other_end(self.type_name)
         self._loop_filter.table.described()
-        self._present = None  # the peer may have new outputs
+        self._told = None  # the peer may have new outputs
         self.peer.send(described)
 
     def _resolve(self) -> Describe | None:
@@ -275,21 +275,25 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
     def _end_subscription(self) -> None:
-        self._present = self._path.histories = None
+        self._told = self._path.histories = None
         self._ledger.drop("link lost", self._subscription.close() + self._path.clear_later())
 
     def _look_who_is_present(self) -> None:
-        """Drop the histories of publishers that are gone, here and at the peer; tell it the depths of the others."""
-        if (histories := self._subscription.histories) is None:
+        """Tell the peer of the publishers: whether one is alive, and the depths of the histories that are not gone."""
+        spec = self._subscription.spec
+        if spec is None or not (spec.qos.latched or spec.qos.liveliness_lease_duration):
             return
-        gids = {endpoint.gid for endpoint in self.endpoints}
-        histories.forget_gone(gids)
-        depths = histories.depths()
-        ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
-        present = {each: depths.get(each, 0) for each in ids}
-        if present != self._present:
-            self._present = present
-            self.peer.send(Publishers(route=self.id, present=present))
+        present = {}
+        if (histories := self._subscription.histories) is not None:
+            gids = {endpoint.gid for endpoint in self.endpoints}
+            histories.forget_gone(gids)
+            depths = histories.depths()
+            ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
+            present = {each: depths.get(each, 0) for each in ids}
+        told = Publishers(route=self.id, present=present, alive=self._subscription.alive)
+        if told != self._told:
+            self._told = told
+            self.peer.send(told)
 
     def _log_subscription(self, level: Level, code: EventCode, text: str) -> None:
         if level is Level.ERROR:

@@ -45,7 +45,12 @@ _ASKS_AGAIN_AFTER = 0.01
 
 
 def bounded(qos: Qos) -> Qos:
-    """Return a QoS with what a publisher here keeps at most for late joiners and slow readers."""
+    """Return the QoS of publishers here: with what they keep at most for late joiners and slow readers.
+
+    If its liveliness has a lease, it is asserted as the sending side's publishers assert theirs, and by nothing else.
+    """
+    if qos.liveliness_lease_duration:
+        qos = msgspec.structs.replace(qos, liveliness="manual_by_topic")
     if not qos.latched:
         return msgspec.structs.replace(qos, depth=min(qos.depth, KEPT_DEPTH))
     unknown = LATCHED_DEPTH if qos.lifespan else 1  # the sender begins with the same
@@ -266,6 +271,9 @@ class _Announced:
     def acknowledged(self) -> bool:
         return self._publisher.acknowledged
 
+    def assert_liveliness(self) -> None:
+        self._publisher.assert_liveliness()
+
     def close(self) -> None:
         self._closed(self.gid)
         self._publisher.close()
@@ -288,7 +296,7 @@ class _SourcePublisher:
         self._peer = peer
         self._spec = spec
         self._origin = origin
-        self._gids: set[bytes] = set()
+        self._publishers: dict[bytes, Publisher] = {}  # that are open, by their ids
         self.came_by = origin.via[:-1]  # without the sender, which may be another process by now
         self.sink: VolatileTopic | LatchedTopic
         depth = spec.qos.depth
@@ -312,13 +320,13 @@ class _SourcePublisher:
         """Announce another origin of the source's messages, which may raise RosError."""
         if origin != self._origin:
             self._origin = origin
-            for gid in tuple(self._gids):
+            for gid in tuple(self._publishers):
                 self._announce(gid)
 
     def _advertise(self, depth: int) -> Publisher:
         spec = self._spec._replace(qos=msgspec.structs.replace(self._spec.qos, depth=depth))
         publisher = self._context.ends(self._purpose).advertise(spec, self._peer.name)
-        self._gids.add(publisher.gid)
+        self._publishers[publisher.gid] = publisher
         try:
             self._announce(publisher.gid)
         except RosError:
@@ -327,6 +335,12 @@ class _SourcePublisher:
             raise
         return _Announced(publisher, self._closed)
 
+    def assert_liveliness(self) -> int:
+        """Assert that the publishers are alive, and return their number."""
+        for publisher in self._publishers.values():
+            publisher.assert_liveliness()
+        return len(self._publishers)
+
     def _announce(self, gid: bytes) -> None:
         if not self._purpose.in_graph:
             return  # no other bridge can take its messages
@@ -334,7 +348,7 @@ class _SourcePublisher:
         self._context.announcements.announce(self._spec.topic, self._peer.name, endpoint, self._origin)
 
     def _closed(self, gid: bytes) -> None:
-        self._gids.discard(gid)
+        self._publishers.pop(gid, None)
         self._context.announcements.withdraw(gid)
 
 
@@ -429,6 +443,10 @@ class SourcePublishers:
                 self._peer.budget.further_publishers.give(1)
         if not first:
             self._type.end()
+
+    def assert_liveliness(self) -> int:
+        """Assert that the publishers are alive, and return their number."""
+        return sum(output.assert_liveliness() for output in self._outputs)
 
     # --- of latched topics
 

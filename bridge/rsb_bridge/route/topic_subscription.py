@@ -9,7 +9,7 @@ import msgspec
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import LATCHED_DEPTH
-from rsb_bridge.model.qos import auto_depth
+from rsb_bridge.model.qos import auto_depth, parts_of_lease
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_interface import BATCH, RosError
@@ -18,6 +18,7 @@ from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable, Hashable, Mapping, Sequence
 
     from rsb_bridge.context import Context
@@ -44,12 +45,13 @@ class TopicSubscription:
         origin: messages that this node publishes under the same origin are left out.
         path: gets the messages; after `close` it drops messages that are still in the ROS queue.
         meter: of the topic's messages so far.
-        found: called after the histories know more depths.
+        found: called after the histories know more depths, or `alive` has changed.
         marks: gives the lease that messages are marked with, or None if they are not marked.
 
     Attributes:
         spec: the present opening's topic, with the QoS that publishers offer or an operator wants; or None before.
         histories: of a latched topic's publishers, or None for a volatile topic.
+        alive: whether a publisher is alive, by the lease of its liveliness; False without a lease.
     """
 
     def __init__(
@@ -66,6 +68,8 @@ class TopicSubscription:
     ) -> None:
         self.spec: TopicSpec | None = None
         self.histories: Histories | None = None
+        self.alive = False
+        self._looks_again: asyncio.TimerHandle | None = None
         self._context = context
         self._ends = ends
         self._origin = origin
@@ -121,9 +125,25 @@ class TopicSubscription:
         assert self.spec is not None
         self._type.begin(self.spec.type_name, self.spec.type_hash)
         self._subscription = LastingSubscription(self._context.loop, self._subscribe, self._changed)
+        if self.spec.qos.liveliness_lease_duration:
+            self._look_who_is_alive()
+
+    def _look_who_is_alive(self) -> None:
+        assert self.spec is not None
+        assert self._subscription is not None
+        alive = self._subscription.alive
+        lease = self.spec.qos.liveliness_lease_duration
+        self._looks_again = self._context.loop.call_later(parts_of_lease(lease), self._look_who_is_alive)
+        if alive != self.alive:
+            self.alive = alive
+            self._found()
 
     def unsubscribe(self) -> None:
         """Take no more messages for now. May be called twice."""
+        if self._looks_again is not None:
+            self._looks_again.cancel()
+            self._looks_again = None
+        self.alive = False
         if self._subscription is not None:
             self._lost_before += self._subscription.lost
             self._subscription.close()

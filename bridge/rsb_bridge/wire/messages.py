@@ -222,15 +222,17 @@ class Ready(ControlMessageBase, frozen=True):
 
 
 class Publishers(ControlMessageBase, frozen=True):
-    """The sending side of a latched topic: which publishers are there; after each `Ready`, and when they change.
+    """The sending side's publishers, if they are latched or have a lease; after each `Ready`, and when they change.
 
     Attributes:
-        present: how many messages each keeps for late joiners, by its id, or 0 while that is unknown. The histories of
-            others may be dropped after a while.
+        present: how many messages each latched one keeps for late joiners, by its id, or 0 while that is unknown. The
+            histories of others may be dropped after a while.
+        alive: whether one of them is alive, by its liveliness lease: then the receiving side asserts its own.
     """
 
     route: RouteId
     present: HistoryDepths
+    alive: bool = False
 
 
 class Provide(ControlMessageBase, frozen=True):

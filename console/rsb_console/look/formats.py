@@ -172,6 +172,10 @@ def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
         parts.append(f"deadline {span(qos.deadline)}")
     if qos.lifespan:
         parts.append(f"lifespan {span(qos.lifespan)}")
+    if qos.liveliness != "automatic":
+        parts.append(qos.liveliness.replace("_", " "))
+    if qos.liveliness_lease_duration:
+        parts.append(f"lease {span(qos.liveliness_lease_duration)}")
     return [f"{each}," for each in parts[:-1]] + parts[-1:]
 
 

@@ -155,7 +155,7 @@ class StandIn(NoRos):
 
 
 class _Subscription:
-    lost = 0
+    lost, alive = 0, True
     matched = 1
 
     def __init__(self, sinks: dict[str, Sink], topic: str) -> None:
@@ -173,6 +173,9 @@ class _Publisher:
     def __init__(self, arrived: list[Arrival]) -> None:
         self.gid = secrets.token_bytes(16)
         self._arrived = arrived
+
+    def assert_liveliness(self) -> None:
+        pass
 
     def publish(self, payload: bytes) -> None:
         self._arrived.append(Arrival(payload, time.monotonic()))

@@ -1,0 +1,170 @@
+"""Liveliness of publishers: what a listener asks for, and learns, is the same on the far side as on the near one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, qos_profile_best_available
+from tests.support.bridge import protocol_of, route
+from tests.support.domain import LATCHED, Domain, Listener, text
+from tests.support.steady import Steady
+from tests.support.waiting import eventually, holds
+
+from rsb_bridge.model.qos import QosMismatch
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+
+    from rsb_bridge.engine import Engine
+
+LEASE = 2.0
+_CHANGED = rclpy_implementation.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_LIVELINESS_CHANGED
+_NODE = f"""
+import sys, time
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+context = Context()
+context.init([], domain_id=int(sys.argv[1]))
+node = Node("mortal", context=context, enable_rosout=False, start_parameter_services=False)
+qos = QoSProfile(depth=10, liveliness_lease_duration=Duration(seconds={LEASE}))
+node.create_publisher(String, sys.argv[2], qos)
+time.sleep(1000)
+"""
+
+
+def with_lease(kind: str = "automatic", lease: float = LEASE, *, latched: bool = False) -> QoSProfile:
+    return QoSProfile(
+        depth=10,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        liveliness=LivelinessPolicy[kind.upper()],
+        liveliness_lease_duration=Duration(seconds=lease),
+    )
+
+
+class Watcher:
+    """A listener that learns who is alive."""
+
+    def __init__(self, domain: Domain, topic: str, qos: QoSProfile) -> None:
+        self.listener: Listener = domain.listener(topic, qos=qos)
+        self._event: Any = rclpy_implementation.EventHandle(self.listener.subscription.handle, _CHANGED)
+
+    @property
+    def alive(self) -> int:
+        count: int = self._event.take_event().alive_count
+        return count
+
+
+def says(engine: Engine, topic: str) -> tuple[State, str]:
+    found = route(engine, topic)
+    return found.state, found.cause
+
+
+def alive_after(publishers: Sequence[Publisher], watchers: Sequence[Watcher]) -> list[int]:
+    """Assert publishers' liveliness, and return how many each watcher knows to be alive."""
+    for each in publishers:
+        each.assert_liveliness()
+    return [each.alive for each in watchers]
+
+
+@pytest.fixture
+def mortal(robot: Domain) -> Iterator[subprocess.Popen[bytes]]:
+    """A process whose publisher of /mortal is alive as long as the process is."""
+    made = subprocess.Popen((sys.executable, "-c", _NODE, str(robot.id), "/mortal"))
+    yield made
+    made.kill()
+    made.wait()
+
+
+@pytest.mark.parametrize(
+    ("topic", "latched", "qos"),
+    [
+        ("/tcp", False, "auto"),
+        ("/udp", False, "auto"),
+        ("/latched_tcp", True, "auto"),
+        ("/tcp", False, {"liveliness": "manual_by_topic", "liveliness_lease_duration": 2 * LEASE}),
+    ],
+)
+def test_lease_ends_on_far_side(bridge: Bridge, robot: Domain, pc: Domain, topic: str, latched: bool, qos: Any) -> None:
+    watcher = Watcher(pc, topic, with_lease("manual_by_topic", 2 * LEASE, latched=latched))
+    publisher = robot.publisher(topic, qos=with_lease("manual_by_topic", latched=latched))
+    server, _ = bridge.both(Topic(topic, "transmit", protocol=protocol_of(topic), qos=qos))
+    with Steady(publisher, 20.0, lambda _: text("x")):
+        eventually(lambda: len(watcher.listener.payloads) > 20 and watcher.alive)
+    eventually(lambda: not watcher.alive)
+    # Without a message
+    eventually(lambda: alive_after([publisher], [watcher]) != [0])
+    assert says(server, topic)[0] is State.OK
+
+
+def test_death_of_process_is_heard(bridge: Bridge, mortal: subprocess.Popen[bytes], pc: Domain) -> None:
+    watcher = Watcher(pc, "/mortal", with_lease())
+    bridge.both(Topic("/mortal", "transmit"))
+    eventually(lambda: watcher.alive == 1)
+    holds(lambda: watcher.alive == 1, 2 * LEASE)
+    mortal.kill()
+    eventually(lambda: not watcher.alive)
+
+
+def test_lease_ends_with_the_link(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    watcher = Watcher(pc, "/scan", with_lease())
+    robot.publisher("/scan", qos=with_lease())
+    _, client = bridge.both(Topic("/scan", "transmit"))
+    eventually(lambda: watcher.alive == 1)
+    client.stop()
+    eventually(lambda: not watcher.alive)
+
+
+def test_two_ways_do_not_keep_each_other_alive(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Each side publishes what the other one does, and would see itself alive."""
+    qos = with_lease("manual_by_topic")
+    watchers = [Watcher(domain, "/both", qos) for domain in (robot, pc)]
+    publishers = [domain.publisher("/both", qos=qos) for domain in (robot, pc)]
+    bridge.both(Topic("/both", "transmit"), Topic("/both", "receive"))
+    eventually(lambda: alive_after(publishers, watchers) == [2, 2])
+    eventually(lambda: alive_after(publishers[:1], watchers) == [1, 1])
+    eventually(lambda: alive_after([], watchers) == [0, 0])
+
+
+@pytest.mark.parametrize("direction", ["transmit", "receive"])
+@pytest.mark.parametrize("asked", [with_lease(), with_lease("manual_by_topic", 1e6)])
+def test_listener_that_asks_for_more_is_named(
+    bridge: Bridge, robot: Domain, pc: Domain, direction: Any, asked: QoSProfile
+) -> None:
+    near, far = (robot, pc) if direction == "transmit" else (pc, robot)
+    deaf, publisher = far.listener("/scan", qos=asked), near.publisher("/scan")
+    server, client = bridge.both(Topic("/scan", direction))
+    with Steady(publisher, 20.0, lambda _: text("x")):
+        for engine in (server, client):
+            eventually(lambda engine=engine: says(engine, "/scan") == (State.UNHEARD, Cause.QOS_INCOMPATIBLE))
+            eventually(lambda engine=engine: "/stock" in route(engine, "/scan").reason)
+    assert not deaf.payloads
+
+
+def test_best_available_listener_is_told_its_reason(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Before it has a publisher, ROS makes it ask for the most."""
+    pc.listener("/scan", qos=qos_profile_best_available)
+    robot.publisher("/scan", qos=LATCHED)
+    server, _ = bridge.both(Topic("/scan", "transmit"))
+    eventually(lambda: says(server, "/scan") == (State.UNHEARD, Cause.QOS_INCOMPATIBLE))
+    assert QosMismatch.LIVELINESS(kind="manual_by_topic") in route(server, "/scan").reason
+
+
+def test_publisher_that_offers_less_than_the_topic(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    robot.publisher("/scan")
+    server, client = bridge.both(Topic("/scan", "transmit", qos={"liveliness_lease_duration": LEASE}))
+    for engine in (server, client):
+        eventually(lambda engine=engine: says(engine, "/scan") == (State.DOWN, Cause.QOS_INCOMPATIBLE))
