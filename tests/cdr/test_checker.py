@@ -18,7 +18,7 @@ from rosidl_parser.definition import AbstractNestedType, Array, BasicType, Bound
 from tests.cdr.test_decoder import TYPES, described, of
 from tests.support.filled import filled
 
-from rsb_bridge.cdr.checker import STEPS, Checker, MalformedError, TooComplexError, UncheckableError
+from rsb_bridge.cdr.checker import STEPS, Checker, Malformed, MalformedError, TooComplexError, UncheckableError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription
 from rsb_bridge.ros.native.typesupport import installed_class
@@ -148,6 +148,21 @@ def test_bounds_hold() -> None:
     Checker(description).check(head + struct.pack("<4iI", 3, 1, 2, 3, 5) + b"four\0")
     assert field_of(head + struct.pack("<5iI", 4, 1, 2, 3, 4, 0), description) == "few"
     assert field_of(head + struct.pack("<iI", 0, 6) + b"fiver\0", description) == "brief"
+
+
+@pytest.mark.parametrize(
+    ("field", "content"),
+    [
+        (("it", 21, 0, 4, ""), b"fiver\0"),
+        (("it", 3 + BOUNDED, 4, 0, ""), b"fiver\0"),
+        (("it", 22, 0, 4, ""), bytes(24)),
+    ],
+)
+def test_a_bound_is_that_of_the_type(field: Any, content: bytes) -> None:
+    """The length of a string counts its terminating zero, too."""
+    with pytest.raises(MalformedError) as found:
+        Checker(of(field)).check(b"\x00\x01\x00\x00" + struct.pack("<I", 6) + content)
+    assert Malformed.ABOVE_BOUND(bound=4) in str(found.value)
 
 
 def test_strings_need_no_zero_at_their_end() -> None:

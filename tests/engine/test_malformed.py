@@ -199,6 +199,8 @@ def test_latched_and_compressed_messages_are_checked_too(
     heard(listener, 1)
     out.publish(array("bad" * 1000)[:2000])
     eventually(lambda: route(client, "/kept").ledger.dropped == {"malformed": 1})
+    for engine in (server, client):
+        eventually(lambda engine=engine: happened(engine, EventCode.ROUTE_MALFORMED, "status[].name"))
     out.publish(array("good"))
     assert heard(listener, 2)[1] == array("good")
     assert linked(server)

@@ -160,6 +160,8 @@ def test_a_route_that_flows_is_fine() -> None:
          State.SLOW, Cause.TOO_LARGE, ["70 MB"]),
         (RECEIVER, NEVER | {"undelivered": "malformed"}, State.WAITING, Cause.NO_MESSAGE, []),
         (SENDER, {"loss": Loss(9, 10, "queue full", 0.0)}, State.SLOW, Cause.QUEUE_FULL, ["max_rate", "compression"]),
+        (SENDER, {"loss": Loss(9, 10, "malformed", 0.0), "malformed": "a.b: too long"}, State.SLOW, Cause.NOT_PUBLISHED,
+            ["a.b: too long"]),
         (SENDER, {"loss": Loss(9, 10, "of a newer peer", 0.0)}, State.SLOW, Cause.LOSSY, ["9", "10"]),
         (SENDER, {"loss": Loss(8, 8, "queue full", 0.0), "expired": EXPIRED}, State.LATE, Cause.LINK_SLOW, []),
         (SENDER, {"limit": 5.0}, State.OK, Cause.THROTTLED, ["5 Hz"]),

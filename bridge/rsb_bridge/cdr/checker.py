@@ -111,6 +111,7 @@ class _Step(NamedTuple):
         sizes: bytes from the end of the previous content to the end of the length, or to the array.
         bound: the largest number of elements, or an array's number.
         unit: bytes of one unit.
+        zero: units of the terminating zero, which the length of a string counts and its type's bound does not.
         repeated: elements of fixed size.
         body: the body of elements of varying size.
     """
@@ -120,6 +121,7 @@ class _Step(NamedTuple):
     bound: int
     name: str
     unit: int = 1
+    zero: int = 0
     repeated: tuple[_Repeated, ...] = ()
     body: _Body | None = None
 
@@ -410,7 +412,7 @@ class _Explainer:
             self._fail(name, Malformed.ENDS_BEFORE())
         length = step.bound if step.kind is _Kind.ARRAY else self._words[at >> 2]
         if length > step.bound:
-            self._fail(name, Malformed.ABOVE_BOUND(bound=step.bound))
+            self._fail(name, Malformed.ABOVE_BOUND(bound=step.bound - step.zero))
         if step.kind in (_Kind.VARYING, _Kind.ARRAY):
             assert step.body is not None
             needed = length * step.body.least
@@ -481,10 +483,9 @@ class _Compiler:
         if base in _SIZES:
             building.fix("", _primitive(_SIZES[base]))
         elif base in STRINGS or base in WIDE_STRINGS:
-            bound, unit = _ANY_LENGTH, WIDE_CHARACTER if base in WIDE_STRINGS else 1
-            if base in BOUNDED_STRINGS:
-                bound = kind.string_capacity + (unit == 1)  # with its terminating zero
-            building.step(_Step(_Kind.UNITS, _LENGTH, bound, "", unit), 4)
+            unit, zero = (WIDE_CHARACTER, 0) if base in WIDE_STRINGS else (1, 1)
+            bound = kind.string_capacity + zero if base in BOUNDED_STRINGS else _ANY_LENGTH
+            building.step(_Step(_Kind.UNITS, _LENGTH, bound, "", unit, zero), 4)
         else:
             raise UncheckableError(Uncheckable.TYPE_UNKNOWN(type=kind.type_id))
         return building.body()

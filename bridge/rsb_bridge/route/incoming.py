@@ -131,6 +131,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._report_at = _REPORTS_AFTER  # messages received
         self._delivered = 0
         self._dropped: Counter[str] = Counter()
+        self._malformed = ""
         self._before: tuple[str, ReceivedReport] | None = None
         self._report: SentReport | None = None
         self._is_reported = False  # this opening
@@ -450,6 +451,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._dropped[cause] += 1
         text = str(error)
         if isinstance(error, MalformedError):
+            self._malformed = sanitize_text(text)
             text = malformed_text(self.type_name, self.peer.name, error)
         self.notices.message_error(code, text)
 
@@ -547,6 +549,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             verdict=record_of(self.verdict()),
             nodes=node_names(self.endpoints),
             came_before=self.came_before,
+            malformed=self._malformed,
             velocity=self.velocity if self.arming.required else None,
         )
 

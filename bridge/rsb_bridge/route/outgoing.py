@@ -416,6 +416,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def reported(self, report: ReceivedReport) -> None:
         """Take the peer's counts of the present opening."""
+        if report.malformed and (self._report is None or report.malformed != self._report.malformed):
+            text = f"malformed {self.type_name} to {self.peer.name}: {report.malformed}: see the node here that sent it"
+            self.notices.message_error(EventCode.ROUTE_MALFORMED, text)
         self._report = report
         self.judged.receive(report.verdict, self.context.now())
         delay = self.delays.with_report(self.peer.keepalive.ping_delay)
@@ -554,6 +557,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         new = self.context.now() - loss.since < MEASURED_FOR
         return facts._replace(
             armed=self.arming.required,
+            malformed=self._report.malformed if self._report is not None else "",
             loss_unexplained=new or self.peer.fullness.undecided,
             loss_of_full_link=self.was_full_since(loss.since),
         )

@@ -139,6 +139,7 @@ class Facts(NamedTuple):
         armed: whether it has to be armed: then TCP would lose more of it, since late messages are dropped.
         expired: the messages that were dropped lately because they were too old, or None if they are few.
         full: the rates of the link if it is full, or None.
+        malformed: the field of the last malformed message, and what is wrong with it, or empty.
         loss_unexplained: whether it is not known yet if `loss` is due to a full link.
         loss_of_full_link: whether the link was full since `loss` began, and has room now.
         shown_cause: the cause that was shown last, or empty.
@@ -161,6 +162,7 @@ class Facts(NamedTuple):
     late: Late | None = None
     expired: Expired | None = None
     full: Fullness | None = None
+    malformed: str = ""
     loss_unexplained: bool = False
     loss_of_full_link: bool = False
     shown_cause: str = ""
@@ -436,6 +438,8 @@ def _lossy(facts: Facts) -> Verdict | None:
     if loss is None or (facts.expired is not None and facts.expired.lost > loss.lost):
         return None  # most of what did not come was too old, which `_expired` tells
     cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(facts)}"))
+    if loss.cause == "malformed" and facts.malformed:
+        why = f"they are malformed ({facts.malformed}): see what publishes them"
     # The cause stays that of the ledger: a full link loses datagrams on the way, where this side has no queue.
     if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"

@@ -139,6 +139,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         jitter: s (RFC 3550, 6.4.1), or None without a figure.
         nodes: some of the nodes that subscribe to the topic.
         came_before: whether messages came in an earlier incarnation, and none in this one.
+        malformed: the field of the last malformed message, and what is wrong with it, or empty.
         velocity: that this side has published last on an armed topic: forward in m/s, and turn in rad/s; None if it is
             unknown.
     """
@@ -161,6 +162,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     verdict: VerdictRecord | None = None
     nodes: NodeNames = ()
     came_before: bool = False
+    malformed: Reason = ""
     velocity: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
