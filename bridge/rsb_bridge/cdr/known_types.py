@@ -178,6 +178,7 @@ def _place(type_name: str, message: bytes) -> tuple[struct.Struct, int]:
     return _TWIST_LAYOUTS[message[1] & 1], _BEGIN if type_name == _TWIST else _aligned(_end_of_header(message), 8)
 
 
+CLOCK = "rosgraph_msgs/msg/Clock"
 STRING = "std_msgs/msg/String"
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 BATTERY_STATE = "sensor_msgs/msg/BatteryState"

@@ -58,6 +58,8 @@ class Cause(StrEnum):
     NOT_PUBLISHED = "not_published"
     """Messages arrive, and the receiving side cannot publish them."""
     NO_SUBSCRIBER = "no_subscriber"
+    SEVERAL_CLOCKS = "several_clocks"
+    """Several sources publish one clock, so that its time jumps back and forth."""
     SILENT = "silent"
     """Nothing comes from the other side, and this side does not know why."""
     NO_MESSAGE = "no_message"

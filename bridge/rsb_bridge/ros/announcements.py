@@ -195,6 +195,10 @@ class _Table:
     def of(self, name: str, besides: Hashable) -> list[Endpoint]:
         return [own.endpoint for own in self._by_name.get(name, {}).values() if own.link != besides]
 
+    def links_of(self, name: str, besides: Hashable) -> set[Hashable]:
+        own = self._by_name.get(name, {}).values()
+        return {each.link for each in own if each.origin.live and each.link != besides}
+
 
 _decode = msgspec.json.Decoder(Announcement).decode
 _ORDINARY = Origin(())
@@ -259,6 +263,7 @@ class Announcements:
         bridges: the names of the domain's bridge nodes, our own first.
         changed: has the routes check for loops again.
         own_publishers: returns our publishers on a topic, without the given link's.
+        publishing_links: returns the links whose messages our publishers on a topic publish, without the given one.
         own_servers: returns our servers of a service, without the given link's.
     """
 
@@ -273,6 +278,7 @@ class Announcements:
         self._subscription: LastingSubscription | None = None
         self._own = OwnAnnouncement()
         self.own_publishers = self._own.publishers.of
+        self.publishing_links = self._own.publishers.links_of
         self.own_servers = self._own.services.of
         self._offers = 0
         self._published = b""

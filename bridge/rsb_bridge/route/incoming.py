@@ -11,6 +11,7 @@ import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.cdr.description import CompareTypes, TypeClash, TypeVersion, unknown_difference
+from rsb_bridge.cdr.known_types import CLOCK
 from rsb_bridge.channel.channel import Counts, ReceivingChannel
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
@@ -141,6 +142,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._clash = ""
         self._subscribers = 0
         self._others: Collection[Endpoint] = ()  # publishers here, if a subscription does not match
+        self._clocks: frozenset[str] = frozenset()  # further sources of a clock
         self._asked_at = float("-inf")
         self._received_before = 0
         self._expired_before = 0
@@ -298,8 +300,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if any(clashes(self._offered, qos) for qos in requested):
             # Only then: it searches the graph, and only a clash needs the result.
             self._others = tuple(self.ends.publishers(self.remote_topic))
+        self._clocks = self._further_clocks() if self.type_name == CLOCK else frozenset()
         if not self._subscribers:
             self._clash = next((clash for qos in requested if (clash := incompatible(self._offered, qos))), "")
+
+    def _further_clocks(self) -> frozenset[str]:
+        nodes = {each.node for each in self.ends.publishers(self.remote_topic) if each.type_name == CLOCK}
+        links = self.context.announcements.publishing_links(self.remote_topic, self.peer.name)
+        return frozenset(nodes | {f"link {each}" for each in links})
 
     def destroy(self) -> None:
         """End it for good, its publisher too."""
@@ -468,7 +476,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self.lateness.judge(recent, uncertainty, self.late_after, now, recent, learns=self.learns)
 
     def _signs(self) -> Signs:
-        return *super()._signs(), self._report, self._subscribers, self._clash, self._others
+        return *super()._signs(), self._report, self._subscribers, self._clash, self._others, self._clocks
 
     def _changes_at(self, shown: Verdict, now: float) -> float:
         return now if self._sender_ledger.in_flight else super()._changes_at(shown, now)
@@ -573,6 +581,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             subscribers=self._subscribers,
             deaf=self.endpoints,
             others=self._others,
+            clocks=self._clocks,
         )
 
     @property

@@ -95,6 +95,7 @@ class TopicProgress(NamedTuple):
             are, or None if their number is unknown.
         deaf: the subscribers, if they do not match.
         others: on the receiving side, other publishers of the topic, if a subscription does not match.
+        clocks: on the receiving side, if it is a clock, the nodes and links that publish it besides this link.
     """
 
     endpoints: Collection[Endpoint] = ()
@@ -118,6 +119,7 @@ class TopicProgress(NamedTuple):
     subscribers: int | None = None
     deaf: Collection[object] = ()
     others: Collection[Endpoint] = ()
+    clocks: Collection[str] = ()
 
 
 class Facts(NamedTuple):
@@ -499,6 +501,16 @@ def _subscribers(facts: Facts) -> Verdict | None:
     return None
 
 
+def _clocks(facts: Facts) -> Verdict | None:
+    if not facts.progress.clocks:
+        return None
+    text = (
+        f"{facts.status.topic} also comes from {named(facts.progress.clocks)}, so its time jumps back and forth: "
+        "keep one source, or set use_name on the server"
+    )
+    return Verdict(State.UNHEARD, Cause.SEVERAL_CLOCKS, text)
+
+
 def _hears_instead(progress: TopicProgress, deaf: Collection[Endpoint]) -> str:
     """Return what subscribers that do not match hear of other publishers, and who hears this topic, as a clause."""
     assert progress.qos is not None
@@ -537,6 +549,7 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _expired,
     _late,
     _slow,
+    _clocks,
     _subscribers,
     _waiting,
     _departed,
