@@ -8,6 +8,7 @@ import errno
 import os
 import re
 import socket
+import struct
 
 from aiohappyeyeballs import start_connection
 
@@ -43,6 +44,8 @@ _IDLE, _KEEPALIVE_EVERY = 20, 5
 _GIVEN_UP_AFTER_MS = 6_000
 """A second more than the time after which the link itself is given up (`link.keepalive.DEAD_AFTER`)."""
 _TCP_CONGESTION = getattr(socket, "TCP_CONGESTION", 13)
+_RESETS = struct.pack("ii", 1, 0)
+"""SO_LINGER of a socket whose `close` resets the connection."""
 BBR = "bbr"
 """The congestion control that does not take a radio's lost packets for a full link (bench/README.md, *Thin links*)."""
 _NAME_SIZE = 16
@@ -129,6 +132,12 @@ class Tcp(TcpTraits, StreamTransport):
                 sock = await start_connection(found, happy_eyeballs_delay=_NEXT_ADDRESS_AFTER)
         except OSError as error:
             raise _most_telling(error) from None
+        # While nobody listens there, a kernel that chose this port for the connection's own end connects it to itself,
+        # and no server could have the port.
+        if sock.getsockname() == sock.getpeername():
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESETS)  # else the port is kept for a minute
+            sock.close()
+            raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
         # A cancellation in between would leave a socket behind.
         with contextlib.ExitStack() as unless_connected:
             unless_connected.callback(sock.close)
