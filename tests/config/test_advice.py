@@ -1,10 +1,11 @@
 """Warnings of `check`, where running the session would warn or refuse."""
 
 import socket
+from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support import surroundings
+from tests.support import replaced, surroundings
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice, advise
@@ -92,3 +93,11 @@ def test_another_middleware() -> None:
     assert list(advise(session, None, "rmw_fastrtps_cpp")) == list(advise(session, None))
     (problem,) = set(map(str, advise(session, None, "rmw_zenoh_cpp"))) - set(map(str, advise(session, None)))
     assert "rmw_zenoh_cpp" in problem
+
+
+@pytest.mark.parametrize("port", [1999, 2000])
+def test_machine_that_reserves_more_ports(port: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (first := tmp_path / "first").write_text("2000\n")
+    replaced.UNPRIVILEGED_PORTS.set(monkeypatch, first)
+    found = [str(each) for each in advise(Session(**{**SERVER, "server_port": port}), None)]
+    assert [Advice.LOW_PORT(limit=2000) in each for each in found] == [True] * (port < 2000)

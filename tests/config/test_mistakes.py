@@ -154,6 +154,8 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (CLIENT.replace("192.168.1.10", "192.168.1"), "3 server_ip", SessionMistake.ADDRESS_INVALID, {}),
         (CLIENT.replace("192.168.1.10", "192.168.1.256"), "3 server_ip", SessionMistake.ADDRESS_INVALID, {}),
         (CLIENT.replace("192.168.1.10", "0.0.0.0"), "3 server_ip", SessionMistake.ADDRESS_OF_CLIENT, {}),
+        (CLIENT.replace("192.168.1.10", "fe80::1"), "3 server_ip", SessionMistake.ZONE_MISSING, {"address": "fe80::1"}),
+        (CLIENT + "metrics: '[fe80::1]:9464'\n", "6 metrics", SessionMistake.ZONE_MISSING, {}),
         (CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"), "3 server_ip", SessionMistake.ADDRESS_WITH_DASHES, {}),
         (BLUETOOTH.replace("port: 5", "port: 31"), "4 server_port", TopicMistake.INVALID_PORT, {}),
         (CLIENT.replace("role: client", "role: cleint"), "2 role", ValueMistake.MISFIT, {}),

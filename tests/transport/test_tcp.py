@@ -15,8 +15,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from aiohappyeyeballs import start_connection
 from tests.support import constants, replaced
 from tests.support.inside import socket_of
+from tests.support.ports import free_port
 from tests.support.wording import pattern, says
 
 from rsb_bridge.transport import streams
@@ -114,6 +116,41 @@ async def test_where_some_cannot_be_reached_a_refusal_is_told(
         await Tcp().connect("robot", port, StreamHandler())
     assert failure.value.errno == errno.ECONNREFUSED
     assert says(os_error_message(failure.value), StreamProblem.REFUSED)
+
+
+async def test_connection_to_itself_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody listens, and the kernel gives the connection the port that it leads to."""
+    number = free_port()
+    own = [(socket.AF_INET, socket.SOCK_STREAM, 0, "", ("127.0.0.1", number))]
+    replaced.START_CONNECTION.set(monkeypatch, partial(start_connection, local_addr_infos=own))
+    with pytest.raises(ConnectionRefusedError):
+        await Tcp().connect("127.0.0.1", number, StreamHandler())
+    (server,) = await bind("127.0.0.1", number, socket.SOCK_STREAM)
+    server.close()
+
+
+@pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
+async def test_every_address_has_ipv4(kind: socket.SocketKind) -> None:
+    number = free_port()
+    bound = await bind("::", number, kind)
+    for listener in bound:
+        if kind is socket.SOCK_STREAM:
+            listener.listen()
+    for family, host in ((socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")):
+        with socket.socket(family, kind) as client:
+            client.connect((host, number))
+            client.sendall(b"x")
+            if kind is socket.SOCK_DGRAM:
+                received = next(each for each in bound if each.family == family).recv(1)
+                assert received == b"x"
+    for listener in bound:
+        listener.close()
+
+
+@pytest.mark.parametrize("number", [errno.ENETUNREACH, errno.EHOSTUNREACH])
+def test_unreachable_network_has_a_remedy(number: int) -> None:
+    error = os.strerror(number)
+    assert os_error_message(OSError(number, error)) == StreamProblem.UNREACHABLE(error=error)
 
 
 async def test_a_name_without_an_address(port: int, resolves: list[str]) -> None:

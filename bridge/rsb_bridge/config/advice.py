@@ -23,7 +23,6 @@ from rsb_bridge.model.limits import (
     PORTS_PER_CLIENT,
     ROUTES_PER_LINK,
     SAFE_DOMAIN,
-    TOPIC_PORT,
     dds_ports,
     discovery_domain,
 )
@@ -31,6 +30,7 @@ from rsb_bridge.model.names import expand_type_name, split_type_name
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport.descriptors import first_open_port
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -106,8 +106,6 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
     if not session.check_messages:
         yield Problem("check_messages", Advice.NO_CHECKS())
     yield from _domain(session, domain_variable)
-    if _binds_port(session) and session.server_port not in TOPIC_PORT:
-        yield Problem("server_port", Advice.LOW_PORT(limit=TOPIC_PORT.low))
     yield from missing_transports(session)
     yield from _metrics(session)
     yield from _topics(session.topics, "", session)
@@ -152,7 +150,10 @@ def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
     ]
     if _binds_port(session):
         mine.append(("server_port", session.server_port))
+    first = first_open_port()
     for location, port in mine:
+        if port < first:
+            yield Problem(location, Advice.LOW_PORT(limit=first))
         if port in taken:
             message = Advice.PORT_OF_DOMAIN(port=port, domain=domain, ports=taken)
             yield Problem(location, message)

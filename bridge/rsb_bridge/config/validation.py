@@ -161,6 +161,7 @@ class SessionMistake(Wording):
     ADDRESS_OF_CLIENT = "a client cannot connect to {address}: give the server's own address"
     ADDRESS_WITH_DASHES = "{address} is not an address{hint}"
     ADDRESS_INVALID = "{address} is not an IPv4 or IPv6 address, a host name, or a Bluetooth MAC"
+    ZONE_MISSING = "{address} is link-local: add the interface, as in {address}%wlan0 (ip addr shows it)"
     ADAPTER_TWICE = "server_ip is a Bluetooth MAC already: leave bluetooth_address out"
     ADAPTER_INVALID = "{address} is not a Bluetooth MAC: six hexadecimal pairs, 5C:F3:70:9A:1B:2E"
     TOPIC_TWICE = "{name} ({end}) is listed already, as number {number}"
@@ -410,6 +411,8 @@ def _metrics(address: str) -> Iterator[Problem]:
         return
     if not (_is_ip(host) or _is_host(host)):
         yield Problem("metrics", SessionMistake.METRICS_HOST_INVALID(host=show(host)))
+    elif lacks_zone(host):
+        yield Problem("metrics", SessionMistake.ZONE_MISSING(address=host))
 
 
 def _on_fault(command: str | tuple[str, ...]) -> Iterator[Problem]:
@@ -453,6 +456,8 @@ def _address(session: Session) -> Iterator[Problem]:
         yield Problem("server_ip", SessionMistake.ADDRESS_WITH_DASHES(address=repr(address), hint=hint))
     elif transports.of_link(address) is TcpTraits and not (_is_ip(address) or _is_host(address)):
         yield Problem("server_ip", SessionMistake.ADDRESS_INVALID(address=show(address)))
+    elif lacks_zone(address):
+        yield Problem("server_ip", SessionMistake.ZONE_MISSING(address=address))
     yield from zenoh_problems(session)
     if session.bluetooth_address is None:
         return
@@ -468,6 +473,14 @@ def _is_ip(address: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def lacks_zone(address: str) -> bool:
+    """Whether it is a link-local address of IPv6 that does not name the interface, without which nothing reaches it."""
+    if not _is_ip(address):
+        return False
+    ip = ipaddress.ip_address(address)
+    return isinstance(ip, ipaddress.IPv6Address) and ip.is_link_local and ip.scope_id is None
 
 
 def _is_host(address: str) -> bool:
@@ -642,5 +655,7 @@ def _zenoh_endpoint(endpoint: str, location: str) -> Iterator[Problem]:
             protocol=show(match["protocol"]), protocols=", ".join(_ZENOH_PROTOCOLS), hint=hint
         )
         yield Problem(location, message)
+    elif lacks_zone(host := match["host"].strip("[]")):
+        yield Problem(location, SessionMistake.ZONE_MISSING(address=host))
     elif not 0 < int(match["port"]) < 65536:
         yield Problem(location, f"{match['port']} is not a port: 1 to 65535")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib.util
+import itertools
 import json
 import os
 import socket
@@ -26,6 +27,8 @@ from rsb_bridge.model import transports
 from rsb_bridge.model.names import other_side
 from rsb_bridge.model.verdict import clocks_differ
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport.descriptors import first_open_port
+from rsb_bridge.transport.listening import EVERY_ADDRESS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -45,6 +48,7 @@ class NeedText(Wording):
     """Findings about a session's needs, and remedies."""
 
     PORT_OWN = "this session's bridge runs, and has port {port} (pid {pid})"
+    PORT_PRIVILEGED = "port {port} is refused: those below {limit} need root or CAP_NET_BIND_SERVICE"
     NAME = "port {port} was not tried: {address} is a name, and to look it up could ask the network"
     NO_BLUETOOTH_SOCKETS = "the session uses Bluetooth, and this Python has no Bluetooth sockets"
     ADAPTER_REMEDY = "plug one in, or load its driver: rfkill list, and sudo dmesg | grep -i bluetooth"
@@ -163,26 +167,32 @@ def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator
     if not _is_address(address):
         yield finding(grade=Grade.UNKNOWN, text=NeedText.NAME(port=port, address=address))
         return
-    taken = []
-    family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    for name, kind in (("TCP", socket.SOCK_STREAM), ("UDP", socket.SOCK_DGRAM)):
+    taken: dict[str, None] = {}
+    addresses = (address, "0.0.0.0") if address == EVERY_ADDRESS else (address,)  # noqa: S104
+    kinds = (("TCP", socket.SOCK_STREAM), ("UDP", socket.SOCK_DGRAM))
+    for each, (name, kind) in itertools.product(addresses, kinds):
+        family = socket.AF_INET6 if ":" in each else socket.AF_INET
         with socket.socket(family, kind) as tried:
             if family == socket.AF_INET6:
                 tried.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)  # as the bridge
             if kind == socket.SOCK_STREAM:
                 tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # connections that just ended do not count
             try:
-                tried.bind((address, port))
+                tried.bind((each, port))
             except OSError as error:
                 if error.errno == errno.EADDRNOTAVAIL:
-                    text = f"this machine has no address {address}"
+                    text = f"this machine has no address {each}"
                     yield finding(grade=Grade.ERROR, text=text, remedy="correct server_ip, or use 0.0.0.0")
+                    return
+                if error.errno == errno.EACCES:
+                    text = NeedText.PORT_PRIVILEGED(port=port, limit=first_open_port())
+                    yield finding(grade=Grade.ERROR, text=text, remedy="set a higher server_port, on both sides")
                     return
                 if error.errno != errno.EADDRINUSE:
                     reason = os.strerror(error.errno or 0)
                     yield finding(grade=Grade.ERROR, text=f"port {port} is refused: {reason}")
                     return
-                taken.append(name)
+                taken[name] = None
     if taken and (bridge := _own_bridge(path, environ)) is not None:
         yield finding(grade=Grade.OK, text=NeedText.PORT_OWN(port=port, pid=bridge.pid))
     elif taken:

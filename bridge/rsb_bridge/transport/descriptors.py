@@ -1,4 +1,4 @@
-"""File descriptors: each link and each port of a topic takes some, and a process may have only so many."""
+"""File descriptors, of which each link and each port of a topic takes some, and ports, as the kernel grants them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import resource
 import socket
 import sys
+from pathlib import Path
 
 from rsb_bridge.model.wording import Wording
 
@@ -18,6 +19,8 @@ SHORTAGES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 """Errors of a call that would succeed if the process or the system had more to give."""
 
 _OWN = "/proc/self/fd"
+_UNPRIVILEGED = Path("/proc/sys/net/ipv4/ip_unprivileged_port_start")
+_UNPRIVILEGED_BY_DEFAULT = 1024
 
 MORE_DESCRIPTORS = "raise the limit (ulimit -n, or LimitNOFILE in a systemd unit)"
 """What an operator does when they run out."""
@@ -27,6 +30,14 @@ class Scarcity(Wording):
     """Shortages of file descriptors."""
 
     ROUTE_WITHOUT_STREAM = "the {side} may have {limit:,} file descriptors and needs more: {remedy} there"
+
+
+def first_open_port() -> int:
+    """Return the lowest port that this machine lets users without rights bind (ip(7), ip_unprivileged_port_start)."""
+    try:
+        return int(_UNPRIVILEGED.read_text())
+    except (OSError, ValueError):
+        return _UNPRIVILEGED_BY_DEFAULT
 
 
 def scarce() -> bool:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import in_thread
-from rsb_bridge.transport.descriptors import SHORTAGES
+from rsb_bridge.transport.descriptors import SHORTAGES, first_open_port
 from rsb_bridge.transport.streams import os_error_message
 from rsb_bridge.transport.transport import ListenError
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.transport.streams import Address, Stream
 
+EVERY_ADDRESS = "::"
 _LOOKED_UP_WITHIN = 3.0
 """s for the address of a name; a round figure."""
 _AT_ONCE = 16
@@ -45,6 +46,7 @@ class ListenProblem(Wording):
     NOT_OF_THIS_MACHINE = (
         "{address} is not an address of this machine: use one that `ip addr` shows, or 0.0.0.0 for all"
     )
+    PRIVILEGED = "{kind} {address}: ports below {limit} need root or CAP_NET_BIND_SERVICE: use a higher one"
     NAME_UNKNOWN = (
         "{address}: the name is not known ({error}): set server_ip in this side's session file to an address that "
         "`ip addr` shows, or 0.0.0.0 for all"
@@ -74,14 +76,16 @@ async def look_up(
 
 
 async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.socket]:
-    """Bind a socket on each of the host's addresses.
+    """Bind a socket on each of the host's addresses; ``::`` is every address, of IPv4 too.
 
     Raises:
         ListenError: one of them can't be bound.
     """
     sockets: list[socket.socket] = []
     try:
-        found = await look_up(host, port, _LOOKED_UP_WITHIN, kind, socket.AI_PASSIVE)
+        found = [*await look_up(host, port, _LOOKED_UP_WITHIN, kind, socket.AI_PASSIVE)]
+        if host == EVERY_ADDRESS:
+            found += await look_up("0.0.0.0", port, _LOOKED_UP_WITHIN, kind, socket.AI_PASSIVE)  # noqa: S104
         for family, type_, proto, _, address in dict.fromkeys(found):  # one listed twice could not be bound again
             sock = socket.socket(family, type_, proto)
             sockets.append(sock)
@@ -179,7 +183,7 @@ def _listen_error_message(error: OSError, address: str, kind: str) -> str:
     if error.errno == errno.EADDRNOTAVAIL:
         return ListenProblem.NOT_OF_THIS_MACHINE(address=address)
     if error.errno == errno.EACCES:
-        return f"{kind} {address}: ports below 1024 need root; choose a higher one"
+        return ListenProblem.PRIVILEGED(kind=kind, address=address, limit=first_open_port())
     if isinstance(error, socket.gaierror):
         return ListenProblem.NAME_UNKNOWN(address=address, error=error.strerror)
     return f"{kind} {address}: {os_error_message(error)}"

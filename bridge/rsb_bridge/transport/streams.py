@@ -78,6 +78,7 @@ class StreamProblem(Wording):
     TIMED_OUT = "timed out"
     REFUSED = "{error}: is the server running there?"
     RESET = "{error}: the program at the other end died, or the network between ended the connection"
+    UNREACHABLE = "{error}: check this machine's network (ip addr, ip route) and the address"
     NO_DESCRIPTORS = "{error}: this process needs more file descriptors: {remedy}"
 
 
@@ -347,6 +348,8 @@ def os_error_message(error: BaseException) -> str:
         message = os.strerror(error.errno)  # asyncio puts its own text into strerror
         if error.errno == errno.ECONNREFUSED:
             return StreamProblem.REFUSED(error=message)
+        if error.errno in (errno.ENETUNREACH, errno.EHOSTUNREACH):
+            return StreamProblem.UNREACHABLE(error=message)
         if error.errno == errno.EMFILE:
             return StreamProblem.NO_DESCRIPTORS(error=message, remedy=MORE_DESCRIPTORS)
         if error.errno in (errno.EPIPE, errno.ECONNRESET):
