@@ -7,6 +7,7 @@ But the signatures of the extension module differ between distributions. So `Ext
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from rclpy.duration import Duration
@@ -220,11 +221,15 @@ class LivelinessOfPublishers:
         Args:
             subscription: the extension module's object.
         """
-        self._event = _event(subscription, _rclpy.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_LIVELINESS_CHANGED)
+        self._event: Any = None
+        with suppress(RuntimeError, RosError):  # a middleware, or a distribution, that does not tell
+            self._event = _event(subscription, _rclpy.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_LIVELINESS_CHANGED)
 
     @property
     def alive(self) -> int:
-        """How many are alive, our own node's too; 0 once closed. To ask takes up to 60 µs."""
+        """How many are alive, our own node's too; 0 once closed, or if nobody tells. To ask takes up to 60 µs."""
+        if self._event is None:
+            return 0
         try:
             with self._event:
                 count: int = self._event.take_event().alive_count
@@ -234,7 +239,8 @@ class LivelinessOfPublishers:
 
     def close(self) -> None:
         """To be called before its subscription is freed."""
-        self._event.destroy_when_not_in_use()
+        if self._event is not None:
+            self._event.destroy_when_not_in_use()
 
 
 _INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE
