@@ -30,6 +30,7 @@ class Unable(Wording):
     STOPPED_BEFORE_START = "the engine was stopped before it had started"
     NOT_A_SERVER = "only a server has clients"
     NO_FILE = "this session has no file yet: save it first"
+    SAVED_ELSEWHERE = "its key files are in another folder than its file: save it in the bridge's own console (w)"
     DISK_SILENT = "the session's files are not read within {seconds:g} s: look at their disk"
     TOO_LATE = "not done: it waited too long behind another change; give it again"
     RELOADS_OTHER = "nothing is reloaded: the file or the bridge was changed meanwhile, look again"
@@ -112,8 +113,12 @@ class EngineApi(ABC):
         """Return the same events as `events`; wait up to `timeout` s for one."""
 
     @abstractmethod
-    def use_file(self, path: Path | None) -> None:
-        """Have `reload` read this session file, or none. An attached engine keeps its own."""
+    def use_file(self, path: Path | None, holds: Session | None = None) -> None:
+        """Have `reload` and `save` use this session file, or none. An attached engine keeps its own.
+
+        Args:
+            holds: the session that is in the file, or None for the present one.
+        """
 
     @abstractmethod
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
@@ -181,6 +186,9 @@ class EngineApi(ABC):
 
     def reload(self, *, dry_run: bool = False, drop_arm: bool = False, seen: str = "") -> Future[Reloaded]:
         return self.do(commands.Reload(dry_run, drop_arm, seen))
+
+    def save(self) -> Future[None]:
+        return self.do(commands.Save())
 
     def topics(self, link: str | None = None) -> Future[tuple[TopicInfo, ...]]:
         return self.do(commands.Topics(link))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import msgspec
 
+from rsb_bridge.config.session_file import SessionInFile
 from rsb_bridge.model.clock import Clock, StampClock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import operator
@@ -46,6 +47,7 @@ class Context:
         ros_queue: from the ROS thread to the I/O loop.
         loop: the I/O loop; all engine state belongs to its thread.
         random: for jitter; never for secrets.
+        in_file: what the session file holds.
         internal: the ends of internal routes, by purpose.
         limited: adds events that a peer may cause to `events`, up to a rate.
         now: seconds on the monotonic clock of all timers.
@@ -72,6 +74,7 @@ class Context:
     clock: Clock = field(default_factory=Clock)
     random: Random = field(default_factory=Random)
     transports: Transports = field(default_factory=default_transports)
+    in_file: SessionInFile = field(default_factory=SessionInFile)
     internal: dict[str, InternalEnds[Any, Any]] = field(init=False)
     limited: RateLimitedEventLog = field(init=False)
     now: Callable[[], float] = field(init=False)

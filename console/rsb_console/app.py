@@ -215,8 +215,8 @@ class ConsoleApp(TerminalApp[None]):
 
     @work(group="session")
     async def _attach_to_bridge(self, to: Path | Attach) -> None:
+        from rsb_bridge.config.session_file import open_file  # noqa: PLC0415 -- not needed without a file
         from rsb_bridge.control.remote_engine import attach  # noqa: PLC0415 -- keeps the start short
-        from rsb_console.session.saving import reopened  # noqa: PLC0415 -- keeps the start short
 
         open_it = partial(attach, to, read_only=self.readonly) if isinstance(to, Path) else to
         async with self._changing:
@@ -233,7 +233,7 @@ class ConsoleApp(TerminalApp[None]):
                 return
             self.engine, self.attached_to, self.note = engine, engine.bridge.name, ""
             self.base, self.path = Path(engine.bridge.base), engine.file_here
-            self.file = None if self.path is None else reopened(self.path)
+            self.file = None if self.path is None else open_file(self.path)
             self.saved = None if self.file is None else self.file.session
 
     def stop(self) -> None:
@@ -255,10 +255,13 @@ class ConsoleApp(TerminalApp[None]):
         from rsb_console.screens.session_files import remember  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of  # noqa: PLC0415 -- keeps the start short
 
-        self.path, self.saved = path, session
+        # An attached bridge keeps to its own file, whatever file gets a copy.
+        own = None if self.path is None else self.path.resolve()
+        if not self.attached_to or (path is not None and path.resolve() == own):
+            self.path, self.saved = path, session
+            self.file = None if path is None else file_of(path, session)
         if self.engine is not None:
-            self.engine.use_file(path)
-        self.file = None if path is None else file_of(path, session)
+            self.engine.use_file(path, session)
         if path is not None and path.is_file():
             try:
                 remember(path)

@@ -20,6 +20,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.session_file import dump
 from rsb_bridge.control.bridges import SessionRuns, running_bridges
 from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.by_hand import OLD_AFTER, VelocityLimits
@@ -192,7 +193,7 @@ def test_topics_lists_what_is_bridged_or_could_be(ran: Any, engine: ScriptedEngi
 
 def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
     added = ran("add", "/map", "receive", "protocol=udp", "qos={depth: 3}", "paused=yes", "--json")
-    assert added.json == {"ok": True, "key": "/map"}
+    assert added.json == {"ok": True, "key": "/map", "unsaved": False}
     assert "/odom" in ran("add", "/odom", "receive").out
     engine.commands.pop()
     changed = ran("edit", "/scan", "max_rate=", "qos=sensor_data")
@@ -266,6 +267,25 @@ def test_reload_says_what_has_changed_and_what_has_not(ran: Any, engine: Scripte
     }
     ran("reload", "--drop-arm")
     assert engine.commands == [("reload", False), ("reload", True), ("reload", False), ("reload", False, "drop_arm")]
+
+
+def test_changes_say_that_they_are_not_saved(ran: Any, engine: ScriptedEngine, tmp_path: Path) -> None:
+    saved, path = ran("pause", "/scan"), tmp_path / "nav2.yaml"
+    assert "not saved" not in saved.out
+    path.write_text(dump(engine.session))
+    engine.use_file(path)
+    assert ran("status", "--json").json["unsaved"] is False
+    engine.session = msgspec.structs.replace(engine.session, topics=())
+    for command in (
+        ("add", "/new", "transmit"), ("edit", "/scan", "max_rate=5"), ("pause", "/scan"), ("remove", "/scan"),
+    ):  # fmt: skip
+        assert "not saved" in ran(*command).out
+        assert ran(*command, "--json").json["unsaved"] is True
+    assert "not saved" in ran("status").out
+    assert ran("status", "--json").json["unsaved"] is True
+    assert ran("save").code == 0
+    assert engine.commands[-1] == ("save",)
+    assert "not saved" not in ran("status").out
 
 
 def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any, engine: ScriptedEngine) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from rsb_bridge.api import EngineApi, EngineError
+from rsb_bridge.config.session_file import SessionInFile
 from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import Held
 from rsb_bridge.model.calls import LANES, CallsSnapshot, GoalSnapshot
@@ -229,6 +230,7 @@ class ScriptedEngine(EngineApi):
         self.session, self.base = session, base
         self.now = Snapshot(NOW, session.name, session.role, "10.0.0.20:49152", 3, True, (LINK,), routes, len(EVENTS))
         self.happened = list(EVENTS)
+        self.in_file = SessionInFile()
         self.remembered = REMEMBERED
         self.commands: list[tuple[object, ...]] = []
         self.given: list[Command[Any]] = []  # the same as they came, without signs of life
@@ -256,6 +258,8 @@ class ScriptedEngine(EngineApi):
         self.running = False
 
     def snapshot(self) -> Snapshot:
+        if self.now.unsaved is not (unsaved := self.in_file.differs(self.session)):
+            self.now = replace(self.now, unsaved=unsaved)
         return self.now
 
     def events(self, after: int = 0) -> list[Event]:
@@ -268,8 +272,9 @@ class ScriptedEngine(EngineApi):
         self.commands.append(command)
         return answered(result)
 
-    def use_file(self, path: Path | None) -> None:
+    def use_file(self, path: Path | None, holds: Session | None = None) -> None:
         self.file = path
+        self.in_file.session = None if path is None else holds or self.session
 
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         if not isinstance(command, commands.KeepArmed):
@@ -349,6 +354,9 @@ class ScriptedEngine(EngineApi):
                 return self._done(self.described, "describe", key)
             case commands.Bench():
                 raise NotImplementedError
+            case commands.Save():
+                self.in_file.session = self.session
+                return self._done(None, "save")
             case commands.Stop():
                 return self._done(None, "told to stop")
         name = str(command.__struct_config__.tag).replace("_", " ")

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from tests.console.driving import drive, scripted_app, shown, text, until
 from tests.console.live import COMMAND, Pair, end, talker
@@ -19,7 +20,7 @@ from tests.support.forker import Forked
 from tests.support.waiting import eventually
 from textual.pilot import Pilot
 
-from rsb_bridge.config.session_file import save
+from rsb_bridge.config.session_file import load, save
 from rsb_bridge.control import bridges
 from rsb_bridge.model.session import Topic
 from rsb_console.actions import Group
@@ -37,6 +38,7 @@ def engine(machine: Machine, tmp_path: Path) -> ScriptedEngine:
     """It is served, with its file."""
     made = ScriptedEngine()
     save(made.session, tmp_path / "nav2.yaml")
+    made.use_file(tmp_path / "nav2.yaml")
     machine.serve(made, file=tmp_path / "nav2.yaml")
     return made
 
@@ -79,6 +81,46 @@ def test_it_says_that_the_bridge_has_ended_and_comes_back(machine: Machine, engi
         machine.serve(ScriptedEngine(routes=(route("/again"),)))
         await shown(pilot, "/again")
         await until(pilot, lambda: "NOT ATTACHED" not in text(app), "attached")
+
+    drive(app, steps)
+    app.stop()
+
+
+def test_quitting_names_what_the_bridge_has_not_saved(machine: Machine, engine: ScriptedEngine, tmp_path: Path) -> None:
+    app = attached_app(machine)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine.session = msgspec.structs.replace(engine.session, topics=(Topic("/new", "transmit"),))
+        await shown(pilot, "● unsaved")
+        await pilot.press("q")
+        await shown(pilot, SessionQuestion.GOES_ON_UNSAVED, changes="added /new")
+        await pilot.press("n", "w", "y")
+        await until(pilot, lambda: ("save",) in engine.commands, "the bridge knows")
+        await until(pilot, lambda: "unsaved" not in text(app), "saved")
+        assert load(tmp_path / "nav2.yaml") == engine.session
+        await pilot.press("q")
+        await shown(pilot, "Quit?")
+        await until(pilot, lambda: "added /new" not in text(app), "nothing is lost")
+
+    drive(app, steps)
+    app.stop()
+
+
+def test_a_bridge_elsewhere_saves_its_session_itself(machine: Machine, engine: ScriptedEngine) -> None:
+    app = attached_app(machine)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        app.path = app.saved = app.file = None  # as of a bridge whose file is on another machine
+        engine.session = msgspec.structs.replace(engine.session, topics=(Topic("/new", "transmit"),))
+        await shown(pilot, "● unsaved")
+        await pilot.press("q")
+        await shown(pilot, SessionQuestion.GOES_ON_UNSAVED, changes=SessionQuestion.UNNAMED())
+        await pilot.press("n", "w")
+        await shown(pilot, SessionQuestion.SAVE_THERE, name="robot1")
+        await pilot.press("y")
+        await until(pilot, lambda: engine.commands == [("save",)], "saved there")
 
     drive(app, steps)
     app.stop()

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, Decorator, engine_of, fill, gone, on_main, shown, until
+from tests.console.driving import NARROW, WIDE, Decorator, engine_of, fill, gone, on_main, shown, text, until
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
@@ -77,6 +77,16 @@ async def test_saving_asks_and_then_the_file_holds_what_runs(app: ConsoleApp, pi
     await pilot.press("w", "y")
     await shown(pilot, "saved:")
     assert load(path) == now
+
+
+@on_file(dump(SESSION), WIDE, NARROW)
+async def test_unsaved_changes_are_in_header_and_footer(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+    await gone(pilot, "unsaved")
+    changed(app, Topic("/new", "transmit"))
+    await shown(pilot, "● unsaved")
+    await shown(pilot, " w save ")
+    await pilot.press("w", "y")
+    await until(pilot, lambda: "unsaved" not in text(app) and " w save " not in text(app), "saved")
 
 
 @on_file(f"# mine\n{dump(SESSION)}")

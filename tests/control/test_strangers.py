@@ -65,6 +65,7 @@ CHANGES: tuple[AnyCommand, ...] = (
     commands.ShutDownLinks(),
     commands.Restart(),
     commands.Reload(),
+    commands.Save(),
     commands.Stop(),
 )
 

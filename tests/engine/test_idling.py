@@ -40,6 +40,8 @@ def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks_often(
         def links(self) -> list[Any]:
             return []
 
+        unsaved = False
+
         def refused(self) -> tuple[()]:
             return ()
 

@@ -80,6 +80,8 @@ class Many:
     def links(self) -> list[Link]:
         return self._links
 
+    unsaved = False
+
     def refused(self) -> tuple[()]:
         return ()
 
@@ -122,6 +124,8 @@ def test_a_link_that_goes_while_a_snapshot_is_made_is_not_in_it_and_one_that_com
     class Changing:
         def links(self) -> list[Link]:
             return [*links]
+
+        unsaved = False
 
         def refused(self) -> tuple[()]:
             return ()

@@ -14,7 +14,7 @@ from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError, Unable
-from rsb_bridge.config.session_file import load, save
+from rsb_bridge.config.session_file import load_file, save
 from rsb_bridge.link.reloading import ClientStep
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import OWN_CONSOLE, acting
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
+    from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.snapshot import Reloaded
 
@@ -282,10 +283,10 @@ def test_other_changes_wait_for_a_reload_that_runs(
     keys = {name: route(client, name).key for name in ("/kept", "/edited", "/gone")}
     reads, may_read = threading.Event(), threading.Event()
 
-    def held(path: Path) -> Session:
+    def held(path: Path) -> SessionFile:
         reads.set()
         assert may_read.wait(30.0)
-        return load(path)
+        return load_file(path)
 
     replaced.ENGINE_LOAD.set(monkeypatch, held)
     reload = client.reload()
@@ -318,9 +319,9 @@ def test_a_disk_that_hangs_holds_up_other_changes_for_a_while_only(
     client = bridge.client(Topic("/kept", "transmit"), Topic("/held", "transmit", paused=True))
     file, answers = Edited(client, tmp_path / "robot1.yaml"), threading.Event()
 
-    def hangs(path: Path) -> Session:
+    def hangs(path: Path) -> SessionFile:
         answers.wait()
-        return load(path)
+        return load_file(path)
 
     replaced.ENGINE_LOAD.set(monkeypatch, hangs)
     reload = file.engine.reload()

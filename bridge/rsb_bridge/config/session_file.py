@@ -90,6 +90,14 @@ def load_file(path: Path) -> SessionFile:
     return SessionFile(path, text, parse(text, path))
 
 
+def open_file(path: Path) -> SessionFile | None:
+    """Open a session file as it is on disk now, or return None if it is missing or has mistakes."""
+    try:
+        return load_file(path)
+    except SessionError:
+        return None
+
+
 def parse(text: str, path: Path) -> Session:
     """Read a session from a file's text.
 
@@ -169,6 +177,27 @@ def _in_order(session: Session) -> Session:
 
 def _sorted(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
     return tuple(sorted(topics, key=lambda topic: topic.identity))
+
+
+class SessionInFile:
+    """What a session file holds, next to the running session.
+
+    Attributes:
+        session: of the file, or None without a file.
+    """
+
+    def __init__(self) -> None:
+        self.session: Session | None = None
+        self._compared: tuple[Session | None, Session | None] = None, None
+        self._differs = False
+
+    def differs(self, running: Session) -> bool:
+        """Whether the running session is not the file's. Cheap while neither changes: every snapshot asks."""
+        held, compared = self._compared
+        if self.session is None or self.session is not held or running != compared:
+            self._compared = self.session, running
+            self._differs = self.session is not None and not same(self.session, running)
+        return self._differs
 
 
 def save(session: Session, path: Path, opened: SessionFile | None = None, notes: Iterable[str] = ()) -> SessionFile:

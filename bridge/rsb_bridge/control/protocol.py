@@ -241,6 +241,7 @@ class StateChange(_Message, frozen=True, tag="state"):
     session: Session | None = None
     waits_for_operator: bool = False
     refused: tuple[RefusedClient, ...] = ()
+    unsaved: bool = False
     ticket: int = 0
 
 

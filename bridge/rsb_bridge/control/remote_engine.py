@@ -269,7 +269,7 @@ class RemoteEngine(EngineApi):
             self._log.wait(self._log.last, min(left, _USED_REGULARLY))
         return self._log.after(0)
 
-    def use_file(self, path: Path | None) -> None:
+    def use_file(self, path: Path | None, holds: Session | None = None) -> None:
         return  # the bridge keeps to its own
 
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:

@@ -117,6 +117,7 @@ class Sender:
             session=None if session == self._session else session,
             waits_for_operator=waits_for_operator,
             refused=snapshot.refused,
+            unsaved=snapshot.unsaved,
         )
         self.sent, self._keys, self._session = snapshot, keys, session
         self._routes = {route.key: route for route in snapshot.routes}
@@ -184,6 +185,7 @@ class StateReceiver:
             routes=routes,
             last_event=state.last_event,
             refused=state.refused,
+            unsaved=state.unsaved,
         )
         return True
 

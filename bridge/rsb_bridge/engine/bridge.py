@@ -114,7 +114,6 @@ class Bridge:
             **self._viewing.handlers,
             commands.Acknowledge: self._acknowledge,
             commands.Bench: self._bench,
-            commands.RemoveClient: self._remove_client,
             commands.Retry: self._retry,
             commands.ShutDownLinks: self._shut_down,
             commands.Topics: self._topics,
@@ -318,8 +317,9 @@ class Bridge:
 
         await self._change_clients(change, {client.name: keys})
 
-    async def _remove_client(self, command: commands.RemoveClient) -> None:
-        await self._change_clients(lambda session: without_client(session, command.name), {})
+    async def remove_client(self, name: str) -> None:
+        """Accept a client no longer, on a server."""
+        await self._change_clients(lambda session: without_client(session, name), {})
 
     async def _change_clients(self, change: Callable[[Session], Session], keys: Keys) -> None:
         session = change(self.session)

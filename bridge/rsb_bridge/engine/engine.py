@@ -18,7 +18,15 @@ import msgspec
 
 from rsb_bridge.api import EngineApi, EngineError, Unable
 from rsb_bridge.config.session_changes import is_another, kept
-from rsb_bridge.config.session_file import SessionError, demand_places, load
+from rsb_bridge.config.session_file import (
+    SessionError,
+    SessionInFile,
+    demand_places,
+    load_file,
+    open_file,
+    same,
+    save,
+)
 from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
 from rsb_bridge.engine.access import Access, load_keys
@@ -28,7 +36,7 @@ from rsb_bridge.history.history_files import Disk
 from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import AddClient, ChangeClient, History, Reload, Stop, operator
+from rsb_bridge.model.commands import AddClient, ChangeClient, History, Reload, RemoveClient, Save, Stop, operator
 from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot
 from rsb_bridge.ros.ros_interface import RosError, RosInterface
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
@@ -41,6 +49,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
 
     from rsb_bridge.config.keys import Key
+    from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.link.roles import Keys
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.demands import SourceKey
@@ -205,6 +214,9 @@ class Engine(EngineApi):
         self._session = session
         self._base = base
         self._file: Path | None = None
+        self._opened: SessionFile | None = None
+        """That file as it was read or saved last, or None if it had mistakes then."""
+        self._in_file = SessionInFile()
         self._places: Mapping[SourceKey, str] = {}
         self._ros = ros
         self._clock = clock or Clock()
@@ -341,8 +353,10 @@ class Engine(EngineApi):
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
         return self._events.wait(after, timeout)
 
-    def use_file(self, path: Path | None) -> None:
+    def use_file(self, path: Path | None, holds: Session | None = None) -> None:
         self._file = path
+        self._opened = None if path is None else open_file(path)
+        self._in_file.session = None if path is None else holds or self.session
         self._places = {} if path is None else demand_places(path)
         if (bridge := self._bridge) is not None:
             places = self._places
@@ -385,14 +399,25 @@ class Engine(EngineApi):
         loop = asyncio.get_running_loop()
         queue = RosToLoopQueue(loop, loop.do_now if isinstance(loop, IoLoop) else None)
         context = Context(
-            self._session, domain, ros, self._events, queue, loop, self._clock, self._random, self._transports
+            self._session,
+            domain,
+            ros,
+            self._events,
+            queue,
+            loop,
+            self._clock,
+            self._random,
+            self._transports,
+            self._in_file,
         )
         context.demands.set_places(self._places)
         bridge = Bridge(context, keys, self._snapshots, self._folder)
         bridge.handlers |= {
             AddClient: lambda command: self._put_client(bridge.add_client, command.client),
             ChangeClient: lambda command: self._put_client(bridge.change_client, command.client),
+            RemoveClient: lambda command: self._remove_client(bridge, command.name),
             Reload: lambda command: self._reload(bridge, command),
+            Save: lambda _: self._save(bridge),
         }
         self._bridge = bridge
         loop.set_exception_handler(bridge.internal_error)
@@ -424,6 +449,22 @@ class Engine(EngineApi):
         self.access.check_link(keys)
         self.access.warn_of(keys, {})
         await command(client, keys[client.name])
+        await self._client_saved(client.name)
+
+    async def _remove_client(self, bridge: Bridge, name: str) -> None:
+        await bridge.remove_client(name)
+        await self._client_saved(name)
+
+    async def _client_saved(self, name: str) -> None:
+        """Take over a client's entry from the file: whoever changes a client writes it there first."""
+        path, before, held = self._file, self._opened, self._in_file.session
+        if path is None or before is None or held is None:
+            return
+        now = await _read(lambda: open_file(path))
+        # Another change of the file is somebody else's, which a save must not overwrite.
+        if now is not None and same(_without(before.session, name), _without(now.session, name)):
+            self._opened = now
+            self._in_file.session = msgspec.structs.replace(held, clients=now.session.clients, bench=now.session.bench)
 
     def _folder(self) -> Path:
         """Return the folder of the session file."""
@@ -433,7 +474,8 @@ class Engine(EngineApi):
         dry_run, who = command.dry_run, operator()
         try:
             # All files are read before anything changes, and no link waits for the disk.
-            path, session, left = await _read(self._read_again)
+            opened, session, left = await _read(self._read_again)
+            path = opened.path
             places = await _read(lambda: demand_places(path))
             keys, granted = await _read(lambda: load_keys(session, path.parent))
         except EngineError as error:
@@ -454,6 +496,7 @@ class Engine(EngineApi):
         done += self.access.reload(granted, dry_run=dry_run)
         if not dry_run:
             self._session = session
+            self._base, self._opened, self._in_file.session = path.parent, opened, session
             if not (done or failed or left):
                 text = f"reload by {who}: nothing differs in {path}"
                 self._events.add(Level.INFO, EventCode.OPERATOR_RELOADED, text, who=who)
@@ -461,8 +504,24 @@ class Engine(EngineApi):
                 self._events.add(Level.WARNING, EventCode.ENGINE_RELOAD_INCOMPLETE, f"reload by {who}: {text}", who=who)
         return Reloaded(tuple(done), tuple(left), tuple(failed), _digest(done))
 
-    def _read_again(self) -> tuple[Path, Session, list[str]]:
-        """Read the session file: its path, the session to change to, and the differences that cannot take effect.
+    async def _save(self, bridge: Bridge) -> None:
+        path, known, session = self._file, self._opened, bridge.session
+        if path is None:
+            raise EngineError(Unable.NO_FILE())
+        if path.parent.resolve() != self._base.resolve():
+            raise EngineError(Unable.SAVED_ELSEWHERE())
+        try:
+            self._opened = await _read(lambda: _saved(session, path, known))
+        except SessionError as error:
+            raise EngineError(str(error)) from None
+        self._in_file.session = session
+        self._places = await _read(lambda: demand_places(path))
+        bridge.context.demands.set_places(self._places)
+        who = operator()
+        self._events.add(Level.INFO, EventCode.OPERATOR_SAVED, f"saved to {path.name} by {who}", who=who)
+
+    def _read_again(self) -> tuple[SessionFile, Session, list[str]]:
+        """Read the session file: the file, the session to change to, and the differences that cannot take effect.
 
         Raises:
             EngineError: the session is in no file, or the file has mistakes.
@@ -470,15 +529,34 @@ class Engine(EngineApi):
         if self._file is None:
             raise EngineError(Unable.NO_FILE())
         try:
-            wanted = load(self._file)
+            opened = load_file(self._file)
         except SessionError as error:
             raise EngineError(str(error)) from None
-        if problem := is_another(self._session, wanted):
+        if problem := is_another(self._session, opened.session):
             raise EngineError(f"{self._file}: {problem}")
-        session, left = kept(self._session, wanted)
+        session, left = kept(self._session, opened.session)
         if problems := validate(session):  # the old and the new parts may contradict each other
             raise EngineError("; ".join([*left, *map(str, problems)]))
-        return self._file, session, left
+        return opened, session, left
+
+
+def _without(session: Session, client: str) -> Session:
+    others = tuple(each for each in session.accepted_clients if each.name != client)
+    return msgspec.structs.replace(session, clients=others, bench=None)
+
+
+def _saved(session: Session, path: Path, known: SessionFile | None) -> SessionFile:
+    """Write a session to its file, unless the file on disk holds it already, and return the file.
+
+    Raises:
+        SessionError: it is not written: somebody else has changed the file, say.
+    """
+    now = open_file(path)
+    if now is not None and same(now.session, session):
+        return now
+    if known is None:
+        known = load_file(path)  # its mistakes are the reason why it is not overwritten
+    return save(session, path, known)
 
 
 def _digest(changes: list[str]) -> str:

@@ -95,6 +95,10 @@ class ClientRole:
         return msgspec.structs.replace(self._context.session, topics=self._link.listed_topics())
 
     @property
+    def unsaved(self) -> bool:
+        return self._context.in_file.differs(self.session)
+
+    @property
     def keys(self) -> Keys:
         return {self._link.name: () if self._link.key is None else (self._link.key,)}
 
@@ -189,6 +193,10 @@ class ServerRole:
         if session.clients is None and not any(client.topics for client in clients):
             return session
         return msgspec.structs.replace(session, clients=clients, bench=None)
+
+    @property
+    def unsaved(self) -> bool:
+        return self._context.in_file.differs(self.session)
 
     @property
     def keys(self) -> Keys:

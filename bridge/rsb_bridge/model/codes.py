@@ -84,6 +84,8 @@ class EventCode(StrEnum):
     OPERATOR_RESTARTED = "operator.restarted"
     OPERATOR_RELOADED = "operator.reloaded"
     """An operator had the session file read again: one event for each change, or one that nothing differs."""
+    OPERATOR_SAVED = "operator.saved"
+    """An operator had the running session written to its file."""
     OPERATOR_CLIENTS = "operator.clients"
     """A client was added, changed or removed on a server that runs."""
     OPERATOR_STOPPED = "operator.stopped"

@@ -323,6 +323,13 @@ class Reload(Command[Reloaded], frozen=True, tag="reload"):
         return Effect.HARMLESS if self.dry_run else Effect.MOVES | Effect.LOSES
 
 
+class Save(Command[None], frozen=True, tag="save"):
+    """Write the session to its file, whose comments stay. A file that somebody else has changed is not overwritten."""
+
+    one_at_a_time = True
+    always = Effect.HARMLESS
+
+
 class Topics(Command[tuple[TopicInfo, ...]], frozen=True, tag="topics"):
     """List the topics, services, actions and nodes that can be bridged.
 

@@ -461,6 +461,7 @@ class Snapshot:
         running: False: stopped, or not started.
         links: on a server, one for each known client.
         last_event: number of the newest event.
+        unsaved: whether the running session differs from its file; False without a file.
     """
 
     time: float
@@ -473,6 +474,7 @@ class Snapshot:
     routes: tuple[RouteSnapshot, ...] = ()
     last_event: int = 0
     refused: tuple[RefusedClient, ...] = ()
+    unsaved: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,6 +71,10 @@ class ShownBridge(Protocol):
     def refused(self) -> tuple[RefusedClient, ...]:
         """Return the refused clients."""
 
+    @property
+    def unsaved(self) -> bool:
+        """Whether the running session differs from its file."""
+
 
 class SnapshotPublisher:
     """Renews the snapshot while anybody uses it.
@@ -184,6 +188,7 @@ class SnapshotPublisher:
             routes=routes,
             last_event=self._events.last,
             refused=bridge.refused(),
+            unsaved=bridge.unsaved,
         )
 
 

@@ -271,6 +271,7 @@ def json_status(snapshot: Snapshot) -> str:
 def status_of(snapshot: Snapshot) -> dict[str, object]:
     """Return the figures for a monitor, without what only the console draws (histories, the details of stages)."""
     return {
+        "unsaved": snapshot.unsaved,
         "links": links_of(snapshot),
         "refused": [asdict(client) | {"since": round(client.since, 3)} for client in snapshot.refused],
         "routes": [route_of(route) for route in snapshot.routes],

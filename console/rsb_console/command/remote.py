@@ -58,13 +58,13 @@ from rsb_console.terminal.pulse import ASKED_EVERY, TypedKeys
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from concurrent.futures import Future
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Kind, Topic
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
+    from rsb_bridge.model.snapshot import PatternSnapshot, RouteSnapshot, Snapshot, TopicInfo
 
 _LOOK_EVERY = 0.1  # s. A round figure: a command takes so much longer at most
 _SHOWN_WITHIN = 1.0
@@ -186,7 +186,25 @@ def _remove(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         found = chosen(engine, arguments)
         result(engine.remove_topic(found.key, drop_arm=arguments.drop_arm))
-        return done_with(arguments, [found], "removed")
+        return _changed(engine, arguments, [found], "removed")
+
+
+def _changed(
+    engine: RemoteEngine,
+    arguments: Namespace,
+    found: Sequence[RouteSnapshot | PatternSnapshot],
+    what: str,
+    **results: object,
+) -> int:
+    """Report a change of the session as `done_with` does, and whether the session is saved."""
+    unsaved = engine.snapshot().unsaved
+    return done_with(arguments, found, what, note=_not_saved(engine), unsaved=unsaved, **results)
+
+
+def _not_saved(engine: RemoteEngine) -> str:
+    """Return the note on a session that differs from its file, or an empty string."""
+    # The state of after a change comes before its answer.
+    return "; not saved (rsb-console save)" if engine.snapshot().unsaved else ""
 
 
 def _pause(arguments: Namespace, *, paused: bool = True) -> int:
@@ -194,7 +212,7 @@ def _pause(arguments: Namespace, *, paused: bool = True) -> int:
     with attached(arguments, expires=not paused) as engine:
         found = all_chosen(engine, arguments)
         carried_out([engine.pause(each.key, paused) for each in found])
-        return done_with(arguments, found, "paused" if paused else "resumed")
+        return _changed(engine, arguments, found, "paused" if paused else "resumed")
 
 
 def _ack(arguments: Namespace) -> int:
@@ -239,6 +257,12 @@ def _reload(arguments: Namespace) -> int:
         for line in (*reloaded.left, *reloaded.failed):
             print_error(line)
     return FAILURE if reloaded.left or reloaded.failed else OK
+
+
+def _save(arguments: Namespace) -> int:
+    with attached(arguments) as engine:
+        result(engine.save())
+        return done(arguments, f"saved: {engine.bridge.file}")
 
 
 def _stop(arguments: Namespace) -> int:
@@ -370,7 +394,8 @@ def _add(arguments: Namespace) -> int:
             return _say_cost(arguments, topic, engine, arguments.link or links[0])
         key = result(engine.add_topic(topic, arguments.link))
         side = other_side(engine, arguments.link or links[0])
-        return done(arguments, f"added: {described(topic)}, with {side}", key=key)
+        text = f"added: {described(topic)}, with {side}{_not_saved(engine)}"
+        return done(arguments, text, key=key, unsaved=engine.snapshot().unsaved)
 
 
 def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: str) -> int:
@@ -399,7 +424,8 @@ def _edit(arguments: Namespace) -> int:
             raise UsageError(RemoteProblem.NOTHING_TO_CHANGE(topic=arguments.topic))
         topic = _topic(values_of(route.spec), arguments.keys, engine, route.spec)
         key = result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm, seen=route.spec))
-        return done_with(arguments, [route], f"changed ({', '.join(changes(route.spec, topic)) or 'nothing'})", key=key)
+        what = f"changed ({', '.join(changes(route.spec, topic)) or 'nothing'})"
+        return _changed(engine, arguments, [route], what, key=key)
 
 
 def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
@@ -631,6 +657,7 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "retry": _retry,
     "restart": _restart,
     "reload": _reload,
+    "save": _save,
     "events": _events,
     "report": _report,
     "wait": _wait,

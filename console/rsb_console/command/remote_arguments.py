@@ -58,6 +58,14 @@ exit codes:
   0  everything that differs is changed, or nothing differs
   1  something was not changed; the output names it
 {NO_BRIDGE}"""
+_EXIT_SAVE = f"""\
+Until then, a change lasts as long as the bridge runs. The bridge writes the file, so its
+user must be allowed to.
+
+exit codes:
+  0  the file holds the running session
+  1  not saved: the session has no file, somebody else has changed it, or it cannot be written
+{NO_BRIDGE}"""
 _EXIT_ARM = f"""\
 It stays armed while this command runs. Each line on standard input (Enter) counts as
 a key for the deadman time. Ctrl-C disarms it, and so does any other end of this
@@ -218,11 +226,16 @@ def add_remote_commands(
     retry = remote("retry", "connect now instead of later, and open refused topics again")
     complete(retry.add_argument("--link", default="", metavar="CLIENT", help="the link with this client only"), "links")
     remote("restart", "close the links on both sides and open them again")
+    _add_file_commands(remote)
+    _add_looking(remote, complete)
+    remote("stop", "end a running bridge, and wait until it has ended")
+
+
+def _add_file_commands(remote: Callable[..., argparse.ArgumentParser]) -> None:
     reload = remote("reload", "read the session file again, and change only what differs", _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
     _drop_arm(reload, "also drop the demands to arm that the file does not make any more; otherwise they stay")
-    _add_looking(remote, complete)
-    remote("stop", "end a running bridge, and wait until it has ended")
+    remote("save", "save the running session to its file, with the file's comments", _EXIT_SAVE)
 
 
 def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Complete) -> None:

@@ -133,9 +133,10 @@ def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, ob
     figures = {"ok": not faults, "wrong": faults, "acknowledged": known, "waiting": waits, **about,
                "address": now.address, "domain_id": now.domain_id,
                "running": now.running, "time": now.time, **status_of(now)}  # fmt: skip
+    file = f", {bridge.file}" if bridge.file else ""
     lines = [
         f"{bridge.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}",
-        f"  since {clock(bridge.started)}" + (f", {bridge.file}" if bridge.file else ""),
+        f"  since {clock(bridge.started)}{file}{', not saved' if now.unsaved else ''}",
         f"  {_in_short(now, faults, known, waits)}",
     ]
     for link in now.links:

@@ -358,12 +358,18 @@ def carried_out(commands: Iterable[Future[None]]) -> None:
 
 
 def done_with(
-    arguments: Namespace, found: Sequence[RouteSnapshot | PatternSnapshot], what: str, **results: object
+    arguments: Namespace,
+    found: Sequence[RouteSnapshot | PatternSnapshot],
+    what: str,
+    *,
+    note: str = "",
+    **results: object,
 ) -> int:
     """Report a command on all routes of a name.
 
     Args:
         what: the command's effect, in words.
+        note: comes after it, on each line.
         results: of the command, for programs.
     """
     several = len(found) > 1
@@ -378,7 +384,7 @@ def done_with(
     ]
     for each in () if arguments.json else routes:
         there = f", {each['remote_topic']} there" if each["remote_topic"] else ""
-        print_line(f"{what}: {arguments.topic} of {each['link']} ({each['direction']}{there})")
+        print_line(f"{what}: {arguments.topic} of {each['link']} ({each['direction']}{there}){note}")
     return done(arguments, "", **results | ({"routes": routes} if several else {}))
 
 

@@ -27,6 +27,10 @@ class SessionQuestion(Wording):
     """Questions about a session, and the reasons for them."""
 
     NOT_SAVED = "Not saved (w saves): {changes}."
+    GOES_ON_UNSAVED = "It goes on with unsaved changes, which a restart loses (w saves): {changes}."
+    UNNAMED = "its session differs from its file"
+    SAVE_THERE = "Save the session of {name} to its file?"
+    SAVES_THERE = "The bridge writes the file on its machine. Comments stay, and a backup is kept there."
     ALREADY_RUNS = "{name} already runs here. Attach to it?"
 
 
@@ -62,7 +66,8 @@ class SessionOperations:
             elif self._console.snapshot().running:
                 reasons.append("The bridge stops: nothing can link to it any more.")
             if lost:
-                reasons.append(SessionQuestion.NOT_SAVED(changes=lost))
+                text = SessionQuestion.GOES_ON_UNSAVED if self._console.attached_to else SessionQuestion.NOT_SAVED
+                reasons.append(text(changes=lost))
             if not reasons:
                 return True
             effect = then if self._console.attached_to else then | Effect.LOSES
@@ -77,11 +82,14 @@ class SessionOperations:
         from rsb_console.session.saving import file_of, unsaved  # noqa: PLC0415 -- keeps the start short
 
         engine, saved, path = self._console.engine, self._console.saved, self._console.path
-        if engine is None or saved is None:
+        if engine is None or (path is not None and not self._console.snapshot().unsaved):
             return ""
-        changes = unsaved(saved, engine.session)
+        if saved is None:
+            return SessionQuestion.UNNAMED() if self._console.snapshot().unsaved else ""
         # Somebody else may have saved the same.
-        return changes if changes and (path is None or file_of(path, engine.session) is None) else ""
+        if path is not None and file_of(path, engine.session) is not None:
+            return ""
+        return unsaved(saved, engine.session)
 
     # --- choosing a session
 
@@ -210,10 +218,21 @@ class SessionOperations:
 
     async def save(self) -> None:
         """Save the session with the topics it has now."""
-        if self._console.path is None:
-            await self.save_as()
-        else:
+        if self._console.path is not None:
             await self._save_to(self._console.path)
+        elif self._console.snapshot().unsaved:
+            await self._save_there()
+        else:
+            await self.save_as()
+
+    async def _save_there(self) -> None:
+        """Have a bridge on another machine save its session."""
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine, title = self._console.engine, SessionQuestion.SAVE_THERE(name=self._console.attached_to)
+        question = ConfirmScreen(title, SessionQuestion.SAVES_THERE(), "Save", Effect.LOSES)
+        if engine is not None and await self._console.ask(question):
+            await self._console.command(engine.save(), "saved")
 
     async def save_as(self) -> None:
         from rsb_console.screens.session_files import SaveAsScreen  # noqa: PLC0415 -- keeps the start short
@@ -229,8 +248,9 @@ class SessionOperations:
 
     async def _save_to(self, path: Path) -> bool:
         """Save the session to a file. Return False if the operator may name another one."""
+        from rsb_bridge.config.session_file import open_file  # noqa: PLC0415 -- not needed without a file
         from rsb_console.screens.session_files import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
-        from rsb_console.session.saving import file_of, is_changed, reopened  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.saving import file_of, is_changed  # noqa: PLC0415 -- keeps the start short
 
         engine, opened = self._console.engine, self._console.file
         if engine is None:
@@ -251,9 +271,12 @@ class SessionOperations:
                     case _:
                         return False
             # This keeps the comments that the file has now.
-            opened = reopened(path)
+            opened = open_file(path)
         if await save_elsewhere(self._console, session, path, opened):
             self._console.saved_to(session, path)
+            own = self._console.path
+            if self._console.attached_to and own is not None and own.resolve() == path.resolve():  # noqa: ASYNC240 -- as all files of a session here
+                await self._console.command(engine.save())  # it finds its session in the file
             return True
         return False
 

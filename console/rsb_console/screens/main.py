@@ -143,6 +143,7 @@ class MainScreen(Screen[None]):
         self._keys_shown_for: tuple[object, ...] = ()
         self._topic_counts: Line = ()
         self._link_counts: Line = ()
+        self._unsaved = False
 
     def _run_operation(self, operation: Callable[[], Awaitable[None]], action: Action) -> None:
         if action.needs_topic:
@@ -176,6 +177,7 @@ class MainScreen(Screen[None]):
         self._held += new_events  # one of them may say why the engine has ended
         explanations, key = self._explanations, self._explanations.key
         self.status.show(snapshot, explanations.bar(snapshot, self._frozen_since))
+        self._unsaved = snapshot.unsaved
         self._topic_counts = state_counts(snapshot.routes, FAULTS)
         self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
         height, only = self.app.size.height, self.topics.faults_only
@@ -219,10 +221,12 @@ class MainScreen(Screen[None]):
         reads_log, here = self.log_pane.has_focus, self.app.screen is self
         undoes = len(self.console.changes)
         nothing = self.topics.selected is None
-        depends_on = (here, reads_log, self.console.engine is None, nothing, can, undoes, *counts.values())
+        of_changes = (undoes, self._unsaved)
+        depends_on = (here, reads_log, self.console.engine is None, nothing, can, of_changes, *counts.values())
         if depends_on == self._keys_shown_for:
             return
         self._keys_shown_for = depends_on
+        useful = {"undo": bool(undoes), "save": self._unsaved}
         labels = {"arm": "disarm" if self._disarms else "arm", "detail": "whole line" if reads_log else "detail"}
         if not here:  # a dialog's keys are the only ones
             self.key_bar.show([])
@@ -234,11 +238,11 @@ class MainScreen(Screen[None]):
                     labels.get(action.id, action.label),
                     f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
                     # Help stays on any screen, as it lists all others.
-                    0 if action.id in ("help", "quit") else 1 if counts.get(action.id) else 2,
+                    0 if action.id in ("help", "quit") else 1 if counts.get(action.id) or action.id == "save" else 2,
                     counts.get(action.id, ()),
                 )
                 for action in ACTIONS
-                if action.in_footer and self.check_action(action.id, ()) and (undoes or action.id != "undo")
+                if action.in_footer and self.check_action(action.id, ()) and useful.get(action.id, True)
             ]
         )
 

@@ -12,7 +12,7 @@ import msgspec
 
 from rsb_bridge.config.files import is_there, typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
-from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, same
+from rsb_bridge.config.session_file import SessionError, SessionFile, open_file, same
 from rsb_bridge.config.yaml_text import read_text
 from rsb_bridge.model.wording import Wording
 
@@ -75,14 +75,6 @@ def is_changed(opened: SessionFile) -> bool:
     except SessionError:
         return True
     return False
-
-
-def reopened(path: Path) -> SessionFile | None:
-    """Open a session file as it is on disk now, or return None if it is missing or has mistakes."""
-    try:
-        return load_file(path)
-    except SessionError:
-        return None
 
 
 def moved(session: Session, old: Path, new: Path) -> Session:
@@ -167,5 +159,5 @@ def path_problem(text: str) -> str:
 
 def file_of(path: Path, session: Session) -> SessionFile | None:
     """Return the file at a path if it holds exactly this session, or None."""
-    file = reopened(path)
+    file = open_file(path)
     return file if file is not None and same(file.session, session) else None

@@ -56,6 +56,8 @@ class StatusBar(LiveLines):
         super().__init__(id="status")
         self._identity: list[tuple[int, tuple[str, str]]] = []
         self._view: Line = ()
+        self._shown_narrow = 1
+        """How many pieces of the view, from its end, a narrow screen shows."""
         self._totals: list[Line] = []
         self._needed = 1
         """How many of these must have room for states to be named."""
@@ -71,7 +73,7 @@ class StatusBar(LiveLines):
     def line(self, index: int) -> Line:
         width = self.width
         if index == 0:
-            right = self._view if width >= ROOMY else self._view[-1:]
+            right = self._view if width >= ROOMY else self._view[-self._shown_narrow :]
             for most in reversed(range(6)):
                 left = tuple(piece for number, piece in self._identity if number <= most)
                 if width_of(left) + width_of(right) < width:
@@ -88,6 +90,7 @@ class StatusBar(LiveLines):
             self._received.append(sum(link.rx_bytes_per_second for link in snapshot.links))
             self._sent.append(sum(link.tx_bytes_per_second for link in snapshot.links))
         self._identity, self._view = _identity(snapshot, view), _view(snapshot, view)
+        self._shown_narrow = 1 + snapshot.unsaved
         self._totals = self._sum(snapshot)
         self.sync()
 
@@ -236,6 +239,8 @@ def _view(snapshot: Snapshot, view: BarState) -> Line:
         pieces.append(("attached  ", "dim"))
     if view.session and view.session != snapshot.name:
         pieces.append((f"{view.session} · ", "dim"))
+    if snapshot.unsaved:
+        pieces.append(("● unsaved  ", "stale"))
     if view.frozen_since is None:
         pieces.append((f"LIVE {view.refresh:g} Hz ", "dim"))
     else:
