@@ -24,7 +24,8 @@ from tests.support.control import Machine
 from tests.support.long import long
 from textual.pilot import Pilot
 
-from rsb_bridge.model.history import Gap, HistoryReport
+from rsb_bridge.model.history import Gap, HistoryReport, Outage
+from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.history_screen import HELP, HistoryScreen, HistoryText
 from rsb_console.session.history_report import ReportText
@@ -51,6 +52,23 @@ async def test_it_shows_outages_and_actions_with_cause_and_length(app: ConsoleAp
     await shown(pilot, "edited (max_rate: 5 → max_rate: 2)")
     await pilot.press("escape")
     await gone(pilot, "What happened")
+
+
+@on_main(WIDE, NARROW)
+async def test_columns_are_as_wide_as_their_texts(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    long = "the server does not answer, and has not done so for a long time; look at its log and at the network between"
+    states = (State.STOPPED, State.WAITING, "stuck")  # the last one is a newer bridge's
+    outages = [
+        Outage(NOW - 300.0 * at, 3000.0 + at, "robot1-left", "/robot1/goal_pose", False, state, long)
+        for at, state in enumerate(states)
+    ]
+    engine_of(app).remembered = replace(REMEMBERED, outages=tuple(outages), actions=())
+    await pilot.press("h")
+    for word in "■ STOPPED", "◌ WAIT", "STUCK":
+        await shown(pilot, word)
+    rows = [row for row in text(app).splitlines() if "robot1-left" in row]
+    assert rows
+    assert all("…" in row[-8:] for row in rows), "a cause that is cut shows that"
 
 
 @on_main()

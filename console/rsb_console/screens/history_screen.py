@@ -7,6 +7,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
+from rich.cells import cell_len
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
@@ -35,9 +36,11 @@ SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)
 _RENEWED_EVERY = 5.0  # s; a round figure: an outage is shown at most so much later
 _SUMMARY_LINES = 6  # a round figure; `rsb-console report` has the others
 _DETAIL_LINES = 4
-# Cells of the columns, each with a blank: the longest start is "Mon 12:34:56".
-_START, _LENGTH, _ROBOT, _STATE = 13, 14, 12, 9
-_TOPIC_NARROW, _TOPIC_WIDE = 18, 30
+_COLUMNS = (("START", 13), ("LENGTH", 14), ("ROBOT", 16), ("TOPIC", 40), ("STATE", 12))
+"""Headings, and the most cells of each column with its blank: the longest start is "Mon 12:34:56"."""
+_GIVE_WAY = ((3, 15), (2, 9))
+"""Columns that leave cells to the cause, in this order, and how many they keep."""
+_CAUSE = 13  # cells that the cause keeps: the detail below has the whole of it
 _LABEL = 9
 HELP = "h 1, 8 or 24 hours   s by time or robot   / filter   x export   esc close"
 
@@ -77,6 +80,10 @@ class HistoryRow(NamedTuple):
     text: str
     track: Track | None
 
+    def cells(self, now: float) -> tuple[str, ...]:
+        """Return its texts in the columns before the cause."""
+        return history_report.moment(self.start, now), self.length, self.robot, self.topic, self.state
+
     @property
     def plain(self) -> str:
         """Text that a filter searches."""
@@ -91,7 +98,7 @@ def rows_of(report: HistoryReport) -> list[HistoryRow]:
             f"{each.link}{history_report.what(each)}{each.start:.0f}", each.start,
             f"{history_report.length(each.seconds)}{' …' if each.ongoing else ''}", each.link,
             history_report.what(each),
-            _state_words(each.state), each.state, history_report.why(report, each),
+            *_shown_state(each.state), history_report.why(report, each),
             tracks.get(each.subject),
         )
         for each in history_report.own(report.outages)
@@ -115,11 +122,15 @@ class HistoryTable(SelectableList):
     def __init__(self) -> None:
         super().__init__(id="history")
         self._rows: dict[str, HistoryRow] = {}
-        self._now = 0.0
+        self._cells: dict[str, tuple[str, ...]] = {}
+        self._widths = tuple(len(heading) + 1 for heading, _ in _COLUMNS)
+        """Of all columns but the cause, for rows without end."""
 
     def show(self, rows: list[HistoryRow], now: float) -> None:
-        self._now = now
         self._rows = {row.key: row for row in rows}
+        self._cells = {row.key: row.cells(now) for row in rows}
+        columns = zip(_COLUMNS, zip(*self._cells.values(), strict=True) if rows else ((),) * 5, strict=True)
+        self._widths = tuple(min(most, max(map(cell_len, (heading, *cells))) + 1) for (heading, most), cells in columns)
         self.show_keys(list(self._rows))
 
     @property
@@ -127,24 +138,20 @@ class HistoryTable(SelectableList):
         return None if self.cursor_key is None else self._rows.get(self.cursor_key)
 
     def line(self, index: int) -> Line:
-        topic = _TOPIC_WIDE if self.width >= 110 else _TOPIC_NARROW
+        widths = list(self._widths)
+        for column, least in _GIVE_WAY:
+            missing = max(0, 1 + sum(widths) + _CAUSE - self.width)
+            widths[column] = max(min(least, widths[column]), widths[column] - missing)
         if index < self.sticky:
-            heading = (
-                f" {'START':<{_START}}{'LENGTH':<{_LENGTH}}{'ROBOT':<{_ROBOT}}{'TOPIC':<{topic}}{'STATE':<{_STATE}}"
-            )
-            return fit(((f"{heading}CAUSE", "head"),), self.width)
-        row = self._rows[self.keys[index - self.sticky]]
-        robot, name = fit_middle(row.robot, _ROBOT - 1), fit_middle(row.topic, topic - 1)
-        line = (
-            ("▌" if self.is_cursor(index) else " ", "key"),
-            (f"{history_report.moment(row.start, self._now):<{_START}}", "dim"),
-            (f"{row.length:<{_LENGTH}}", ""),
-            (f"{robot:<{_ROBOT}}", "strong"),
-            (f"{name:<{topic}}", ""),
-            (f"{fit_middle(row.state, _STATE - 1):<{_STATE}}", row.look),
-            (row.text, ""),
+            headings = "".join(f"{heading:<{width}}" for (heading, _), width in zip(_COLUMNS, widths, strict=True))
+            return fit(((f" {headings}CAUSE", "head"),), self.width)
+        row = self._rows[key := self.keys[index - self.sticky]]
+        looks = ("dim", "", "strong", "", row.look)
+        cells = (
+            (f"{fit_middle(text, width - 1):<{width}}", look)
+            for text, width, look in zip(self._cells[key], widths, looks, strict=True)
         )
-        return fit(line, self.width)
+        return fit((("▌" if self.is_cursor(index) else " ", "key"), *cells, (row.text, "")), self.width)
 
 
 class HistoryScreen(ModalScreen[None]):
@@ -291,10 +298,10 @@ class HistoryScreen(ModalScreen[None]):
             self.notify("written to " + " and ".join(map(str, paths)), markup=False)
 
 
-def _state_words(state: str) -> str:
-    """Return the sign and the word of a state; a newer bridge may send an unknown one."""
+def _shown_state(state: str) -> tuple[str, str]:
+    """Return the sign and the word of a state, and its look; a newer bridge may send an unknown one."""
     known = next((each for each in State if each == state), None)
-    return state.upper() if known is None else f"{STATE_SIGN[known]} {STATE_WORD[known]}"
+    return (state.upper(), "") if known is None else (f"{STATE_SIGN[known]} {STATE_WORD[known]}", known.value)
 
 
 def _detail(row: HistoryRow, width: int, span: float) -> Iterator[Line]:

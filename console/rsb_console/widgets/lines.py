@@ -93,7 +93,8 @@ class LiveLines(ScrollView):
             self.virtual_size = size
 
     def _measure(self) -> None:
-        self.width, self._top = self.size.width, round(self.scroll_offset.y)
+        # Without the scrollbar, which would hide the end of each line.
+        self.width, self._top = self.scrollable_content_region.width, round(self.scroll_offset.y)
 
     def _make(self, y: int) -> tuple[Line, bool]:
         index = self.index_at(y)
