@@ -30,7 +30,7 @@ THEME_COLORS = (
     "boost",
 )  # fmt: skip
 _THEME_SWITCHES = ("dark", "ansi")
-_DEFAULT_THEME, _SIXTEEN_COLORS = "dark", "terminal"
+_DEFAULT_THEME, SIXTEEN_COLORS, SIXTEEN_ON_LIGHT = "dark", "terminal", "terminal-light"
 THEME_VARIABLES = {
     "row-cursor": "#303030",
     "row-cursor-blurred": "#262626",
@@ -144,7 +144,7 @@ def _check_color(key: str, value: Any) -> None:
 def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:
     """Return the theme that suits this terminal: one of sixteen colours if the terminal announces no more."""
     many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256color" in environ.get("TERM", "")
-    return _DEFAULT_THEME if many else _SIXTEEN_COLORS
+    return _DEFAULT_THEME if many else SIXTEEN_COLORS
 
 
 def load_keymap(path: Path) -> dict[str, str]:

@@ -18,7 +18,7 @@ from rsb_bridge.config.files import owner_only
 from rsb_bridge.model.text import several_lines
 from rsb_console.actions import ACTIONS, BY_ID, Action, Group, bindings
 from rsb_console.look.glyphs import AsciiFilter, ControlFilter
-from rsb_console.preferences import THEME_VARIABLES, Preferences, config_path
+from rsb_console.preferences import SIXTEEN_COLORS, SIXTEEN_ON_LIGHT, THEME_VARIABLES, Preferences, config_path
 from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
@@ -193,6 +193,16 @@ class TerminalApp(App[ReturnType]):
 
     def action_palette(self) -> None:
         self.action_command_palette()
+
+    @property
+    def theme_suits_background(self) -> bool:
+        """Whether the first theme depends on the terminal's background."""
+        return self.preferences.theme == SIXTEEN_COLORS
+
+    def suit_background(self, light: bool) -> None:
+        """Take the terminal's answer about its background."""
+        if light and self.theme == SIXTEEN_COLORS:
+            self.theme = SIXTEEN_ON_LIGHT
 
     def action_theme(self) -> None:
         names = sorted(self.available_themes)

@@ -11,6 +11,7 @@ import pytest
 from tests.console.driving import drive, engine_of, form_of, on_main, on_welcome, scripted_app, send, shown, until
 from tests.console.scripted import SESSION
 from tests.console.tmux import Tmux
+from tests.support import constants
 from tests.support.long import long
 from textual.app import App
 from textual.events import Key, Paste
@@ -220,6 +221,28 @@ async def test_what_is_typed_while_the_app_ends_goes_nowhere(app: ConsoleApp, pi
     app.post_message(Key("j", "j"))
     while app.message_queue_size:  # noqa: ASYNC110  # `until` would ask the app for its screen
         await asyncio.sleep(0.01)
+
+
+@pytest.mark.parametrize("size", [1, 3, 100])
+def test_an_answer_among_keys_loses_none(size: int) -> None:
+    parser, typed = KeyParser(), "ab\x1b]11;rgb:ffff/ffff/ffff\x07c\x1b]11;rgb:0000/0000/0000\x1b\\d\x1b]e"
+    found = [
+        event
+        for at in range(0, len(typed), size)
+        for event in parser.feed(typed[at : at + size])
+        if isinstance(event, Key)
+    ]
+    answers = [event.character for event in found if event.key == "<terminal-background>"]
+    assert answers == ["]11;rgb:ffff/ffff/ffff\x07", "]11;rgb:0000/0000/0000\x1b\\"]
+    keys = [event.key for event in found if event.key != "<terminal-background>"]
+    assert keys == ["a", "b", "c", "d", "escape", "right_square_bracket", "e"]
+
+
+def test_escape_and_a_bracket_count_after_a_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    constants.TERMINAL_ANSWER_WITHIN.set(monkeypatch, 0.0)
+    parser = KeyParser()
+    assert list(parser.feed("\x1b]")) == []
+    assert [event.key for event in parser.tick() if isinstance(event, Key)] == ["escape", "right_square_bracket"]
 
 
 def test_escape_and_a_key_in_one_read_are_two_keys() -> None:

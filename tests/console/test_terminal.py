@@ -316,6 +316,19 @@ def test_the_mouse_can_be_left_to_the_terminal(pair: Pair) -> None:
         terminal.wait_for("\x1b[?1003l")
 
 
+def test_a_light_background_changes_the_terminals_theme(tmp_path: Path) -> None:
+    environ = {"TERM": "xterm", "COLORTERM": "", "XDG_STATE_HOME": str(tmp_path)}
+    with Terminal("rsb_console", environ=environ, forked=True) as terminal:
+        terminal.wait_for("Open a session")
+        terminal.wait_for("\x1b]11;?")
+        terminal.wait_for("36;49m")  # cyan
+        mark = len(terminal.output)
+        terminal.type("\x1b]11;rgb:ffff/ffff/ffff\x1b\\")
+        terminal.wait_for("34;49m", after=mark)  # blue
+        terminal.type("q")
+        assert terminal.exit_code() == 0
+
+
 @pytest.mark.parametrize(
     ("environ", "expected"),
     [

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.console.driving import notices, notified, on_main
+from tests.console.driving import notices, notified, on_main, shown, text
 from tests.support.wording import says
 from textual.color import Color
 from textual.pilot import Pilot
@@ -12,6 +12,7 @@ from textual.pilot import Pilot
 from rsb_console import preferences
 from rsb_console.app import ConsoleApp
 from rsb_console.preferences import PreferenceProblem, ThemeProblem
+from rsb_console.terminal import background
 
 SHIPPED, PROBLEMS = preferences.load_themes(preferences.shipped_themes())
 
@@ -29,8 +30,8 @@ def contrast(one: str, other: str) -> float:
     return (light + 0.05) / (dark + 0.05)
 
 
-def test_four_are_shipped_without_a_mistake() -> None:
-    assert set(SHIPPED) == {"dark", "light", "high-contrast", "terminal"}
+def test_five_are_shipped_without_a_mistake() -> None:
+    assert set(SHIPPED) == {"dark", "light", "high-contrast", "terminal", "terminal-light"}
     assert PROBLEMS == []
 
 
@@ -59,8 +60,9 @@ def test_colours_are_of_the_256(name: str) -> None:
             assert grey or set(rgb) <= levels, (key, color)
 
 
-def test_the_terminal_theme_names_the_terminals_own_colours() -> None:
-    theme = SHIPPED["terminal"]
+@pytest.mark.parametrize("name", ["terminal", "terminal-light"])
+def test_the_terminal_theme_names_the_terminals_own_colours(name: str) -> None:
+    theme = SHIPPED[name]
     assert theme.ansi
     used = [getattr(theme, key) for key in preferences.THEME_COLORS] + list(theme.variables.values())
     assert all(color is None or color.startswith("ansi_") for color in used)
@@ -131,6 +133,45 @@ async def test_an_unknown_theme_falls_back_and_is_named(app: ConsoleApp, pilot: 
     assert app.theme == "dark"
 
 
+def test_a_light_background_has_no_yellow_or_cyan() -> None:
+    theme = SHIPPED["terminal-light"]
+    used = [getattr(theme, key) for key in preferences.THEME_COLORS] + list(theme.variables.values())
+    assert not [color for color in used if color is not None and ("yellow" in color or "cyan" in color)]
+
+
+@pytest.mark.parametrize(
+    ("answer", "light"),
+    [
+        ("]11;rgb:ffff/ffff/ffff\x07", True),
+        ("]11;rgb:ff/fd/d0\x1b\\", True),
+        ("]11;rgba:0000/0000/0000/ffff\x1b\\", False),
+        ("]11;rgb:1c1c/1c1c/ffff\x07", False),
+        ("]11;rgb:ffff/ffff/ffff", None),
+        ("]10;rgb:ffff/ffff/ffff\x07", None),
+    ],
+)
+def test_an_answer_tells_whether_the_background_is_light(answer: str, light: bool | None) -> None:
+    assert background.is_light(answer) is light
+
+
+@on_main(theme="terminal")
+async def test_the_terminal_theme_suits_a_light_background(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    app.suit_background(False)
+    assert app.theme == "terminal"
+    app.suit_background(True)
+    assert app.theme == "terminal-light"
+    app.theme = "dark"
+    app.suit_background(True)
+    assert app.theme == "dark"
+
+
+@on_main(theme="terminal")
+async def test_a_dialog_leaves_what_is_behind_in_sight(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("q")
+    await shown(pilot, "Quit?")
+    assert "/robot2/scan" in text(app)
+
+
 @pytest.mark.parametrize(
     ("environ", "expected"),
     [
@@ -150,7 +191,7 @@ def test_the_default_suits_the_terminal(environ: dict[str, str], expected: str) 
 @on_main()
 async def test_t_goes_through_all_themes(app: ConsoleApp, pilot: Pilot[None]) -> None:
     seen = {app.theme}
-    for _ in range(3):
+    for _ in SHIPPED:
         await pilot.press("t")
         seen.add(app.theme)
     assert seen == set(SHIPPED)

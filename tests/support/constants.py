@@ -124,3 +124,4 @@ INTERRUPTION = tuple(
 SIMULATED_SNAPSHOT_EVERY = Place("tests.simulation.engine_host", "_SNAPSHOT_EVERY")
 SIMULATED_MUCH_LATER = Place("tests.simulation.action_invariants", "_MUCH_LATER")
 SOAK_STOPS_WITHIN = Place("tests.soak.processes", "STOPS_WITHIN")
+TERMINAL_ANSWER_WITHIN = Place("rsb_console.terminal.driver", "_ANSWER_WITHIN")

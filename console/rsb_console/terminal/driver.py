@@ -22,6 +22,7 @@ from textual.drivers import linux_driver
 from textual.drivers.linux_driver import LinuxDriver
 from textual.screen import Screen
 
+from rsb_console.terminal import background
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse, without_answers
 
 if TYPE_CHECKING:
@@ -34,19 +35,25 @@ if TYPE_CHECKING:
 
 _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
-_KIND = "<terminal-kind>"
+_KIND, _BACKGROUND = "<terminal-kind>", "<terminal-background>"
+_ANSWER_WITHIN = 0.5
+"""s in which an answer has to come whole. A round figure: Escape and ] wait for so long if no key follows."""
 # Textual 8 ends on bytes that are not UTF-8, such as the legacy mouse reports that tmux sends (its issue 6668).
 _lenient = partial(getincrementaldecoder("utf-8"), "replace")
 vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
 
 
 class KeyParser(XTermParser):
-    """Reads Escape and another key that arrive together as those two keys.
+    """Reads Escape and another key that arrive together as those two keys, and the answer about the background.
 
-    Textual reads them as Alt with the key, which means nothing to the console; and of two Escapes it makes ``^``.
+    Textual reads the two as Alt with the key, which means nothing to the console; of two Escapes it makes ``^``, and of
+    an answer that it does not know keys.
     """
 
     _after_escape = False
+    _answer = ""
+    """Characters that may become the answer, after its Escape, which waits."""
+    _answer_due = 0.0
 
     def feed(self, data: str) -> Iterator[Message]:
         """Read what has come at once: its keys have the same time, however long this takes."""
@@ -60,13 +67,51 @@ class KeyParser(XTermParser):
         if not data:
             yield from super().feed(data)
         for char in data:
-            waits = self._awaiting.timeout is not None
-            if self._after_escape and waits and char not in _CONTINUES_ESCAPE:
-                # What Textual does itself once its timeout is over, for which the second key came too soon.
-                self._timeout_time = None
-                self._awaiting = self._gen.throw(ParseTimeout())
-            yield from super().feed(char)
-            self._after_escape = char == _ESCAPE
+            if self._answer or (self._after_escape and self._waits and char == "]"):
+                yield from self._feed_answer(char)
+            else:
+                yield from self._feed_key(char)
+
+    def tick(self) -> Iterable[Message]:
+        """Look for timeouts (Textual's)."""
+        if self._answer and time.monotonic() > self._answer_due:
+            yield from self._end_answer()
+        yield from super().tick()
+
+    @property
+    def _waits(self) -> bool:
+        return self._awaiting.timeout is not None
+
+    def _feed_key(self, char: str) -> Iterator[Message]:
+        if self._after_escape and self._waits and char not in _CONTINUES_ESCAPE:
+            self._end_escape()
+        yield from super().feed(char)
+        self._after_escape = char == _ESCAPE
+
+    def _end_escape(self) -> None:
+        """Take the Escape that waits for a key: what Textual does itself once its timeout is over."""
+        self._timeout_time = None
+        self._awaiting = self._gen.throw(ParseTimeout())
+
+    def _feed_answer(self, char: str) -> Iterator[Message]:
+        if not self._answer:
+            self._timeout_time = None
+            self._answer_due = time.monotonic() + _ANSWER_WITHIN
+        self._answer += char
+        if background.is_light(self._answer) is not None:
+            self._end_escape()
+            self._tokens.clear()  # its Escape is none
+            self._after_escape = False
+            answer, self._answer = self._answer, ""
+            yield events.Key(_BACKGROUND, answer)
+        elif not background.may_become_answer(self._answer):
+            yield from self._end_answer()
+
+    def _end_answer(self) -> Iterator[Message]:
+        """Take for keys what is no answer."""
+        keys, self._answer = self._answer, ""
+        for char in keys:
+            yield from self._feed_key(char)
 
     def _sequence_to_key_events(self, sequence: str, alt: bool = False) -> Iterable[events.Key]:
         """Pass the terminal's kind on, which Textual would take for keys."""
@@ -183,6 +228,7 @@ class ConsoleDriver(LinuxDriver):
         self._unwatched = threading.Event()
         self._continuing = False
         self._asks = False
+        self._asks_background = app.theme_suits_background and background.can_be_asked(os.environ)
         self.pulse = Pulse(os.environ)
 
     def _get_terminal_size(self) -> tuple[int, int]:
@@ -215,7 +261,10 @@ class ConsoleDriver(LinuxDriver):
         super().start_application_mode()  # type: ignore[no-untyped-call]
         self._asks = True
         self.write(WHO_ARE_YOU)
-        self.ask()
+        if self._asks_background:
+            self._asks_background = False
+            self.write(background.QUESTION)
+        self.ask()  # last: the end waits for this answer, after which no other one comes
 
     def ask(self) -> None:
         """Ask the terminal for a sign that it gets what is written, and that its keys come here."""
@@ -228,6 +277,10 @@ class ConsoleDriver(LinuxDriver):
         match message:
             case events.CursorPosition():
                 self.pulse.answered(message.y + 1, message.x + 1)
+                return
+            case events.Key(key=key, character=answer) if key == _BACKGROUND:
+                # On the app's thread, as this one reads the keys.
+                self._app.call_later(self._app.suit_background, background.is_light(answer or ""))
                 return
             case events.Key(key=key) if key == _KIND:
                 self.pulse.is_kind(KIND.fullmatch(message.character or "")["kind"])  # type: ignore[index]
