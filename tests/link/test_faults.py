@@ -96,7 +96,9 @@ def test_a_client_that_is_shut_down_names_the_remedy_on_both_sides(bridge: Bridg
     server, client = bridge.server(), bridge.client()
     eventually(lambda: linked(client) and linked(server), what="linked")
     client.shut_down().result(60)
-    for side in (client, server):
+    remedies = {client: "rsb-console retry robot1`", server: f"rsb-console retry {server.session.name} --link robot1`"}
+    for side, remedy in remedies.items():
         eventually(lambda side=side: not linked(side), what="down")
         _, _, reason = as_json(side)
-        assert "rsb-console retry" in reason
+        assert remedy in reason
+        assert "press r " in reason

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shlex
 import socket
 from functools import partial
 from typing import TYPE_CHECKING
@@ -310,7 +311,8 @@ class ClientLink(Link):
         if self.control is not None:
             self.control.shut_down(reason, retry_after=None)
         # After the link's end, which sets a reason of its own.
-        self.status.down(LinkCause.CLOSED, f"{reason}; run `rsb-console retry` to connect again")
+        command = f"rsb-console retry {shlex.quote(self.name)}"
+        self.status.down(LinkCause.CLOSED, f"{reason}; press r or run `{command}` to connect again")
 
     def tick(self) -> None:
         super().tick()

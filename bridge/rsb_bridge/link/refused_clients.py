@@ -102,9 +102,15 @@ class LinkShutdown:
         since = datetime.fromtimestamp(self.since, UTC)
         return sanitize_text(f"shut down by {self.by}, since {since:%Y-%m-%d %H:%M} UTC")
 
-    def reason(self, name: str) -> str:
-        """Return the reason for the server's operator, for the link by that name."""
-        return f"{self.refusal()}; run `rsb-console retry --link {name}` to accept it again"
+    def reason(self, bridge: str, name: str) -> str:
+        """Return the reason for the server's operator.
+
+        Args:
+            bridge: the server's name.
+            name: of the link.
+        """
+        command = f"rsb-console retry {shlex.quote(bridge)} --link {shlex.quote(name)}"
+        return f"{self.refusal()}; press r or run `{command}` to accept it again"
 
 
 def server_refusal(refusal: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import shlex
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -292,7 +293,7 @@ class ServerLink(Link):
             self.control.shut_down(self.shut_down_by.refusal(), retry_after=None, code=EventCode.LINK_SHUT_DOWN)
             self._awaits_question()
         # After the link's end, which sets a reason of its own.
-        self.status.down(LinkCause.SHUT_DOWN, self.shut_down_by.reason(self.name))
+        self.status.down(LinkCause.SHUT_DOWN, self.shut_down_by.reason(self.context.session.name, self.name))
         self.status.since = self.context.clock.steady()
 
     def asked(self, stream: Stream) -> None:
@@ -365,7 +366,8 @@ class ServerLink(Link):
         if self.control is not None:
             reason = f"the client left: {message.reason}"
             if message.retry_after is None:
-                reason += "; run `rsb-console retry` on its machine to connect it again"
+                command = f"rsb-console retry {shlex.quote(self.name)}"
+                reason += f"; press r in its console or run `{command}` on its machine to connect it again"
             self.control.abort(reason, EventCode.LINK_CLOSED_BY_PEER)
 
     def client_names(self, topic: Topic) -> Topic:
