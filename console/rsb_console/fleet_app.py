@@ -52,7 +52,7 @@ class FleetApp(TerminalApp["Robot"]):
         super().__init__(readonly=readonly, ascii_only=ascii_only, theme=theme, config=config)
         self._after_quit = after_quit
         self.main = FleetScreen(self, fleet, view, self._open)
-        self.refresh_rate = SSH_RATE
+        self.refresh_rate = self.preferences.refresh_rate or SSH_RATE
 
     def get_default_screen(self) -> Screen[Any]:
         return self.main

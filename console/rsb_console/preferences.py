@@ -8,15 +8,17 @@ A theme is a YAML file of its own, whose name is the theme's. It holds Textual's
 from __future__ import annotations
 
 import os
+import re
 import sysconfig
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import yaml
 from platformdirs import user_config_path
 from textual.color import Color, ColorParseError
 from textual.theme import Theme
 
+from rsb_bridge.config.files import is_there, replace_file, why_not_written
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS
 
@@ -47,6 +49,14 @@ KEY_SIGNS = {
 UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
 
 
+REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
+TOPIC_COLUMNS = (
+    "KIND", "PEER", "VIA", "HZ/EXP", "kB/s", "TOTAL", "ms", "NODE", "AGE", "HISTORY", "LAST FAILURE",
+)  # fmt: skip
+"""Columns of the topics that an operator may leave out; state and topic stay."""
+_SETTING = r"^{name}\s*:[^#\n]*?(?P<comment>\s*#.*)?$"
+
+
 class ThemeProblem(Wording):
     """Mistakes in a theme file."""
 
@@ -64,6 +74,12 @@ class PreferenceProblem(Wording):
     NO_KEYMAP = "{path}: must map action ids to keys, like 'pause: P'"
     UNKNOWN_ACTIONS = "{path}: no action is named {actions}; the help (?) lists them"
     SHARED_KEY = "{path}: {key!r} is the key of both {one} and {other}; change one of them"
+    NO_SETTINGS = "{path}: must map names to values, like 'bell: true'"
+    UNKNOWN_SETTINGS = "{path}: {names}: no setting; there are bell, columns, refresh_rate and theme"
+    NO_BELL = "{path}: bell: give true or false"
+    NO_RATE = "{path}: refresh_rate: give one of {rates}"
+    NO_COLUMNS = "{path}: columns: give a list of {columns}"
+    LAYOUT = "{path}: its layout cannot be changed here: write {line} into it"
     UNKNOWN_THEME = "no theme is named {theme!r}; choose one of {themes}"
 
 
@@ -182,6 +198,29 @@ def _read(path: Path) -> object:
     return {} if loaded is None else loaded
 
 
+def _loaded(text: str) -> object:
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        return None
+
+
+def _settings_problem(path: Path, settings: object) -> str:
+    """Return the first mistake in the settings, or an empty string."""
+    if not isinstance(settings, dict):
+        return PreferenceProblem.NO_SETTINGS(path=path)
+    if unknown := [str(name) for name in settings if name not in ("bell", "columns", "refresh_rate", "theme")]:
+        return PreferenceProblem.UNKNOWN_SETTINGS(path=path, names=", ".join(unknown))
+    if not isinstance(settings.get("bell", False), bool):
+        return PreferenceProblem.NO_BELL(path=path)
+    if settings.get("refresh_rate", REFRESH_RATES[0]) not in REFRESH_RATES:
+        return PreferenceProblem.NO_RATE(path=path, rates=", ".join(f"{rate:g}" for rate in REFRESH_RATES))
+    columns = settings.get("columns", [])
+    if not isinstance(columns, list) or any(column not in TOPIC_COLUMNS for column in columns):
+        return PreferenceProblem.NO_COLUMNS(path=path, columns=", ".join(TOPIC_COLUMNS))
+    return ""
+
+
 def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
     # Each by itself: the two screens are never in one app, and share keys such as space.
     for actions in (ACTIONS, FLEET_ACTIONS):
@@ -210,16 +249,21 @@ class Preferences:
         theme: the name of the one to begin with.
         keymap: action ids to the user's keys.
         bell: whether the terminal's bell for new faults is on at the start.
+        refresh_rate: one of `REFRESH_RATES`, or None for one that suits the line.
+        columns: some of `TOPIC_COLUMNS`, or None for all that fit.
         problems: titles and texts of mistakes.
     """
 
     def __init__(self, config: Path, theme: str | None) -> None:
         self.problems: list[tuple[str, str]] = []
         self.keymap: dict[str, str] = {}
-        self.theme = self._load_themes(config, theme)
+        self._path = config / "console.yaml"
+        settings = self._load_settings()
+        self.bell: bool = settings.get("bell", False)
+        self.refresh_rate: float | None = settings.get("refresh_rate")
+        self.columns: frozenset[str] | None = frozenset(settings["columns"]) if "columns" in settings else None
+        self.theme = self._load_themes(config, settings.get("theme") if theme is None else theme)
         self._load_keys(config)
-        self.bell = False
-        self._load_settings(config / "console.yaml")
 
     def _load_themes(self, config: Path, wanted: str | None) -> str:
         self.themes, problems = load_themes(shipped_themes(), config / "themes")
@@ -236,20 +280,39 @@ class Preferences:
         except PreferenceError as error:
             self.problems.append(("The default keys are used", str(error)))
 
-    def _load_settings(self, path: Path) -> None:
+    def _load_settings(self) -> dict[str, Any]:
         try:
-            settings = _read(path)
+            settings = _read(self._path)
+            if problem := _settings_problem(self._path, settings):
+                raise PreferenceError(problem)
         except PreferenceError as error:
             self.problems.append(("The default settings are used", str(error)))
-            return
-        if (
-            not isinstance(settings, dict)
-            or set(settings) - {"bell"}
-            or not isinstance(settings.get("bell", False), bool)
-        ):
-            self.problems.append(("The default settings are used", f"{path}: give bell: true, or bell: false"))
-            return
-        self.bell = settings.get("bell", False)
+            return {}
+        return cast("dict[str, Any]", settings)
+
+    def remember(self, name: str, value: str | float | bool) -> None:
+        """Write a setting that the operator chose; the rest of the file stays.
+
+        Raises:
+            PreferenceError: it is not written.
+        """
+        line = f"{name}: {str(value).lower() if isinstance(value, bool) else value}"
+        settings = _read(self._path)
+        if problem := _settings_problem(self._path, settings):
+            raise PreferenceError(problem)
+        try:
+            text = self._path.read_text(encoding="utf-8") if is_there(self._path) else ""
+            found = re.search(_SETTING.format(name=name), text, re.MULTILINE)
+            if found is None:
+                text = f"{text}{'' if text.endswith(chr(10)) or not text else chr(10)}{line}\n"
+            else:
+                text = f"{text[: found.start()]}{line}{found['comment'] or ''}{text[found.end() :]}"
+            if _loaded(text) != {**cast("dict[str, Any]", settings), name: value}:
+                raise PreferenceError(PreferenceProblem.LAYOUT(path=self._path, line=line))
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            replace_file(self._path, text.encode())
+        except OSError as error:
+            raise PreferenceError(f"{self._path}: {why_not_written(error, self._path)}") from None
 
     def keys(self, action: Action) -> list[str]:
         """Return the keys that do `action`, by Textual's names."""

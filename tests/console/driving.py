@@ -28,7 +28,6 @@ from rsb_console.widgets.form import Form, FormScreen
 E = TypeVar("E", bound=ScriptedEngine)
 Steps = Callable[[Pilot[None]], Awaitable[None]]
 AppSteps = Callable[[ConsoleApp, Pilot[None]], Awaitable[None]]
-NOWHERE = Path("/nonexistent")
 WIDE, NARROW = (120, 36), (80, 24)
 
 
@@ -36,7 +35,7 @@ def scripted_app(**options: Any) -> ConsoleApp:
     """The app on an engine that plays a script, whose snapshot has `routes`; with nothing of the user's."""
     if (routes := options.pop("routes", None)) is not None:
         options["make_engine"] = lambda session, base: ScriptedEngine(session, base, routes)
-    options = {"config": NOWHERE, "theme": "dark", "make_engine": ScriptedEngine, **options}
+    options = {"theme": "dark", "make_engine": ScriptedEngine, **options}
     return ConsoleApp(options.pop("session", SESSION), options.pop("path", Path("nav2.yaml")), **options)
 
 

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from tests.console.driving import NOWHERE, Steps, drive
+from tests.console.driving import Steps, drive
 from tests.support.forker import Forked
 from tests.support.locks import domains_of
 from tests.support.ports import free_port
@@ -63,7 +63,7 @@ def talker(topic: str, rate: float = 20.0, domain: int = HERE) -> AbstractContex
 
 def console(path: Path) -> ConsoleApp:
     """The console on a session file."""
-    return ConsoleApp(load(path), path, config=NOWHERE, theme="dark")
+    return ConsoleApp(load(path), path, theme="dark")
 
 
 def watch(app: ConsoleApp, steps: Steps) -> None:

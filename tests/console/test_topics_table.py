@@ -1,11 +1,14 @@
 """The table of topics, key by key: cursor, order, filter."""
 
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 
-from tests.console.driving import gone, listed, on_main, put, selected_topic, shown, until
-from tests.console.scripted import FAULTY, LINK, ROUTES, route
+from tests.console.driving import NARROW, fill, gone, listed, on_main, put, selected_topic, shown, until
+from tests.console.scripted import FAULTY, LINK, ROUTES, ScriptedEngine, route
 from textual.pilot import Pilot
 
+from rsb_bridge.model.commands import AddTopic, Command, R
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.widgets.filter import PatternProblem
@@ -24,6 +27,34 @@ async def test_the_cursor_begins_with_the_worst_and_then_stays_on_its_topic(
     assert selected_topic(app) == "/robot2/scan"
     put(app, *(r for r in ROUTES if r.topic != "/robot2/scan"))
     assert app.main.topics.selected is not None
+
+
+@on_main(NARROW)
+async def test_a_name_gets_the_room_of_the_history(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    widths = []
+    for name in "/scan", "/robot1/goal_pose", "/robot1/left/goal_pose", "/robot1/left/front/goal_pose":
+        put(app, route(name))
+        await shown(pilot, f" {name} ")
+        widths.append({column.title: width for column, width in app.main.topics.columns}.get(" HISTORY", 0))
+    assert widths == [13, 12, 7, 0]
+
+
+class Adding(ScriptedEngine):
+    """An engine that shows what is added."""
+
+    def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
+        if isinstance(command, AddTopic):
+            self.now = replace(self.now, routes=(*self.now.routes, route(command.topic.topic)))
+        return super().do(command, step)
+
+
+@on_main(make_engine=Adding)
+async def test_what_was_added_gets_the_cursor(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "Direction")
+    await fill(pilot, topic="/new")
+    await pilot.click("#yes")
+    await until(pilot, lambda: selected_topic(app) == "/new", "the cursor")
 
 
 @on_main()

@@ -166,6 +166,7 @@ class MainScreen(Screen[None]):
     def on_mount(self) -> None:
         for pane in (self.topics, self.detail, self.log_pane):
             pane.add_class("pane")
+        self.topics.wanted_columns = self.console.preferences.columns
         # Their titles, which would come with the first snapshot only.
         self.topics.relist()
         self.log_pane.relist()

@@ -190,6 +190,7 @@ class Column(Generic[R]):
         beside_calls: the same for a table with calls, or None to use `from_width`.
         only_calls: whether a table with only topics leaves it out.
         names: whether it has names, which are cut in their middle.
+        least: cells to which it shrinks before names are cut, losing its beginning; 0 if it does not shrink.
     """
 
     title: str
@@ -201,6 +202,7 @@ class Column(Generic[R]):
     beside_calls: int | None = None
     only_calls: bool = False
     names: bool = False
+    least: int = 0
 
     def fits(self, width: int, *, calls: bool) -> bool:
         """Whether a table of so many cells, which has more than topics or not, has this column."""
@@ -212,7 +214,7 @@ class Column(Generic[R]):
         """Return the text of a row in so many cells, and a blank behind it."""
         text = self.text(row)
         if len(text) > width:
-            text = fit_middle(text, width) if self.names else f"{text[: width - 1]}…"
+            text = text[-width:] if self.least else fit_middle(text, width) if self.names else f"{text[: width - 1]}…"
         return self.aligned(text, width)
 
     def aligned(self, text: str, width: int) -> str:
@@ -223,10 +225,19 @@ Layout = tuple[tuple[Column[R], int], ...]
 """Columns, each with its width in cells."""
 
 
-def filled(columns: Sequence[Column[R]], width: int) -> Layout[R]:
-    """Columns with their widths in cells: one of width 0 gets what the others leave of `width`, a blank behind each."""
+def filled(columns: Sequence[Column[R]], width: int, names: int = 0) -> Layout[R]:
+    """Columns with their widths in cells: one of width 0 gets what the others leave of `width`, a blank behind each.
+
+    Args:
+        names: cells of the longest name; others shrink for it, and then go.
+    """
     rest = max(8, width - sum(column.width + 1 for column in columns))
-    return tuple((column, column.width or rest) for column in columns)
+    shrinking = next((column for column in columns if column.least), None)
+    if shrinking is None or rest >= names:
+        return tuple((column, column.width or rest) for column in columns)
+    if (less := shrinking.width - (names - rest)) < shrinking.least:
+        return filled([column for column in columns if column is not shrinking], width)
+    return tuple((column, less if column is shrinking else column.width or names) for column in columns)
 
 
 @dataclass

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
 FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.DISARMING, State.OK))
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
-HISTORY = 12  # s
+HISTORY, _SHORT_HISTORY = 12, 5
+"""s, usually, and at least, where long names need the room."""
+_LONGEST_NAME = 40  # cells for which other columns give way
 _STATE_WIDTH = 10  # cells
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
 _SHORT_NAMES = {"zenoh-drop": "DROP"}
@@ -144,6 +146,7 @@ _FIGURES: tuple[Column[RouteSnapshot], ...] = (
         lambda r: -sum(r.history),
         right=False,
         from_width=78,
+        least=_SHORT_HISTORY + 1,
     ),
     Column("LAST FAILURE", 36, last_failure, last_failure, right=False, from_width=156, only_calls=True),
 )
@@ -184,13 +187,21 @@ COLUMNS: tuple[Column[Row], ...] = (
     ),
     *map(_of_routes, _FIGURES),
 )
-STATE, SIGN, PEER, HISTORY_COLUMN = (
-    next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "PEER", " HISTORY")
+STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
+    next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "TOPIC", "PEER", " HISTORY")
 )
 
 
 @cache
-def layout(width: int, *, peers: bool, grouped: bool = False, calls: bool = False) -> Layout[Row]:
+def layout(
+    width: int,
+    *,
+    peers: bool,
+    grouped: bool = False,
+    calls: bool = False,
+    wanted: frozenset[str] | None = None,
+    names: int = 0,
+) -> Layout[Row]:
     """Return the columns that fit, each with its width in cells.
 
     Args:
@@ -198,14 +209,18 @@ def layout(width: int, *, peers: bool, grouped: bool = False, calls: bool = Fals
         peers: whether there are several peers, so that the table needs a column for them.
         grouped: whether that column comes first, however narrow the table is.
         calls: whether the table has more than topics.
+        names: cells of the longest name.
+        wanted: the headings that the operator wants besides state and topic, or None for all.
     """
     hidden = {SIGN if width >= WIDE else STATE} | (set() if peers and not grouped else {PEER})
     shown = [column for column in COLUMNS if column.fits(width, calls=calls) and column not in hidden]
+    if wanted is not None:
+        shown = [each for each in shown if each.title.strip() in wanted or each in (STATE, SIGN, TOPIC)]
     if grouped:
         shown.insert(0, PEER)
         if width < TOTAL_FROM and shown[-1] is HISTORY_COLUMN:
             shown.pop()  # the names need its room
-    return filled(shown, width - 1)
+    return filled(shown, width - 1, names)
 
 
 class TopicsTable(SortedTable[Row]):
@@ -218,12 +233,16 @@ class TopicsTable(SortedTable[Row]):
         self.grouped = False
         """Whether the topics of each robot stand together."""
         self.pattern: RowFilter | None = None
+        self.wanted_columns: frozenset[str] | None = None
+        """Headings of the operator's choice besides state and topic, or None for all that fit."""
         self._peers = self._calls = False
+        self._names = 0
 
     def show(self, snapshot: Snapshot) -> None:
         self.rows = {row.key: row for row in rows_of(snapshot)}
         self._peers = len(snapshot.links) > 1
         self._calls = any(row.spec.kind != "topic" for row in self.rows.values())
+        self._names = min(_LONGEST_NAME, max((len(row.topic) for row in self.rows.values()), default=0))
         self.relist()
 
     def relist(self) -> None:
@@ -248,6 +267,11 @@ class TopicsTable(SortedTable[Row]):
         # A word such as "topic" or the only peer's name would match every line.
         hidden = ("kind",) if self._peers else ("kind", "robot")
         return self.pattern is None or self.pattern.matches(_searched(row), hidden=hidden)
+
+    def select(self, key: str) -> None:
+        """Put the cursor on a row, if the filter shows it."""
+        if key in self.keys:
+            self.move_to(self.keys.index(key))
 
     @property
     def selected(self) -> Row | None:
@@ -275,7 +299,14 @@ class TopicsTable(SortedTable[Row]):
 
     @property
     def columns(self) -> Layout[Row]:
-        return layout(self.width, peers=self._peers, grouped=self.grouped, calls=self._calls)
+        return layout(
+            self.width,
+            peers=self._peers,
+            grouped=self.grouped,
+            calls=self._calls,
+            wanted=self.wanted_columns,
+            names=self._names,
+        )
 
 
 def _searched(row: Row) -> dict[str, str]:
