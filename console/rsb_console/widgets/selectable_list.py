@@ -229,15 +229,15 @@ def filled(columns: Sequence[Column[R]], width: int, names: int = 0) -> Layout[R
     """Columns with their widths in cells: one of width 0 gets what the others leave of `width`, a blank behind each.
 
     Args:
-        names: cells of the longest name; others shrink for it, and then go.
+        names: cells of the longest name, for which others shrink.
     """
     rest = max(8, width - sum(column.width + 1 for column in columns))
     shrinking = next((column for column in columns if column.least), None)
     if shrinking is None or rest >= names:
         return tuple((column, column.width or rest) for column in columns)
-    if (less := shrinking.width - (names - rest)) < shrinking.least:
-        return filled([column for column in columns if column is not shrinking], width)
-    return tuple((column, less if column is shrinking else column.width or names) for column in columns)
+    less = max(shrinking.least, shrinking.width - (names - rest))
+    rest += shrinking.width - less
+    return tuple((column, less if column is shrinking else column.width or rest) for column in columns)
 
 
 @dataclass

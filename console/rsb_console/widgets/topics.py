@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.DISARMING, State.OK))
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
-HISTORY, _SHORT_HISTORY = 12, 5
+HISTORY, _SHORT_HISTORY = 12, 7
 """s, usually, and at least, where long names need the room."""
 _LONGEST_NAME = 40  # cells for which other columns give way
 _STATE_WIDTH = 10  # cells
