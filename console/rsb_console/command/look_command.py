@@ -35,7 +35,7 @@ from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Picture, Pixels, 
 from rsb_bridge.model.text import escape_text, single_cells
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, OK, print_line
+from rsb_console.command.shell import FAILURE, OK, print_line, shows_ascii
 from rsb_console.command.target import UsageError, attached, done, failed, other_side
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
@@ -98,6 +98,7 @@ def _look(arguments: Namespace) -> int:
     file = arguments.output
     if file is not None and file.suffix not in FORMATS:
         raise UsageError(LookText.UNKNOWN_FORMAT(file=file, known=", ".join(FORMATS)))
+    arguments.ascii |= shows_ascii()
     once = arguments.once or file is not None or not sys.stdout.isatty()
     if file is not None or arguments.json or (arguments.graphics == "auto" and arguments.ascii):
         arguments.graphics = "blocks"
@@ -209,7 +210,7 @@ def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
         )
         return
     for row in rows:
-        sys.stdout.write(f"{_encoded(console, row)}\n")
+        sys.stdout.write(f"{_encoded(console, row, ascii_only=arguments.ascii)}\n")
     print_line(_status(viewed))
 
 
@@ -242,7 +243,10 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
                 if printer is not None and image is not None and image is not drawn:
                     drawn, painted = image, printer.printed(image, wish.width, wish.height)
                 elif viewed is not None and image is None:
-                    lines = [_encoded(console, _cut(row, wish.width)) for row in _rows(viewed, wish, arguments)]
+                    lines = [
+                        _encoded(console, _cut(row, wish.width), ascii_only=arguments.ascii)
+                        for row in _rows(viewed, wish, arguments)
+                    ]
             except (EngineError, UnreadableError) as error:  # the picture is damaged
                 problem = problem or str(error)
             shown = None if viewed is None else _named(engine, _aged(viewed, came))
@@ -314,10 +318,10 @@ def _console(arguments: Namespace) -> Console:
     return Console()
 
 
-def _encoded(console: Console, row: Row) -> str:
+def _encoded(console: Console, row: Row, *, ascii_only: bool) -> str:
     """Return a row with escape sequences for the terminal's colours."""
     system = None if console.color_system is None else COLOR_SYSTEMS[console.color_system]
-    ascii_only = not (sys.stdout.encoding or "").lower().startswith("utf")
+    ascii_only |= not (sys.stdout.encoding or "").lower().startswith("utf")
     parts = []
     for text, style, background in row:
         shown = to_ascii(text) if ascii_only else text

@@ -56,6 +56,10 @@ def print_lines(text: str) -> None:
 
 
 def _print(text: str) -> None:
+    if shows_ascii():
+        from rsb_console.look.ascii_signs import ASCII  # noqa: PLC0415 -- seldom needed
+
+        text = text.translate(ASCII)
     sys.stdout.write(encoded(f"{text}\n").decode(sys.stdout.encoding))
 
 
@@ -65,13 +69,20 @@ def encoded(text: str) -> bytes:
 
 
 def prefers_ascii(environ: Mapping[str, str]) -> bool:
-    """Whether to draw in ASCII: the locale is not UTF-8, or the terminal is the Linux console.
+    """Whether to draw in ASCII: the locale is not UTF-8, or the terminal is the Linux console or a VT.
 
     Args:
-        environ: the environment. If it sets no locale, Python uses C.UTF-8 (PEP 538).
+        environ: the environment. Where it sets no locale or LANG=C, Python has added LC_CTYPE=C.UTF-8 (PEP 538).
     """
-    locale = environ.get("LC_ALL") or environ.get("LC_CTYPE") or environ.get("LANG") or "C.UTF-8"
-    return "utf" not in locale.lower() or environ.get("TERM") == "linux"
+    added, language = environ.get("LC_CTYPE") == "C.UTF-8", environ.get("LANG")
+    character_set = language if added and language in ("C", "POSIX") else environ.get("LC_CTYPE") or language
+    locale = environ.get("LC_ALL") or character_set or "C.UTF-8"
+    return "utf" not in locale.lower() or environ.get("TERM", "").startswith(("linux", "vt"))
+
+
+def shows_ascii() -> bool:
+    """Whether standard output is a terminal for which signs are drawn in ASCII."""
+    return prefers_ascii(os.environ) and sys.stdout.isatty()
 
 
 def allow_many_descriptors() -> None:

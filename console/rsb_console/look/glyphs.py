@@ -12,6 +12,7 @@ from rich.segment import Segment
 from textual.filter import LineFilter
 
 from rsb_bridge.model.snapshot import State
+from rsb_console.look.ascii_signs import ASCII, DOTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,9 +39,6 @@ KNOWN, ACK_WORD = "a", "ack"
 OUT, IN = "→", "←"
 DONE, FAILED, UNKNOWN, UNDER_WAY = "✓", "✗", "·", "▸"
 BARS = " ▁▂▃▄▅▆▇"
-
-# Dots of a braille cell (Unicode block 2800), column by column from the bottom up.
-_DOTS = ((0x40, 0x04, 0x02, 0x01), (0x80, 0x20, 0x10, 0x08))
 
 
 def sparkline(values: Sequence[float], width: int, top: float = 0.0) -> str:
@@ -81,27 +79,8 @@ def braille_plot(values: Sequence[float], width: int, height: int, top: float) -
         x = first + index
         # From the level before: a step is an edge, not two dots with a gap.
         for y in range(min(before, level), max(before, level) + 1):
-            cells[height - 1 - y // 4][x // 2] |= _DOTS[x % 2][y % 4]
+            cells[height - 1 - y // 4][x // 2] |= DOTS[x % 2][y % 4]
     return ["".join(chr(0x2800 + dots) for dots in line) for line in cells]
-
-
-def _ascii_braille(dots: int) -> str:
-    """Return an ASCII character about as high in its cell as the dots of a braille cell."""
-    if not dots:
-        return " "
-    heights = [y for column in _DOTS for y, dot in enumerate(column) if dots & dot]
-    if max(heights) - min(heights) >= 2:
-        return "|"
-    return "_.-'"[round(sum(heights) / len(heights))]
-
-
-_LOOKALIKES = {
-    "o": "●◐○⭘", "?": "◌", "!": "▲", "=": "‖═▅⇄", "x": "✗×", "v": "✓✔↓▼▾", ".": "·▃", ">": "→▸▶⇧", "<": "←◀",
-    "^": "↑⌃⎋", "_": "▁▂␣", "-": "▄─━–—▔▀", "+": "▆┌┐└┘├┤┬┴┼╭╮╯╰", "*": "▇•◆◉", "#": "█■□", "%": "◇", "~": "…⏎≈",
-    "|": "│┃║▌▐▕▎▏▊▋▍▉", "/": "⊘", "\\": "⊖", "@": "◔", "u": "µ", "'": "’", '"': "“”",
-}  # fmt: skip
-ASCII: dict[int, str] = {ord(char): sign for sign, chars in _LOOKALIKES.items() for char in chars}
-ASCII |= {0x2800 + dots: _ascii_braille(dots) for dots in range(256)}
 
 
 def to_ascii(text: str) -> str:
