@@ -196,6 +196,7 @@ KEYS_ON_SCREENS: tuple[KeyChapter, ...] = (
         (
             ("↑ ↓ tab", "Next or previous field"),
             ("⏎", "Go to what is missing, else accept"),
+            ("F7", "Of a topic: go to a field by the beginning of its name"),
             ("F8", "Of something to add: show all fields"),
             ("esc", "Leave without a change"),
         ),

@@ -21,6 +21,7 @@ from tests.console.driving import (
 from tests.console.scripted import CALL_ROUTES, ROUTES, route
 from tests.support.wording import pattern, says
 from textual.binding import Binding
+from textual.color import Color
 from textual.pilot import Pilot
 from textual.screen import Screen
 
@@ -179,7 +180,7 @@ def test_the_keys_of_pictures_goals_and_driving_are_listed() -> None:
     listed = " ".join(keys for chapter in KEYS_ON_SCREENS for keys, _ in chapter.keys).split()
     labels = {"plus": "+", "minus": "-", "space": "space", "escape": "esc", "enter": "⏎", "less_than_sign": "<",
               "greater_than_sign": ">", "left_square_bracket": "[", "right_square_bracket": "]", "left": "←",
-              "right": "→", "up": "↑", "down": "↓", "equals_sign": "+", "f8": "F8"}  # fmt: skip
+              "right": "→", "up": "↑", "down": "↓", "equals_sign": "+", "f7": "F7", "f8": "F8"}  # fmt: skip
     for screen in (ViewScreen, DriveScreen, TopicScreen):
         for binding in screen.BINDINGS:
             assert isinstance(binding, Binding)
@@ -187,6 +188,16 @@ def test_the_keys_of_pictures_goals_and_driving_are_listed() -> None:
                 assert labels.get(each, each) in [*listed, "d"], (screen, each)
     steering = "".join(listed)
     assert all({"comma": ",", "full_stop": "."}.get(key, labels.get(key, key)) in steering for key in _WAYS)
+
+
+@on_main()
+async def test_the_palette_begins_with_what_is_likely(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("colon")
+    await shown(pilot, BY_ID["add_topic"].help)
+    picture = text(app)
+    assert BY_ID["move_down"].help not in picture
+    border = app.screen.query_one("#--input").styles.border_top[1]
+    assert border.hex == Color.parse(app.current_theme.primary).hex
 
 
 @on_main()

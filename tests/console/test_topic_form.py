@@ -31,7 +31,7 @@ from rsb_bridge.model.session import Client, Kind, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.model.transports import Protocol
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.topic_form import KINDS, fields_by_kind, suggestions_for
+from rsb_console.screens.topic_form import KINDS, TopicScreen, fields_by_kind, suggestions_for
 from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
 from rsb_console.widgets.form import Field, FormScreen
 
@@ -205,6 +205,23 @@ def test_a_topic_that_goes_over_bluetooth_can_be_edited(session: Session) -> Non
 
 
 EDITED = Topic("/scan", "receive", qos={"reliability": "best_effort", "depth": 3}, max_rate=2.5, port=5000)
+
+
+@on_main(landmark="/scan", routes=(route("/scan", spec=EDITED),))
+async def test_fields_are_found_by_their_names(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("e")
+    await until(pilot, lambda: isinstance(app.screen, TopicScreen), "the form")
+    fields = form_of(app).fields
+    await until(pilot, lambda: fields["max_rate"].control.has_focus, "the likeliest field is the first")
+    await pilot.press("f7", *"pri")
+    await until(pilot, lambda: fields["priority"].control.has_focus, "one name begins so")
+    await pilot.press("f7", "p")
+    await shown(pilot, "Port, Priority, Paused")
+    await pilot.press("z", "escape")
+    await until(pilot, lambda: fields["priority"].control.has_focus, "back")
+    await pilot.press("f7", "m", "enter")
+    await until(pilot, lambda: fields["max_rate"].control.has_focus, "the first of several")
+    assert fields["max_rate"].value == "2.5"
 
 
 @on_main(landmark="/scan", routes=(route("/scan", spec=EDITED),))

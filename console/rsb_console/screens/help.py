@@ -106,7 +106,7 @@ class ActionsProvider(Provider):
         return (action for action in self.app.actions if self.screen.check_action(action.id, ()))
 
     async def discover(self) -> Hits:
-        for action in self._possible():
+        for action in sorted(self._possible(), key=_by_use):
             yield DiscoveryHit(action.help, partial(self._run, action), help=self._keys(action))
 
     async def search(self, query: str) -> Hits:
@@ -122,3 +122,8 @@ class ActionsProvider(Provider):
 
     async def _run(self, action: Action) -> None:
         await self.app.run_action(f"{NAMESPACE[action.group]}.{action.id}")
+
+
+def _by_use(action: Action) -> tuple[bool, bool]:
+    """Sort those of the footer first, and last what only moves the cursor."""
+    return action.group is Group.MOVE, not action.in_footer

@@ -24,7 +24,7 @@ from rsb_console.look.formats import KIND_NOUN
 from rsb_console.look.glyphs import IN, OUT
 from rsb_console.session.draft import SWITCHES, Ends, problems_of, topic_of, values_of
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, FormScreen, Spec
+from rsb_console.widgets.form import Field, FieldSearch, FormScreen, Spec
 from rsb_console.widgets.lines import Line, fit_middle
 from rsb_console.widgets.picker import PickField, Suggestion
 
@@ -42,6 +42,8 @@ KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 _WHICH = ("topic", "kind", "direction", "provider")
 ORDER = (*_WHICH, *(key for key in TOPIC_KEYS if key not in _WHICH))
 """The keys of all fields, in the order in which an operator thinks of them."""
+EDIT_ORDER = ("max_rate", *(key for key in ORDER if key != "max_rate"))
+"""The same for something that is bridged already: most edits are of its rate."""
 FIRST = ("link", "topic", "kind", "direction", "provider", "type", "qos", "protocol", "priority")
 """The keys of the fields that a form of something new begins with; the others have good defaults."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
@@ -179,7 +181,7 @@ class TopicScreen(FormScreen[TopicDraft]):
         route: the route or the pattern to edit, or None for something new.
     """
 
-    BINDINGS: ClassVar = [Binding("f8", "unfold", show=False)]
+    BINDINGS: ClassVar = [Binding("f7", "find", show=False), Binding("f8", "unfold", show=False)]
 
     def __init__(
         self, engine: EngineApi, do: Callable[[TopicDraft], Awaitable[object]], route: Row | None = None
@@ -198,6 +200,7 @@ class TopicScreen(FormScreen[TopicDraft]):
         new = "Add a topic, a service, an action or a node's parameters"
         title, yes = (new, "Add") if route is None else (f"Edit {route.topic}", "Change")
         super().__init__(title, [self._field(spec) for spec in self._all_specs()], yes)
+        self._search = FieldSearch(self.form)
         self._show_kind()
 
     def _all_specs(self) -> Iterator[Spec]:
@@ -205,7 +208,7 @@ class TopicScreen(FormScreen[TopicDraft]):
         if len(self._links) > 1:
             clients = tuple((name, name) for name in self._links)
             yield Spec("link", "Client", "The client that it is bridged with.", options=clients)
-        for key in ORDER:
+        for key in ORDER if self._route is None else EDIT_ORDER:
             yield from islice((specs[key] for specs in self._specs.values() if key in specs), 1)
 
     def _show_kind(self) -> None:
@@ -226,6 +229,8 @@ class TopicScreen(FormScreen[TopicDraft]):
         return Field(spec)
 
     def compose_buttons(self) -> ComposeResult:
+        yield self._search
+        yield Button("Go to (F7)", id="find", compact=True)
         if self._is_folded:
             yield Button("More (F8)", id="more", compact=True)
         yield from super().compose_buttons()
@@ -233,8 +238,14 @@ class TopicScreen(FormScreen[TopicDraft]):
     def press(self, button: str) -> None:
         if button == "more":
             self.action_unfold()
+        elif button == "find":
+            self.action_find()
         else:
             super().press(button)
+
+    def action_find(self) -> None:
+        """Go to a field by the beginning of its name."""
+        self._search.begin()
 
     def action_unfold(self) -> None:
         """Show all fields, and go to the first one that was hidden."""

@@ -470,6 +470,49 @@ class Form(VerticalScroll, can_focus=False):
             InputQueue.of(self.app).insert([events.Paste(event.text)])
 
 
+class FieldSearch(Notice, can_focus=True):
+    """Takes the beginning of a field's name, and goes to that field. Takes no room until it begins."""
+
+    def __init__(self, form: Form) -> None:
+        super().__init__("hint")
+        self._form = form
+        self._typed = ""
+        self._back: Widget | None = None
+
+    def begin(self) -> None:
+        if not self.has_focus:
+            self._typed, self._back = "", self.screen.focused
+        self._show([])
+        self.focus()
+
+    def _found(self) -> list[Field]:
+        fields = (field for field in self._form.fields.values() if field.display)
+        return [field for field in fields if field.spec.label.casefold().startswith(self._typed.casefold())]
+
+    def _show(self, found: list[Field]) -> None:
+        names = ", ".join(field.spec.label for field in found) or "type the beginning of its name"
+        self.set_text(f"Go to {self._typed or 'a field'}: {names}")
+
+    def on_key(self, event: events.Key) -> None:
+        event.stop()
+        event.prevent_default()
+        if event.key == "enter" and self._typed:
+            self._found()[0].control.focus()
+        elif event.key in ("escape", "enter"):
+            self.screen.set_focus(self._back)
+        elif event.character is not None and event.is_printable:
+            before, self._typed = self._typed, self._typed + event.character
+            found = self._found()
+            if len(found) == 1:
+                found[0].control.focus()
+                return
+            self._typed = self._typed if found else before  # a letter that no name has there is left out
+            self._show(self._found() if self._typed else [])
+
+    def on_blur(self) -> None:
+        self.set_text("")
+
+
 class FormScreen(ModalScreen[T | None]):
     """Fields and two buttons; escape gives None.
 
