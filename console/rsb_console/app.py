@@ -14,7 +14,7 @@ from textual import work
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.commands import Effect
-from rsb_bridge.model.faults import ChangeKind, FaultWatch
+from rsb_bridge.model.faults import ChangeKind, FaultWatch, fault_count
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_console.actions import Group
@@ -98,13 +98,14 @@ class ConsoleApp(TerminalApp[None]):
         self.file: SessionFile | None = None
         self.temporary = temporary
         self.note = "no session"
-        self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
+        usual = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
+        self.refresh_rate = self.preferences.refresh_rate or usual
         self.deadman = Deadman()
         self._questions = NewQuestions()
         self.fault_bell = Bell(self.bell, is_on=self.preferences.bell)
         self.changes = Changes()
         console: Console = self
-        bridge = BridgeOperations(console, lambda: self.main.topics.selected, lambda: self.main)
+        bridge = BridgeOperations(console, lambda: self.main)
         self.sessions = SessionOperations(console, bridge.reload)
         self.main: MainScreen = self.main_screen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
         self.attached_to = ""
@@ -312,6 +313,7 @@ class ConsoleApp(TerminalApp[None]):
         for route in self._questions.find_new(snapshot, self.deadman.held):
             self._hand_over(route)
         self.fault_bell.ring_for_new(self.engine, snapshot)
+        self.entitle(snapshot.name, fault_count(snapshot) if snapshot.name else 0)
         if any(isinstance(screen, FullScreen) for screen in self.screen_stack):
             self.main.hold(events)  # Textual would write the whole of the screen above for each of its changes
         else:
@@ -337,6 +339,7 @@ class ConsoleApp(TerminalApp[None]):
     def action_bell_on_fault(self) -> None:
         """Turn the bell for new faults on or off."""
         self.fault_bell.is_on = not self.fault_bell.is_on
+        self.remember("bell", self.fault_bell.is_on)
         self.notify("the bell rings when a fault begins" if self.fault_bell.is_on else "the bell is off", timeout=3)
 
     @work(exclusive=True, group=DIALOG)

@@ -15,10 +15,19 @@ from textual.app import App, ReturnType
 from textual.screen import SystemModalScreen
 
 from rsb_bridge.config.files import owner_only
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import several_lines
 from rsb_console.actions import ACTIONS, BY_ID, Action, Group, bindings
-from rsb_console.look.glyphs import AsciiFilter, ControlFilter
-from rsb_console.preferences import SIXTEEN_COLORS, SIXTEEN_ON_LIGHT, THEME_VARIABLES, Preferences, config_path
+from rsb_console.look.glyphs import STATE_SIGN, AsciiFilter, ControlFilter
+from rsb_console.preferences import (
+    REFRESH_RATES,
+    SIXTEEN_COLORS,
+    SIXTEEN_ON_LIGHT,
+    THEME_VARIABLES,
+    PreferenceError,
+    Preferences,
+    config_path,
+)
 from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
@@ -35,7 +44,6 @@ if TYPE_CHECKING:
     from textual.screen import Screen
 
 T = TypeVar("T")
-REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 _ENDS_WITHIN = 10.0
 """s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
 _FAILURE = 1  # exit status
@@ -143,6 +151,13 @@ class TerminalApp(App[ReturnType]):
     def key_labels(self, action: Action) -> list[str]:
         return self.preferences.key_labels(action, ascii_only=self.ascii_only)
 
+    def entitle(self, name: str, faults: int) -> None:
+        """Show in the terminal's title what the app is about, and how many faults it has."""
+        sign = "x" if self.ascii_only else STATE_SIGN[State.DOWN]
+        title = " ".join(filter(None, (name or self.TITLE, f"{sign}{faults}" if faults else "")))
+        if isinstance(self._driver, ConsoleDriver):
+            self._driver.entitle("".join(filter(str.isprintable, title)))
+
     # --- refreshing
 
     def pull(self) -> None:
@@ -158,7 +173,15 @@ class TerminalApp(App[ReturnType]):
         # Textual cannot change the interval of a timer.
         self._pulling.stop()
         self.begin_pulling()
+        self.remember("refresh_rate", self.refresh_rate)
         self.pull()
+
+    def remember(self, name: str, value: str | float | bool) -> None:
+        """Keep a choice of the operator for the next start."""
+        try:
+            self.preferences.remember(name, value)
+        except PreferenceError as error:
+            self.notify(str(error), title="Not kept", severity="warning", markup=False, timeout=8)
 
     # --- actions
 
@@ -207,6 +230,7 @@ class TerminalApp(App[ReturnType]):
     def action_theme(self) -> None:
         names = sorted(self.available_themes)
         self.theme = names[(names.index(self.theme) + 1) % len(names)]
+        self.remember("theme", self.theme)
         self.notify(f"theme: {self.theme}", timeout=2)
 
     def action_mouse(self) -> None:

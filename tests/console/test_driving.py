@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from tests.console.driving import (
-    NOWHERE,
     Decorator,
     engine_as,
     engine_of,
@@ -668,5 +667,5 @@ async def test_what_is_asked_is_within_the_limits_and_their_line_is_shown(
 def test_the_smallest_limits_of_all_robots_on_the_topic_count() -> None:
     slow = replace(ARMED, key="2", link="robot2", limits=VelocityLimits(0.05), limited_by=("pc.yaml:3",))
     elsewhere = replace(LIMITED, key="3", topic="/other", limits=VelocityLimits(0.01), limited_by=("pc.yaml:9",))
-    snapshot = replace(ScriptedEngine(SESSION, NOWHERE).snapshot(), routes=(LIMITED, slow, elsewhere))
+    snapshot = replace(ScriptedEngine(SESSION).snapshot(), routes=(LIMITED, slow, elsewhere))
     assert limits_on(LIMITED, snapshot) == (VelocityLimits(0.05, 0.3), ["robot.yaml:14", "pc.yaml:3"])

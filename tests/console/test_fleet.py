@@ -16,7 +16,6 @@ import msgspec
 import pytest
 from tests.console.driving import (
     NARROW,
-    NOWHERE,
     WIDE,
     Decorator,
     Operator,
@@ -86,7 +85,7 @@ class Bed:
         self.source = ScriptedSource(*(robots or ROBOTS))
         self.fleet = fleet_of(self.source)
         self.view = view or FleetView()
-        self.app = FleetApp(self.fleet, self.view, **{"config": NOWHERE, "theme": "dark", **options})
+        self.app = FleetApp(self.fleet, self.view, **{"theme": "dark", **options})
         self.pilot: Pilot[Any] = Operator(self.app)
 
     @property
@@ -579,7 +578,7 @@ async def test_read_only(bed: Bed) -> None:
 def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: Machine) -> None:
     machine.serve(ServerEngine("robot1", "robot2"))
     fleet = ServerFleet("control", machine.folder / "control.sock")
-    app = RobotApp(None, None, config=NOWHERE, theme="dark", attach_to=lambda: fleet.open("robot2", read_only=False))
+    app = RobotApp(None, None, theme="dark", attach_to=lambda: fleet.open("robot2", read_only=False))
 
     async def run() -> None:
         async with app.run_test(size=NARROW):
@@ -600,7 +599,7 @@ def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: M
 
 def test_the_console_on_a_robot_leaves_no_memory_behind() -> None:
     async def run() -> weakref.ref[RobotApp]:
-        app = RobotApp(SESSION, None, config=NOWHERE, theme="dark", make_engine=ScriptedEngine)
+        app = RobotApp(SESSION, None, theme="dark", make_engine=ScriptedEngine)
         async with app.run_test(size=NARROW):
             await shown(Pilot(app), "/robot1/scan")
         return weakref.ref(app)

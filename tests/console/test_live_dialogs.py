@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 import pytest
-from tests.console.driving import NOWHERE, gone, shown, until
+from tests.console.driving import gone, shown, until
 from tests.console.live import Pair, console, flows, talker, watch
 from tests.support import constants
 from tests.support.locks import alone
@@ -53,7 +53,7 @@ def test_a_restart_that_finds_nobody_says_so(tmp_path: Path) -> None:
 
 
 def test_the_demo_runs_from_the_welcome_and_leaves_nothing() -> None:
-    app = ConsoleApp(None, None, config=NOWHERE, theme="dark")
+    app = ConsoleApp(None, None, theme="dark")
     folders: list[Path] = []
 
     async def steps(pilot: Pilot[None]) -> None:
@@ -72,7 +72,7 @@ def test_a_demo_that_takes_over_from_a_demo_ends_its_robot() -> None:
     """Otherwise, after `rsb-console demo` and F4, the robots of both would publish the same topics."""
     with alone("demo"), contextlib.ExitStack() as resources:
         first = resources.enter_context(running_demo())
-        app = ConsoleApp(first.session, first.path, config=NOWHERE, theme="dark", temporary=True, resources=resources)
+        app = ConsoleApp(first.session, first.path, theme="dark", temporary=True, resources=resources)
 
         async def steps(pilot: Pilot[None]) -> None:
             await until(pilot, lambda: flows(app.snapshot(), "/odom"), "the odometry")

@@ -22,6 +22,7 @@ from tests.support.forker import Forked
 from tests.support.long import long
 from tests.support.waiting import eventually
 
+from rsb_bridge.config.session_file import load
 from rsb_bridge.history.state_folder import EVENTS
 from rsb_bridge.model.session import Topic
 from rsb_console.command.shell import prefers_ascii
@@ -316,6 +317,15 @@ def test_the_mouse_can_be_left_to_the_terminal(pair: Pair) -> None:
         terminal.wait_for("\x1b[?1003l")
 
 
+def test_the_terminals_title_names_the_bridge_and_its_faults(pair: Pair) -> None:
+    with console(pair) as terminal:
+        terminal.wait_for("\x1b[22;0t")
+        terminal.wait_for(f"\x1b]0;{load(pair.client_path).name} ✗1\x07")  # nobody answers
+        terminal.kill(signal.SIGTERM)
+        terminal.exit_code()
+        assert b"\x1b[23;0t" in terminal.output
+
+
 def test_a_light_background_changes_the_terminals_theme(tmp_path: Path) -> None:
     environ = {"TERM": "xterm", "COLORTERM": "", "XDG_STATE_HOME": str(tmp_path)}
     with Terminal("rsb_console", environ=environ, forked=True) as terminal:
@@ -338,10 +348,26 @@ def test_a_light_background_changes_the_terminals_theme(tmp_path: Path) -> None:
         ({"LANG": "de_DE.ISO-8859-1"}, True),
         ({"LANG": "en_US.UTF-8", "LC_ALL": "POSIX"}, True),
         ({"LANG": "en_US.UTF-8", "TERM": "linux"}, True),
+        ({"LANG": "en_US.UTF-8", "TERM": "vt100"}, True),
+        ({"LANG": "C", "LC_CTYPE": "C.UTF-8"}, True),
+        ({"LANG": "C", "LC_CTYPE": "C.UTF-8", "LC_ALL": "C.UTF-8"}, False),
+        ({"LANG": "C", "LC_CTYPE": "en_US.UTF-8"}, False),
+        ({"LC_CTYPE": "C.UTF-8"}, False),
     ],
 )
 def test_ascii_is_chosen_where_the_terminal_has_no_more(environ: dict[str, str], expected: bool) -> None:
     assert prefers_ascii(environ) is expected
+
+
+@pytest.mark.parametrize("command", ["status", "doctor"])
+def test_commands_draw_ascii_where_the_terminal_has_no_more(command: str, pair: Pair) -> None:
+    environ = {"LANG": "C", "LC_ALL": "", "LC_CTYPE": "", "TERM": "vt100"}
+    with console(pair) as bridge:
+        bridge.wait_for(" quit")
+        with Terminal("rsb_console", command, environ=environ, forked=True) as terminal:
+            terminal.exit_code()
+            assert terminal.output
+            assert terminal.output.isascii()
 
 
 def test_a_terminal_without_unicode_gets_ascii_only(pair: Pair) -> None:

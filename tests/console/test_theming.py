@@ -13,6 +13,7 @@ from rsb_console import preferences
 from rsb_console.app import ConsoleApp
 from rsb_console.preferences import PreferenceProblem, ThemeProblem
 from rsb_console.terminal import background
+from rsb_console.widgets import topics
 
 SHIPPED, PROBLEMS = preferences.load_themes(preferences.shipped_themes())
 
@@ -170,6 +171,62 @@ async def test_a_dialog_leaves_what_is_behind_in_sight(app: ConsoleApp, pilot: P
     await pilot.press("q")
     await shown(pilot, "Quit?")
     assert "/robot2/scan" in text(app)
+
+
+@pytest.mark.usefixtures("folder")
+@on_main(before=lambda: {"config": Path().resolve(), "theme": None})
+async def test_choices_are_kept_for_the_next_start(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    Path("console.yaml").write_text("# mine\nbell: true  # loud\n")
+    await pilot.press("t", "minus", "exclamation_mark")
+    kept = preferences.Preferences(Path(), None)
+    assert (kept.theme, kept.refresh_rate, kept.bell) == (app.theme, 2.0, True)
+    await pilot.press("exclamation_mark")
+    assert Path("console.yaml").read_text() == f"# mine\nbell: false  # loud\ntheme: {app.theme}\nrefresh_rate: 2.0\n"
+    assert preferences.Preferences(Path(), "light").theme == "light", "an option comes first"
+
+
+@pytest.mark.parametrize("text", ["{bell: true}\n", "bell: [\n", "bel: true\n"])
+def test_a_choice_leaves_a_file_alone_that_it_cannot_edit(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "console.yaml"
+    path.write_text(text)
+    with pytest.raises(preferences.PreferenceError):
+        preferences.Preferences(tmp_path, None).remember("theme", "light")
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("text", "problem", "parameters"),
+    [
+        ("[bell]", PreferenceProblem.NO_SETTINGS, {}),
+        ("bel: true", PreferenceProblem.UNKNOWN_SETTINGS, {"names": "bel"}),
+        ("bell: loud", PreferenceProblem.NO_BELL, {}),
+        ("refresh_rate: 3", PreferenceProblem.NO_RATE, {}),
+        ("columns: [AGES]", PreferenceProblem.NO_COLUMNS, {}),
+        ("columns: AGE", PreferenceProblem.NO_COLUMNS, {}),
+    ],
+)
+def test_a_mistake_in_the_settings_is_named(
+    tmp_path: Path, text: str, problem: PreferenceProblem, parameters: dict[str, object]
+) -> None:
+    (tmp_path / "console.yaml").write_text(text)
+    ((_, reported),) = preferences.Preferences(tmp_path, None).problems
+    assert says(reported, problem, **parameters)
+
+
+def chosen_columns() -> dict[str, object]:
+    Path("console.yaml").write_text("columns: [AGE, VIA]")
+    return {"config": Path().resolve()}
+
+
+@pytest.mark.usefixtures("folder")
+@on_main(before=chosen_columns)
+async def test_only_chosen_columns_are_shown(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    assert [column.title for column, _ in app.main.topics.columns] == ["STATE", "TOPIC", "VIA", "AGE"]
+
+
+def test_every_column_can_be_chosen() -> None:
+    titles = {column.title.strip() for column in topics.COLUMNS}
+    assert titles == {"", "STATE", "TOPIC", *preferences.TOPIC_COLUMNS}
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.link import Link
+from rsb_bridge.link.refused_clients import LinkShutdown
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
@@ -96,9 +97,14 @@ def test_a_client_that_is_shut_down_names_the_remedy_on_both_sides(bridge: Bridg
     server, client = bridge.server(), bridge.client()
     eventually(lambda: linked(client) and linked(server), what="linked")
     client.shut_down().result(60)
-    remedies = {client: "rsb-console retry robot1`", server: f"rsb-console retry {server.session.name} --link robot1`"}
-    for side, remedy in remedies.items():
+    for side in client, server:
         eventually(lambda side=side: not linked(side), what="down")
         _, _, reason = as_json(side)
-        assert remedy in reason
+        assert "rsb-console retry robot1`" in reason
         assert "press r " in reason
+
+
+def test_a_link_that_the_server_shut_down_names_key_and_bridge() -> None:
+    reason = LinkShutdown("anna", 0.0).reason("control pc", "robot1")
+    assert "rsb-console retry 'control pc' --link robot1`" in reason
+    assert "press r " in reason

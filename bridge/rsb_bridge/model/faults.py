@@ -60,6 +60,16 @@ def pattern_needs_attention(pattern: PatternSnapshot) -> bool:
     return pattern.acknowledged is None and pattern_is_wrong(pattern)
 
 
+def fault_count(now: Snapshot) -> int:
+    """Count the faults that no operator has acknowledged: a link that is down once, and not for each of its topics."""
+    if not now.running:
+        return 1
+    down = {link.name for link in now.links if link.state is not State.OK}
+    patterns = sum(pattern_needs_attention(pattern) for link in now.links for pattern in link.patterns)
+    routes = sum(route_needs_attention(route) for route in now.routes if route.link not in down)
+    return sum(map(link_needs_attention, now.links)) + patterns + routes
+
+
 def route_waits(route: RouteSnapshot) -> bool:
     """Whether it waits for its first message and its entry sets no limit on the wait."""
     if route.state is State.STALE:

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
     from rsb_console.look.formats import Row
+    from rsb_console.screens.main import MainScreen
     from rsb_console.screens.topic_form import TopicDraft
 
 R = TypeVar("R", bound="Row")
@@ -93,15 +94,16 @@ class BridgeOperations:
     """Methods named after their actions, each run as a worker.
 
     Args:
-        selected: gives the topic under the cursor.
-        screen: gives the screen that shows it.
+        screen: gives the screen that shows the topics.
     """
 
-    def __init__(self, console: Console, selected: Callable[[], Row | None], screen: Callable[[], Screen[Any]]) -> None:
+    def __init__(self, console: Console, screen: Callable[[], MainScreen]) -> None:
         self._console = console
-        self._selected = selected
         self._screen = screen
         self._undoing = False
+
+    def _selected(self) -> Row | None:
+        return self._screen().topics.selected
 
     @property
     def _route(self) -> RouteSnapshot | None:
@@ -239,7 +241,10 @@ class BridgeOperations:
             self._console.notify(OperationText.NO_CLIENT(), severity="warning", markup=False, timeout=8)
             return
 
+        key = ""
+
         async def act(draft: TopicDraft) -> None:
+            nonlocal key
             now, since = engine.snapshot(), _last_event(engine)
             key = await asyncio.wrap_future(engine.add_topic(draft.topic, draft.link))
             link = draft.link or now.links[0].name
@@ -255,6 +260,7 @@ class BridgeOperations:
         if draft is not None:
             self._console.notify(f"{draft.topic.topic}: added", markup=False, timeout=3)
             self._console.pull()
+            self._screen().topics.select(key)
 
     async def edit_topic(self) -> None:
         from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short

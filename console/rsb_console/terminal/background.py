@@ -30,8 +30,9 @@ def is_light(answer: str) -> bool | None:
     found = _ANSWER.fullmatch(answer)
     if found is None:
         return None
-    shares = (int(digits, 16) / (16 ** len(digits) - 1) for digits in found.groups())
-    return sum(weight * share for weight, share in zip(_WEIGHTS, shares, strict=True)) > 0.5
+    shares = [int(digits, 16) / float(16 ** len(digits) - 1) for digits in found.groups()]
+    brightness = sum(weight * share for weight, share in zip(_WEIGHTS, shares, strict=True))
+    return brightness > 0.5
 
 
 def may_become_answer(text: str) -> bool:

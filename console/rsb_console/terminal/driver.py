@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
+_KEEP_TITLE, _GIVE_TITLE_BACK = "\x1b[22;0t", "\x1b[23;0t"
 _KIND, _BACKGROUND = "<terminal-kind>", "<terminal-background>"
 _ANSWER_WITHIN = 0.5
 """s in which an answer has to come whole. A round figure: Escape and ] wait for so long if no key follows."""
@@ -228,6 +229,9 @@ class ConsoleDriver(LinuxDriver):
         self._unwatched = threading.Event()
         self._continuing = False
         self._asks = False
+        self._suit_background: Callable[[bool], None] = app.suit_background
+        self._title = ""
+        self._has_title = background.can_be_asked(os.environ)
         self._asks_background = app.theme_suits_background and background.can_be_asked(os.environ)
         self.pulse = Pulse(os.environ)
 
@@ -259,12 +263,28 @@ class ConsoleDriver(LinuxDriver):
     def start_application_mode(self) -> None:
         """Begin to draw (Textual's), and ask for the terminal's kind."""
         super().start_application_mode()  # type: ignore[no-untyped-call]
+        if self._has_title:
+            self.write(_KEEP_TITLE)
+            title, self._title = self._title, ""
+            self.entitle(title)
         self._asks = True
         self.write(WHO_ARE_YOU)
         if self._asks_background:
             self._asks_background = False
             self.write(background.QUESTION)
         self.ask()  # last: the end waits for this answer, after which no other one comes
+
+    def stop_application_mode(self) -> None:
+        """Give the terminal back as it was (Textual's), with its title."""
+        if self._has_title:
+            self.write(_GIVE_TITLE_BACK)
+        super().stop_application_mode()
+
+    def entitle(self, title: str) -> None:
+        """Set the terminal's title, if it can have one."""
+        if self._has_title and title != self._title:
+            self._title = title
+            self.write(f"\x1b]0;{title}\x07")
 
     def ask(self) -> None:
         """Ask the terminal for a sign that it gets what is written, and that its keys come here."""
@@ -280,7 +300,7 @@ class ConsoleDriver(LinuxDriver):
                 return
             case events.Key(key=key, character=answer) if key == _BACKGROUND:
                 # On the app's thread, as this one reads the keys.
-                self._app.call_later(self._app.suit_background, background.is_light(answer or ""))
+                self._app.call_later(self._suit_background, background.is_light(answer or ""))
                 return
             case events.Key(key=key) if key == _KIND:
                 self.pulse.is_kind(KIND.fullmatch(message.character or "")["kind"])  # type: ignore[index]
