@@ -17,7 +17,7 @@ from tests.support.wording import has_text
 from tests.view.samples import drawn
 
 from rsb_bridge.model.pictures import LONGEST_SIDE, Picture, Pixels, Wish, in_full
-from rsb_bridge.view.images import _BAYER, _DEPTHS, _NUMBERS, _PLANES, _YUV, ENCODINGS, ImageProblem
+from rsb_bridge.view.images import BAYER, DEPTHS, ENCODINGS, NUMBERS, PLANES, YUV, ImageProblem
 from rsb_console.look.picture_rows import rgb_of
 
 WISH = Wish(width=8, height=4)
@@ -51,9 +51,9 @@ def test_big_endian() -> None:
     assert (pixels(drawn(WISH, image("rgb16", b"\xff\1\0\1\0\1" * 64, is_bigendian=1))) == RED).all()
 
 
-@pytest.mark.parametrize("encoding", sorted(_YUV))
+@pytest.mark.parametrize("encoding", sorted(YUV))
 def test_yuv(encoding: str) -> None:
-    bright, colour = _YUV[encoding]
+    bright, colour = YUV[encoding]
     pair = bytearray(4)
     pair[bright] = pair[bright + 2] = 81
     pair[colour], pair[colour + 2] = 90, 240
@@ -81,17 +81,17 @@ def test_colours_that_are_missing_after_the_brightness() -> None:
     assert "96" in picture.problem
 
 
-@pytest.mark.parametrize("encoding", sorted(_BAYER))
+@pytest.mark.parametrize("encoding", sorted(BAYER))
 def test_bayer(encoding: str) -> None:
-    size, row, column = _BAYER[encoding]
+    size, row, column = BAYER[encoding]
     data = np.zeros((16, 16), f"<u{size}")
     data[row::2, column::2] = 256**size - 1
     assert (pixels(drawn(WISH, image(encoding, data.tobytes(), 16, 16))) == RED).all()
 
 
-@pytest.mark.parametrize("encoding", sorted(_NUMBERS))
+@pytest.mark.parametrize("encoding", sorted(NUMBERS))
 def test_numbers_have_colours_from_least_to_most(encoding: str) -> None:
-    values = np.full((8, 8), -100, _NUMBERS[encoding])
+    values = np.full((8, 8), -100, NUMBERS[encoding])
     values[:, 4:] = 100
     drawing = drawn(WISH, image(encoding, values.tobytes()))
     picture = pixels(drawing)
@@ -99,9 +99,9 @@ def test_numbers_have_colours_from_least_to_most(encoding: str) -> None:
     assert "-100 to 100" in drawing.notes
 
 
-@pytest.mark.parametrize("encoding", sorted(_DEPTHS))
+@pytest.mark.parametrize("encoding", sorted(DEPTHS))
 def test_near_and_far_differ_and_invalid_depths_are_black(encoding: str) -> None:
-    dtype, unit = _DEPTHS[encoding]
+    dtype, unit = DEPTHS[encoding]
     metres = np.full((8, 8), 1.0)
     metres[:, 4:] = 5.0
     metres[:2] = 0.0
@@ -196,7 +196,7 @@ SIZES = st.integers(0, 20) | st.sampled_from([65535, 2**32 - 1])
 
 @settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
-    st.sampled_from([*ENCODINGS, *_DEPTHS, *_NUMBERS, *_YUV, *_PLANES, *_BAYER, "?"]), st.binary(max_size=600),
+    st.sampled_from([*ENCODINGS, *DEPTHS, *NUMBERS, *YUV, *PLANES, *BAYER, "?"]), st.binary(max_size=600),
     SIZES, SIZES, st.integers(0, 50) | st.just(2**32 - 1), st.integers(0, 255),
 )  # fmt: skip
 def test_any_image_is_drawn_or_refused_in_words(

@@ -63,16 +63,16 @@ ENCODINGS = {
 }  # fmt: skip
 """Encodings with all channels of a pixel in its place (sensor_msgs/image_encodings.hpp): the bytes of a channel, the
 number of channels, and the places of red, green and blue."""
-_DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
+DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
 """Encodings of depths (REP 118): the type, and m in one unit."""
-_NUMBERS = {"8SC1": "i1", "16SC1": "i2", "32SC1": "i4", "64FC1": "f8"}
+NUMBERS = {"8SC1": "i1", "16SC1": "i2", "32SC1": "i4", "64FC1": "f8"}
 """Encodings of one number of any unit in a pixel: the type."""
-_YUV = {"yuv422": (1, 0), "uyvy": (1, 0), "yuv422_yuy2": (0, 1), "yuyv": (0, 1)}
+YUV = {"yuv422": (1, 0), "uyvy": (1, 0), "yuv422_yuy2": (0, 1), "yuyv": (0, 1)}
 """Places of the brightness and of the colour among two bytes."""
-_PLANES = {"nv12": (2, 0), "nv21": (2, 1), "nv24": (1, 0)}
+PLANES = {"nv12": (2, 0), "nv21": (2, 1), "nv24": (1, 0)}
 """Encodings with the brightness of all pixels before their colours: the pixels, across and down, that share a colour,
 and the place of its blue part among two bytes."""
-_BAYER = {
+BAYER = {
     "bayer_rggb8": (1, 0, 0), "bayer_bggr8": (1, 1, 1), "bayer_gbrg8": (1, 1, 0), "bayer_grbg8": (1, 0, 1),
     "bayer_rggb16": (2, 0, 0), "bayer_bggr16": (2, 1, 1), "bayer_gbrg16": (2, 1, 0), "bayer_grbg16": (2, 0, 1),
 }  # fmt: skip
@@ -115,24 +115,24 @@ class ImageView(View):
             """Return the bytes that a terminal can show of channels of one or two bytes."""
             return rows(size * channels).reshape(height, width, channels, size)[..., 0 if is_big else -1]
 
-        if encoding in _DEPTHS:
-            dtype, unit = _DEPTHS[encoding]
+        if encoding in DEPTHS:
+            dtype, unit = DEPTHS[encoding]
             depth = _reduced(rows(int(dtype[1])).view(order + dtype)[:, :, None], wish)[:, :, 0]
             picture, span = _depth(depth.astype(np.float32) * unit, wish)
             return Drawn(picture, (*notes, span))
-        if dtype := _NUMBERS.get(encoding, ""):
+        if dtype := NUMBERS.get(encoding, ""):
             numbers = _reduced(rows(int(dtype[1])).view(order + dtype)[:, :, None], wish)[:, :, 0].astype(np.float64)
             picture, low, high = _coloured(numbers, np.isfinite(numbers), wish)
             return Drawn(picture, (*notes, f"{low:g} to {high:g}"))
         if encoding in ENCODINGS:
             size, channels, places = ENCODINGS[encoding]
             rgb = _reduced(high_bytes(size, channels), wish)[:, :, places]
-        elif encoding in _YUV:
+        elif encoding in YUV:
             rgb = _yuv(rows(2), encoding, wish)
-        elif encoding in _PLANES:
+        elif encoding in PLANES:
             rgb = _planes(data, rows(1), step or width, encoding, wish)
-        elif encoding in _BAYER:
-            size, row, column = _BAYER[encoding]
+        elif encoding in BAYER:
+            size, row, column = BAYER[encoding]
             rgb = _bayer(high_bytes(size, 1)[:, :, 0], row, column, wish)
         else:
             raise UndrawableError(ImageProblem.ENCODING(encoding=encoding))
@@ -266,7 +266,7 @@ def _yuv(rows: Array, encoding: str, wish: Wish) -> Array:
     pairs = rows[:, : width // 2 * 4].reshape(height, width // 2, 4)
     if not pairs.size:
         raise UndrawableError(ImageProblem.NO_SIZE(width=width, height=height))
-    bright, colour = _YUV[encoding]
+    bright, colour = YUV[encoding]
     y = np.repeat(pairs[:, :, bright : bright + 1], 2, axis=1)
     y[:, 1::2, 0] = pairs[:, :, bright + 2]
     u, v = (np.repeat(pairs[:, :, at : at + 1], 2, axis=1) for at in (colour, colour + 2))
@@ -275,7 +275,7 @@ def _yuv(rows: Array, encoding: str, wish: Wish) -> Array:
 
 def _planes(data: Array, bright: Array, step: int, encoding: str, wish: Wish) -> Array:
     """Return red, green and blue of an image whose colours follow the brightness of its pixels."""
-    shared, blue = _PLANES[encoding]
+    shared, blue = PLANES[encoding]
     height, width = (length // shared * shared for length in bright.shape)
     if not height or not width:
         raise UndrawableError(ImageProblem.NO_SIZE(width=bright.shape[1], height=bright.shape[0]))
