@@ -191,6 +191,24 @@ def test_writer_that_does_not_match_is_named(bridge: Bridge, robot: Domain, pc: 
         eventually(lambda: route(client, "/apart").state == "ok")
 
 
+def test_reader_that_does_not_match_is_named(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    with closing(CycloneProgram(pc.id)) as far:
+        reader = far.reader("/apart", USUAL, Policy.Ownership.Exclusive)
+        writer = _StockWriter(robot.publisher("/apart"))
+        server, client = bridge.both(Topic("/apart", "transmit"))
+
+        def is_named() -> bool:
+            writer.publish("a")
+            found = route(server, "/apart")
+            return found.state == "unheard" and found.reason == f"{BARE_DDS} {NOT_MATCHED[0]}"
+
+        eventually(is_named)
+        eventually(lambda: NOT_MATCHED[0] in route(client, "/apart").reason)
+        assert not reader.texts
+        crossed(writer, far.reader("/apart"), ["b"])
+        eventually(lambda: route(server, "/apart").state == "ok")
+
+
 def test_program_that_is_killed_returns(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     server, client = bridge.both(Topic("/numbers", "transmit"))
     listener = pc.listener("/numbers")

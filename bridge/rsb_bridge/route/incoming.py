@@ -60,6 +60,8 @@ _INCOMPLETE_IN_A_ROW = 3
 _ASKED_EVERY = 0.9
 """s until the graph is asked again who subscribes, where their number is the same: less than the second after which
 `link.graph_watch` looks once more, when the graph has settled."""
+_MATCHED_WITHIN = 2.0
+"""s. A round figure: DDS matches a subscription that it lists within milliseconds."""
 _REPORTS_AFTER = 100
 """Messages after which an early report is sent: if this process is killed, the sender never learns whether the
 unreported messages arrived."""
@@ -141,6 +143,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._subscriber_qos: Qos | None = None
         self._clash = ""
         self._subscribers = 0
+        self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
         self._others: Collection[Endpoint] = ()  # publishers here, if a subscription does not match
         self._clocks: frozenset[str] = frozenset()  # further sources of a clock
         self._asked_at = float("-inf")
@@ -288,10 +291,16 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self.peer.open_channel(self)
         before, self._subscribers = self._subscribers, self.outputs.subscriber_count
         now = self.context.now()
+        if self._subscribers:
+            self._unmatched_since = None
         if self._subscribers and self._subscribers == before and now - self._asked_at < _ASKED_EVERY:
             return  # the same ones, most likely: to ask for them costs too much to do so at every change of the graph
         self._asked_at = now
         self.endpoints = self.ends.subscriptions(self.remote_topic)
+        if not self.endpoints:
+            self._unmatched_since = None
+        elif not self._subscribers and self._unmatched_since is None:
+            self._unmatched_since = now
         requested = [endpoint.qos for endpoint in self.endpoints]
         self._subscriber_qos = match_subscriptions(requested) if requested else None
         self._clash, self._others = "", ()
@@ -573,6 +582,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             clash=self._clash or (peer.text if peer.cause == Cause.QOS_INCOMPATIBLE else ""),
             subscribed=report is not None and report.subscribed,
             subscribe_failed=self._failure,
+            unmatched=self._is_unmatched,
             sent=report.offered if report else 0,
             received=self._received,
             published=self._delivered,
@@ -583,6 +593,11 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             others=self._others,
             clocks=self._clocks,
         )
+
+    @property
+    def _is_unmatched(self) -> bool:
+        since = self._unmatched_since
+        return since is not None and self.context.now() > since + _MATCHED_WITHIN
 
     @property
     def has_kept(self) -> bool:

@@ -39,8 +39,8 @@ LEFT_OUT_LATCHED = (
     "latch their messages, but this topic is volatile: use qos: auto",
 )
 NOT_MATCHED = (
-    "does not match the subscription: its partition, ownership or key differs",
-    "do not match the subscription: their partition, ownership or key differs",
+    "does not match the bridge: its partition, ownership or key differs",
+    "do not match the bridge: their partition, ownership or key differs",
 )
 """Verbs for one silent publisher, and for several."""
 _NAMED = 3
@@ -84,7 +84,7 @@ class TopicProgress(NamedTuple):
         why_unresolved: the same in words, or the other side's reason.
         clash: on the receiving side, the reason why a subscription does not match `qos`, or empty.
         subscribe_failed: the reason why its subscription failed, or empty.
-        unmatched: on the sending side, whether DDS matches none of the publishers with its subscription.
+        unmatched: whether DDS matches none of the endpoints with this half.
         sent: messages of this opening.
         received: messages of this opening.
         published: messages of this opening.
@@ -494,6 +494,8 @@ def _subscribers(facts: Facts) -> Verdict | None:
                 "change the QoS of the subscription, or of the publishers and this topic"
             )
             return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
+    if progress.unmatched and facts.status.came:
+        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(progress.endpoints, *NOT_MATCHED, "subscriptions"))
     if not progress.endpoints and not progress.subscribers and facts.status.came:
         return Verdict(
             State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(facts.status.topic, f"in domain {facts.status.domain_id}")
