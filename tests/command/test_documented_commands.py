@@ -25,6 +25,7 @@ from tests.support.running import Running
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
+from rsb_bridge.model.audience import Audience
 from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.commands import Call, DraftMessage, LookAtTopics, Publish
 from rsb_bridge.model.pictures import Cells, Curve, Picture, Pixels, Series, Viewed
@@ -205,7 +206,7 @@ class Robot(Running):
         if isinstance(command, DraftMessage):
             return self._done(Draft("geometry_msgs/msg/PoseStamped", "pose: {}\n"), "draft", command.topic)
         if isinstance(command, Publish):
-            return self._done(Published(is_done=True, nodes=1), "publish", command.topic)
+            return self._done(Published(is_done=True, audience=Audience(1)), "publish", command.topic)
         if isinstance(command, Call):
             return self._done(_ANSWERS[command.lane], "call", command.key)
         return super()._execute(command, step)

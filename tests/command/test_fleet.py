@@ -17,6 +17,7 @@ from tests.support.fleet import ServerEngine
 from tests.support.inside import state_of
 from tests.support.waiting import eventually
 
+from rsb_bridge.model.audience import Audience
 from rsb_bridge.model.by_hand import Published
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
@@ -192,7 +193,7 @@ def test_each_robot_gets_what_standard_input_has(
     """Not only the first one, while the others get the defaults of every field."""
     routes = tuple(call_route("service", "/dock", key=f"dock {name}", link=name) for name in ("robot1", "robot2"))
     engine.now = replace(engine.now, routes=(*engine.now.routes, *routes))
-    engine.published = [Published(is_done=True, nodes=1)] * 2
+    engine.published = [Published(is_done=True, audience=Audience(1))] * 2
     engine.called.set_result("success: true\n")
     surroundings.set_stdin(monkeypatch, "data: true")
     assert fleet("exec", "robot1", "robot2", "--", *words, "-").code == 0

@@ -7,12 +7,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from msgspec import structs
 from tests.console.scripted import ScriptedEngine, route
 from tests.support import replaced, surroundings
 from tests.support.commands import rsb_console
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.commands import Publish
 
 STRING = "std_msgs/msg/String"
-TAKEN = Published(is_done=True, ticket=5, type_name=STRING, nodes=1, links=("robot1",))
+TAKEN = Published(is_done=True, ticket=5, type_name=STRING, audience=Audience(1, ("/log",)), links=("robot1",))
 ALONE = Published(is_done=True, ticket=6, type_name=STRING)
 OLD = Published(is_done=False, ticket=7, type_name=STRING)
 
@@ -203,11 +205,64 @@ def test_the_result_for_programs(ran: Any, engine: ScriptedEngine, clock: Clock)
         "type": STRING,
         "count": 2,
         "subscriptions": 1,
+        "heard_by": ["/log"],
+        "deaf": [],
         "links": ["robot1"],
         "not_over": [{"link": "robot2", "state": "down", "reason": "no link"}],
-        "landed": [{"ok": False, "report": LandingText.UNREPORTED(link="robot1", seconds=REPORTED_WITHIN)}],
+        "landed": [
+            {
+                "link": "robot1",
+                "ok": False,
+                "report": LandingText.UNREPORTED(link="robot1", seconds=REPORTED_WITHIN),
+                "heard_by": [],
+                "deaf": [],
+            }
+        ],
     }
     assert [each for each in clock.slept if each > _LOOK_EVERY] == [1.0]
+
+
+DEAF = Deaf("/base", "qos_incompatible", "no way")
+
+
+@pytest.mark.parametrize(
+    ("near", "far", "code"),
+    [
+        (Audience(), Audience(), 1),
+        (Audience(), Audience(deaf=(DEAF,)), 1),
+        (Audience(deaf=(DEAF,)), Audience(), 1),
+        (Audience(1), Audience(deaf=(DEAF,)), 0),
+        (Audience(), Audience(1, ("/base",)), 0),
+    ],
+)
+def test_the_exit_code_says_whether_anybody_hears(
+    ran: Any,
+    engine: ScriptedEngine,
+    clock: Clock,
+    monkeypatch: pytest.MonkeyPatch,
+    near: Audience,
+    far: Audience,
+    code: int,
+) -> None:
+    words = route("/words", outgoing=True)
+    delivered = replace(words.ledger, delivered=words.ledger.delivered + 1)
+    publish = pub_command.publish
+
+    def published(*arguments: Any) -> Published:
+        engine.now = replace(engine.now, routes=(replace(words, ledger=delivered, audience=far),))
+        return publish(*arguments)
+
+    replaced.PUB_PUBLISH.set(monkeypatch, published)
+    for options in ((), ("--json",)):
+        engine.now = replace(engine.now, routes=(words,))
+        engine.published = [structs.replace(TAKEN, audience=near)]
+        done = ran("/words", "data: hello", *options)
+        assert done.code == code
+    assert done.json["ok"] is (code == 0)
+    (landed,) = done.json["landed"]
+    assert (landed["ok"], landed["heard_by"]) == (far.count > 0, list(far.nodes))
+    assert [each["cause"] for each in landed["deaf"]] == [each.cause for each in far.deaf]
+    assert [each["node"] for each in done.json["deaf"]] == [each.node for each in near.deaf]
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)])

@@ -28,6 +28,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.by_hand import Draft, Published, VelocityLimits
 from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.session import Topic
@@ -35,7 +36,7 @@ from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, limits_on, why_not_driven
 from rsb_console.screens.take_over import HandOverText
-from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, velocity
+from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, HearingText, velocity
 from rsb_console.terminal.pulse import Pulse
 
 # -- what keys mean
@@ -502,6 +503,14 @@ async def test_what_the_robot_has_in_hand_is_shown(app: ConsoleApp, pilot: Pilot
     ]:
         put(app, replace(ARMED, arming=replace(ARMED.arming, velocity=given)))
         await shown(pilot, DriveText.IN_HAND(link=ARMED.link, motion=motion))
+
+
+@driven()
+async def test_who_cannot_hear_here_is_shown(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    deaf = Deaf("/base", "qos_incompatible", "no way")
+    engine_of(app).published = [Published(is_done=True, ticket=8, audience=Audience(0, (), (deaf,)))] * 20
+    await pressed(pilot, clock, "up")
+    await shown(pilot, HearingText.NOT_HEARD, node="/base", reason="no way")
 
 
 # -- several drivers

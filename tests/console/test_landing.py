@@ -9,11 +9,14 @@ import pytest
 from tests.console.scripted import ScriptedEngine, call_route, route
 from tests.support.wording import says
 
+from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Snapshot
-from rsb_console.session.manual_messages import Landing, LandingText
+from rsb_console.session.manual_messages import HearingText, Landing, LandingText
 
 ROUTE = route("/cmd", outgoing=True, ledger=Ledger(offered=7, delivered=5, dropped={"disarmed": 2}), latency_p50=0.012)
 LINKS = ("robot1",)
+LANDED = Ledger(8, 6, dropped={"disarmed": 2})
+DEAF = Deaf("base", "qos_incompatible", "no way")
 
 
 def snapshot(*routes: RouteSnapshot) -> Snapshot:
@@ -23,10 +26,16 @@ def snapshot(*routes: RouteSnapshot) -> Snapshot:
 @pytest.mark.parametrize(
     ("changes", "ok", "text", "parameters"),
     [
-        ({"ledger": Ledger(8, 6, dropped={"disarmed": 2}), "subscribers": ("motors", "log")}, True,
-         LandingText.DELIVERED, {"age": ", 12 ms old", "subscribers": "subscribed by motors and log"}),
-        ({"ledger": Ledger(8, 6, dropped={"disarmed": 2}), "latency_p50": None}, True,
-         LandingText.DELIVERED, {"age": "", "subscribers": "no subscription there"}),
+        ({"ledger": LANDED, "audience": Audience(2, ("motors", "log"))}, True,
+         LandingText.DELIVERED, {"age": ", 12.0 ms old", "hearing": HearingText.HEARD(nodes="motors and log")}),
+        ({"ledger": LANDED, "audience": Audience(1, ("motors", "log"))}, True,
+         LandingText.DELIVERED, {"hearing": HearingText.HEARD_BY_SOME(count=1, nodes="motors and log")}),
+        ({"ledger": LANDED, "audience": Audience(0, (), (DEAF,))}, False,
+         LandingText.DELIVERED, {"hearing": HearingText.NOT_HEARD(node="base", reason="no way")}),
+        ({"ledger": LANDED, "latency_p50": None}, False,
+         LandingText.DELIVERED, {"age": "", "hearing": HearingText.NO_SUBSCRIPTION()}),
+        ({"ledger": LANDED, "latency_p50": -0.0007, "latency_uncertainty": 0.002}, False,
+         LandingText.DELIVERED, {"age": ", <2.0 ms old"}),
         ({"ledger": Ledger(8, 5, dropped={"disarmed": 3})}, False, LandingText.DROPPED, {"cause": "disarmed"}),
         ({"ledger": Ledger(8, 5, expired=1, dropped={"disarmed": 2})}, False,
          LandingText.DROPPED, {"cause": "too old"}),
@@ -38,25 +47,34 @@ def test_a_report_of_a_message(
     landing = Landing("/cmd", snapshot(ROUTE))
     now = snapshot(replace(ROUTE, **changes))
     assert landing.is_known(now, LINKS)
-    ((is_ok, report),) = landing.reports(now, LINKS)
-    assert is_ok is ok
-    assert says(report, text, link="robot1", **parameters)
+    (landed,) = landing.reports(now, LINKS)
+    assert landed.is_heard is ok
+    assert says(landed.text, text, link="robot1", **parameters)
 
 
 def test_without_a_report_it_says_so() -> None:
     landing = Landing("/cmd", snapshot(ROUTE))
     assert not landing.is_known(snapshot(ROUTE), LINKS)
-    assert landing.reports(snapshot(ROUTE), LINKS)[0][0] is False
+    assert not landing.reports(snapshot(ROUTE), LINKS)[0].is_heard
     assert landing.is_known(snapshot(ROUTE), ())
 
 
 def test_each_link_reports_for_itself() -> None:
     other = replace(ROUTE, key="other", link="robot2")
     landing = Landing("/cmd", snapshot(ROUTE, other))
-    now = snapshot(replace(ROUTE, ledger=replace(ROUTE.ledger, delivered=6)), other)
+    now = snapshot(replace(ROUTE, ledger=replace(ROUTE.ledger, delivered=6), audience=Audience(1)), other)
     assert landing.is_known(now, LINKS)
     assert not landing.is_known(now, ("robot1", "robot2"))
-    assert [ok for ok, _ in landing.reports(now, ("robot1", "robot2"))] == [True, False]
+    assert [each.is_heard for each in landing.reports(now, ("robot1", "robot2"))] == [True, False]
+
+
+@pytest.mark.parametrize(("cause", "settled"), [("qos_incompatible", True), ("", False)])
+def test_subscriptions_without_a_known_cause_may_still_match(cause: str, settled: bool) -> None:
+    landing = Landing("/cmd", snapshot(ROUTE))
+    deaf = Audience(0, (), (Deaf("base", cause, ""),))
+    now = snapshot(replace(ROUTE, ledger=LANDED, audience=deaf))
+    assert landing.is_known(now, LINKS)
+    assert landing.is_settled(now, LINKS) is settled
 
 
 def test_routes_that_are_new_and_those_of_other_topics() -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from msgspec import structs
 from tests.console.driving import (
     NARROW,
     WIDE,
@@ -28,18 +29,19 @@ from textual.pilot import Pilot
 from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.publish_screen import PublishScreen, PublishText
-from rsb_console.session.manual_messages import LandingText
+from rsb_console.session.manual_messages import HearingText
 
 STRING = "std_msgs/msg/String"
 WORDS = route("/words", outgoing=True, spec=Topic("/words", "transmit"), type_name=STRING)
 DRAFT = Draft(STRING, "data: ''\n")
-TAKEN = Published(is_done=True, ticket=5, type_name=STRING, nodes=2, links=("robot1",))
+TAKEN = Published(is_done=True, ticket=5, type_name=STRING, audience=Audience(2), links=("robot1",))
 ALONE = Published(is_done=True, ticket=5, type_name=STRING)
 
 
@@ -263,9 +265,25 @@ async def test_the_form_shows_what_the_other_side_reports(app: ConsoleApp, pilot
     engine_of(app).published = [TAKEN]
     await publish(app, pilot)
     delivered = replace(WORDS.ledger, delivered=WORDS.ledger.delivered + 1)
-    put(app, replace(WORDS, ledger=delivered, subscribers=("motors",)))
-    await shown(pilot, LandingText.SUBSCRIBED, nodes="motors")
+    put(app, replace(WORDS, ledger=delivered, audience=Audience(1, ("motors",))))
+    await shown(pilot, HearingText.HEARD, nodes="motors")
     await shown(pilot, PublishText.PUBLISHED, sign="✓", topic="/words")
     result, report = str(app.screen.query_one(".call-state", Static).render()).splitlines()
     assert says(result, PublishText.PUBLISHED, sign="✓", topic="/words")
     assert "motors" in report
+    assert app.screen.query_one(".call-state").has_class("-ok")
+
+
+@pytest.mark.parametrize(("here", "look"), [(Audience(2), "-slow"), (Audience(), "-down")])
+@on()
+async def test_the_form_warns_of_deaf_subscribers(
+    app: ConsoleApp, pilot: Pilot[None], here: Audience, look: str
+) -> None:
+    await until(pilot, lambda: message(app), "the message")
+    engine_of(app).published = [structs.replace(TAKEN, audience=here)]
+    await publish(app, pilot)
+    deaf = Deaf("/base", "qos_incompatible", "no way")
+    delivered = replace(WORDS.ledger, delivered=WORDS.ledger.delivered + 1)
+    put(app, replace(WORDS, ledger=delivered, audience=Audience(0, (), (deaf,))))
+    await shown(pilot, HearingText.NOT_HEARD, node="/base", reason="no way")
+    assert app.screen.query_one(".call-state").has_class(look)

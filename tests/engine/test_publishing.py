@@ -28,7 +28,7 @@ from tests.support.wording import pattern, says
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.topic_rules import TopicMistake
-from rsb_bridge.engine.publishing import AT_ONCE, TOPICS, PublishProblem
+from rsb_bridge.engine.publishing import AT_ONCE, MATCHED_WITHIN, TOPICS, PublishProblem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import (
     ActingOperator,
@@ -96,7 +96,7 @@ def test_nodes_of_this_side_get_it(bridge: Bridge, robot: Domain) -> None:
     client = bridge.client()
     for topic, listener in heard.items():
         published = publish(client, "data: here", topic)
-        assert (published.type_name, published.nodes, published.links) == (STRING, 1, ())
+        assert (published.type_name, published.audience.count, published.links) == (STRING, 1, ())
         if listeners[topic] is BEST_EFFORT:  # it misses what comes before it has heard of the publisher
             eventually(lambda listener=listener: listener.matched)
             publish(client, "data: again", topic)
@@ -369,6 +369,53 @@ def test_a_topic_is_driven_whose_type_only_the_robot_knows(
     eventually(lambda: speeds(motors)[-1] == 0.0)
 
 
+DEAF_BASES = {
+    "latched": (Twist, LATCHED, "qos_incompatible"),
+    "deadline": (Twist, QoSProfile(depth=10, deadline=Duration(seconds=1)), "qos_incompatible"),
+    "type": (TwistStamped, RELIABLE, "type_conflict"),
+}
+
+
+@pytest.mark.usefixtures("long_lease")
+@pytest.mark.parametrize(("kind", "qos", "cause"), DEAF_BASES.values(), ids=DEAF_BASES)
+def test_a_base_that_cannot_hear_is_not_driven(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, kind: type, qos: QoSProfile, cause: str
+) -> None:
+    base = robot.listener("/cmd", kind, qos)
+    server, client = driven(bridge, pc, consoles)
+    landing = Landing("/cmd", now(server))
+    eventually(lambda: drive(server, 0.1).links)
+    eventually(lambda: landing.is_settled(now(server), ("robot1",)))
+    (landed,) = landing.reports(now(server), ("robot1",))
+    assert not landed.is_heard
+    for engine in (server, client):
+        heard = eventually(lambda engine=engine: each if (each := route(engine, "/cmd").audience).deaf else None)
+        assert (heard.count, heard.nodes) == (0, ())
+        assert [(each.node, each.cause) for each in heard.deaf] == [("/stock", cause)]
+        arming = route(engine, "/cmd").arming
+        assert arming is not None
+        assert arming.velocity in (None, (0.0, 0.0))
+    eventually(lambda: route(server, "/cmd").cause == cause)
+    assert not base.payloads
+
+
+@pytest.mark.parametrize("bridged", [True, False])
+def test_a_message_names_who_cannot_hear_it(bridge: Bridge, robot: Domain, pc: Domain, bridged: bool) -> None:
+    robot.publisher("/words")  # its QoS is taken
+    deaf = robot.listener("/words", qos=LATCHED)
+    client = bridge.both(Topic("/words", "transmit"))[1] if bridged else bridge.client()
+    eventually(lambda: {each.subscriptions for each in client.topics().result(30) if each.topic == "/words"} == {1})
+    began = time.monotonic()
+    heard = publish(client, "data: hello", "/words", type_name=STRING).audience
+    assert time.monotonic() - began < MATCHED_WITHIN, "it does not wait for who cannot hear it"
+    assert (heard.count, heard.nodes) == (0, ())
+    assert [(each.node, each.cause) for each in heard.deaf] == [("/stock", "qos_incompatible")]
+    assert not deaf.payloads
+    hears = robot.listener("/words")
+    eventually(lambda: publish(client, "data: hello", "/words").audience.count == 1)
+    eventually(lambda: hears.payloads)
+
+
 @pytest.mark.usefixtures("long_lease")
 def test_a_motion_that_nobody_goes_on_with_ends_with_a_new_stamp(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
@@ -423,10 +470,10 @@ def test_another_operators_message_leaves_the_rest(
 
     eventually(passes_during_the_motion)
     eventually(lambda: changes(motors)[-3:] == [0.1, 0.2, 0.0])
-    eventually(lambda: landing.is_known(now(server), links) and route(server, "/cmd").subscribers)
-    ((landed, report),) = landing.reports(now(server), links)
-    assert landed
-    assert says(report, LandingText.DELIVERED)
+    eventually(lambda: landing.is_known(now(server), links) and route(server, "/cmd").audience.nodes)
+    (landed,) = landing.reports(now(server), links)
+    assert landed.is_heard
+    assert says(landed.text, LandingText.DELIVERED)
 
 
 @pytest.mark.usefixtures("long_lease")
@@ -651,7 +698,7 @@ def test_a_draft_has_the_fields_of_a_message_that_passes_or_the_types_defaults(
     fields = yaml.safe_load(draft.fields)
     assert not draft.is_last
     assert (fields["header"]["stamp"], fields["pose"]["orientation"]["w"]) == ("now", 1.0)
-    assert publish(client, draft.fields, "/nobody", type_name=draft.type_name).nodes == 0
+    assert publish(client, draft.fields, "/nobody", type_name=draft.type_name).audience.count == 0
 
 
 def test_the_type_of_the_other_sides_subscription_is_taken(bridge: Bridge, pc: Domain) -> None:

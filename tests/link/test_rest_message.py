@@ -344,7 +344,7 @@ def test_a_robot_rests_though_the_other_side_s_publishers_have_changed_since_it_
 
 def move_by_hand(driven: Driven, qos: Qos) -> None:
     driven.half.rest.prepare(TopicSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, qos))
-    driven.half.rest.moved_by_hand(MOVES)
+    driven.half.rest.moved_by_hand(MOVES, driven.robot.voices[-1])
 
 
 def test_a_robot_that_a_hand_beside_it_has_moved_rests_though_a_node_came_on_the_other_side(
@@ -552,6 +552,14 @@ def test_the_velocity_that_the_robot_has_is_reported(driven: Driven, monkeypatch
     assert len(soon) == 2
     by_an_operator(driven, 0)
     assert len(soon) == 3
+    assert driven.half.velocity == (0.0, 0.0)
+
+
+def test_a_velocity_nobody_hears_is_not_reported(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert driven.half.velocity == (0.2, 0.5)
+    monkeypatch.setattr(Voice, "subscriber_count", 0)
+    assert driven.half.velocity is None
+    driven.drive(RESTS)
     assert driven.half.velocity == (0.0, 0.0)
 
 

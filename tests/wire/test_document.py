@@ -26,6 +26,7 @@ STRUCTS = {
     "SentReport": records.SentReport,
     "ReceivedReport": records.ReceivedReport,
     "Verdict": records.VerdictRecord,
+    "Deaf": records.DeafRecord,
     "Full": records.FullRecord,
     "Path": records.PathRecord,
     "LaneEntry": records.LaneEntry,

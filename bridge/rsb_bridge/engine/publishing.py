@@ -36,6 +36,7 @@ from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peeking import PeekError
 from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.topic_verdict import audience, mismatch
 from rsb_bridge.wire.messages import ByHand
 
 if TYPE_CHECKING:
@@ -55,8 +56,8 @@ ENDS_AFTER = 10.0
 """s without a message after which a publisher is closed. A round figure: a message that comes earlier does not wait for
 discovery again."""
 MATCHED_WITHIN = 3.0
-"""s in which subscriptions and routes have to find a new publisher. A round figure: a subscription whose QoS never
-matches delays the first message by so much."""
+"""s in which subscriptions and routes have to find a new publisher. A round figure: a subscription that DDS never
+matches, though type and QoS fit, delays the first message by so much."""
 _LOOK_EVERY = 0.02
 """s between two looks for that: this side's ROS interface tells of no match. A round figure."""
 _RESOLVE_EVERY = 2.0
@@ -124,12 +125,15 @@ class _Publication:
         commands: how many are being published, by operator.
         operators: who publish, and when each did last.
         rest: the message that ends the motion, or None if nobody drives.
+        subscriptions: of other nodes, as of `looked_at` (s).
     """
 
     def __init__(self) -> None:
         self.turn = asyncio.Lock()
         self.commands: Counter[str] = Counter()
         self.used_at = self.resolved_at = 0.0
+        self.looked_at = float("-inf")
+        self.subscriptions: Sequence[Endpoint] = ()
         self.resolved: TopicSpec | None = None
         self.publisher: Publisher | None = None
         self.count = 0
@@ -221,6 +225,9 @@ class Publishing:
         payload = await self._serialize(resolved, command.fields)
         rest = await self._serialize(resolved, command.rest) if driven else b""
         self._within_limits(command, resolved.type_name, self._routes(topic), (payload, rest))
+        if context.now() - publication.looked_at > _RESOLVE_EVERY:
+            publication.subscriptions = await asyncio.to_thread(context.ros.subscriptions, topic)
+            publication.looked_at = context.now()
         await self._open(publication, resolved)
         assert publication.publisher is not None
         # Nothing is awaited from here on.
@@ -236,7 +243,7 @@ class Publishing:
             each.prepare(resolved)
         publication.publisher.publish(payload)
         for each in rests:
-            each.moved_by_hand(payload)
+            each.moved_by_hand(payload, publication.publisher)
         if driven:
             # Else the timer of the command before ends the motion that goes on.
             publication.take_rest()
@@ -245,7 +252,9 @@ class Publishing:
         taking = [route for route in _outgoing(routes) if route.flowing and route.takes(publication.publisher.gid)]
         self._record(publication, topic, command.fields, taking)
         links = tuple(sorted({route.peer.name for route in taking}))
-        return Published(True, self._ticket(), resolved.type_name, publication.publisher.subscriber_count, links)
+        count = publication.publisher.subscriber_count
+        heard = audience(resolved.type_name, resolved.qos, publication.subscriptions, count)
+        return Published(True, self._ticket(), resolved.type_name, heard, links)
 
     def _rest(self, publication: _Publication, topic: str) -> None:
         """Publish the message that ends a motion. Nothing of it crosses after the arming of the motion has ended."""
@@ -482,7 +491,7 @@ class Publishing:
             endpoint = Endpoint(f"/{ros.node_name}", *resolved[1:], publisher.gid)
             # As a node's, so that routes take its messages.
             self._context.announcements.announce(topic, self, endpoint, Origin(()))
-            await self._found(publisher, topic)
+            await self._found(publisher, resolved, publication.subscriptions)
         # Also if the command is cancelled meanwhile.
         except BaseException:
             self._withdraw(publisher)
@@ -490,12 +499,12 @@ class Publishing:
         self._close(publication)
         publication.publisher, publication.resolved = publisher, resolved
 
-    async def _found(self, publisher: Publisher, topic: str) -> None:
-        """Wait until subscriptions and routes have found a publisher, or for some time."""
+    async def _found(self, publisher: Publisher, spec: TopicSpec, subscriptions: Iterable[Endpoint]) -> None:
+        """Wait until subscriptions that can hear a publisher, and routes, have found it, or for some time."""
         began = self._context.now()
-        expected = len(await asyncio.to_thread(self._context.ros.subscriptions, topic))
+        expected = sum(mismatch(spec.type_name, spec.qos, each) is None for each in subscriptions)
         while self._context.now() - began < MATCHED_WITHIN:
-            if publisher.subscriber_count >= expected and not self._awaited(topic, publisher.gid):
+            if publisher.subscriber_count >= expected and not self._awaited(spec.topic, publisher.gid):
                 return
             await asyncio.sleep(_LOOK_EVERY)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
+from rsb_bridge.model.audience import NOBODY, Audience
 from rsb_bridge.model.limits import SPEED, TURN_RATE
 
 if TYPE_CHECKING:
@@ -50,14 +51,14 @@ class Published(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes:
         is_done: whether the message was published. If not, the command had no valid ticket: repeat it with this one.
         ticket: for the next message.
-        nodes: subscriptions of other nodes in this domain that it reached.
+        audience: the subscriptions in this domain.
         links: names of the links that take it to the other side.
     """
 
     is_done: bool
     ticket: int = 0
     type_name: str = ""
-    nodes: int = 0
+    audience: Audience = NOBODY
     links: tuple[str, ...] = ()
 
 

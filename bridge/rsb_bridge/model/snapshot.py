@@ -7,6 +7,7 @@ from enum import StrEnum
 
 import msgspec
 
+from rsb_bridge.model.audience import NOBODY, Audience
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.capacity import Capacity, Fullness
@@ -192,7 +193,8 @@ class ArmingSnapshot:
         on_end: what the robot gets when the arming ends: ``zero``, ``none``, or a message as JSON; of what is no topic,
             and while the type is unknown, empty.
         velocity: that the robot's side has given the robot last: forward in m/s, and turn in rad/s; both are 0 after
-            the end of an arming. None if it is unknown, as of types that are not Twist or TwistStamped.
+            the end of an arming. None if nobody hears it, or it is unknown, as of types that are not Twist or
+            TwistStamped.
         asked_by: the operator who asks the holder for it, or empty.
         goes_in: s until it goes over to that operator without an answer, or None if nobody asks.
     """
@@ -254,7 +256,8 @@ class RouteSnapshot:
         from_peer: whether the other side reports the state.
         since: s since the epoch, the beginning of this state and cause, as far as this process knows.
         publishers: known nodes that publish it on the sending side.
-        subscribers: known nodes that subscribe to it on the receiving side.
+        subscribers: known nodes that subscribe to it on the receiving side, whether they hear it or not.
+        audience: the subscriptions on the receiving side; empty of what is no topic.
         arming: whether it is armed, or None if arming is not required.
         allowed_rate: Hz that the rights of the two sides allow, or None for any rate.
         calls: its calls, which `rate`, `history` and `age` then count, or None for a topic.
@@ -303,6 +306,7 @@ class RouteSnapshot:
     since: float = 0.0
     publishers: tuple[str, ...] = ()
     subscribers: tuple[str, ...] = ()
+    audience: Audience = NOBODY
     arming: ArmingSnapshot | None = None
     allowed_rate: float | None = None
     calls: CallsSnapshot | None = None

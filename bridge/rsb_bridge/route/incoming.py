@@ -13,17 +13,18 @@ from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.cdr.description import CompareTypes, TypeClash, TypeVersion, unknown_difference
 from rsb_bridge.cdr.known_types import CLOCK
 from rsb_bridge.channel.channel import Counts, ReceivingChannel
+from rsb_bridge.model.audience import NOBODY, Audience
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
-from rsb_bridge.model.qos import AUTO_DEPTH, clashes, incompatible, match_subscriptions, parts_of_lease
+from rsb_bridge.model.qos import AUTO_DEPTH, match_subscriptions, parts_of_lease
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import type_hint
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
-from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
+from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import CAUSES, reported_ledger
@@ -33,12 +34,12 @@ from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
 from rsb_bridge.route.source_publishers import SlowSubscriberError, SourcePublishers, bounded
 from rsb_bridge.route.topic_route import Signs, TopicRoute
-from rsb_bridge.route.topic_verdict import TopicProgress
+from rsb_bridge.route.topic_verdict import TopicProgress, audience
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready, Refuse
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.records import ReceivedReport, SentReport
+from rsb_bridge.wire.records import DeafRecord, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     import asyncio
@@ -141,8 +142,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._sender_ledger = Ledger()
         self._offered: Qos | None = None  # by the publishers here
         self._subscriber_qos: Qos | None = None
-        self._clash = ""
-        self._subscribers = 0
+        self._audience = NOBODY
         self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
         self._others: Collection[Endpoint] = ()  # publishers here, if a subscription does not match
         self._clocks: frozenset[str] = frozenset()  # further sources of a clock
@@ -289,29 +289,26 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if self.life.accepted and self.channel is None:
             # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
             self.peer.open_channel(self)
-        before, self._subscribers = self._subscribers, self.outputs.subscriber_count
-        now = self.context.now()
-        if self._subscribers:
+        matched, now = self.outputs.subscriber_count, self.context.now()
+        if matched:
             self._unmatched_since = None
-        if self._subscribers and self._subscribers == before and now - self._asked_at < _ASKED_EVERY:
+        if matched and matched == self._audience.count and now - self._asked_at < _ASKED_EVERY:
             return  # the same ones, most likely: to ask for them costs too much to do so at every change of the graph
         self._asked_at = now
         self.endpoints = self.ends.subscriptions(self.remote_topic)
         if not self.endpoints:
             self._unmatched_since = None
-        elif not self._subscribers and self._unmatched_since is None:
+        elif not matched and self._unmatched_since is None:
             self._unmatched_since = now
         requested = [endpoint.qos for endpoint in self.endpoints]
         self._subscriber_qos = match_subscriptions(requested) if requested else None
-        self._clash, self._others = "", ()
         if self._offered is None:
             return
-        if any(clashes(self._offered, qos) for qos in requested):
-            # Only then: it searches the graph, and only a clash needs the result.
-            self._others = tuple(self.ends.publishers(self.remote_topic))
+        self._audience = audience(self.type_name, self._offered, self.endpoints, matched)
+        # Only then: it searches the graph, and only a clash needs the result.
+        clash = any(each.cause == Cause.QOS_INCOMPATIBLE for each in self._audience.deaf)
+        self._others = tuple(self.ends.publishers(self.remote_topic)) if clash else ()
         self._clocks = self._further_clocks() if self.type_name == CLOCK else frozenset()
-        if not self._subscribers:
-            self._clash = next((clash for qos in requested if (clash := incompatible(self._offered, qos))), "")
 
     def _further_clocks(self) -> frozenset[str]:
         nodes = {each.node for each in self.ends.publishers(self.remote_topic) if each.type_name == CLOCK}
@@ -404,7 +401,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             began: s, when they arrived.
         """
         self._delivered += count
-        if (rest := self.rest.message) is not None and self.arming.required and rest.moved(last):
+        if (rest := self.rest.message) is not None and self.arming.required and rest.moved(last, self.outputs):
             self.peer.report_soon(self)
         latency = None if (offset := self.peer.stamps.offset) is None else took + offset
         if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
@@ -485,7 +482,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self.lateness.judge(recent, uncertainty, self.late_after, now, recent, learns=self.learns)
 
     def _signs(self) -> Signs:
-        return *super()._signs(), self._report, self._subscribers, self._clash, self._others, self._clocks
+        return *super()._signs(), self._report, self._audience, self._others, self._clocks
 
     def _changes_at(self, shown: Verdict, now: float) -> float:
         return now if self._sender_ledger.in_flight else super()._changes_at(shown, now)
@@ -555,7 +552,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             incomplete=counts.incomplete,
             newest=self._received + counts.lost if counts.newest is None else counts.newest,
             dropped=dict(self._dropped),
-            subscribers=self._subscribers,
+            subscribers=self._audience.count,
             subscriber_qos=self._subscriber_qos,
             type=self._hint[0],
             type_hash=self._hint[1],
@@ -564,7 +561,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,
             verdict=record_of(self.verdict()),
-            nodes=node_names(self.endpoints),
+            nodes=self._audience.nodes,
+            deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in self._audience.deaf),
             came_before=self.came_before,
             malformed=self._malformed,
             velocity=self.velocity if self.arming.required else None,
@@ -572,6 +570,9 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def progress(self) -> TopicProgress:
         report, peer = self._report if self._is_reported else None, self.judged.peer
+        # One that matches no subscription at all.
+        deaf = () if self._audience.count else self._audience.deaf
+        clash = next((each.reason for each in deaf if each.cause == Cause.QOS_INCOMPATIBLE), "")
         return TopicProgress(
             self.endpoints,
             publishers=report.publishers if report else None,
@@ -579,7 +580,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             type_name=self.type_name,
             qos=self._offered,
             why_unresolved=peer.text,
-            clash=self._clash or (peer.text if peer.cause == Cause.QOS_INCOMPATIBLE else ""),
+            clash=clash or (peer.text if peer.cause == Cause.QOS_INCOMPATIBLE else ""),
             subscribed=report is not None and report.subscribed,
             subscribe_failed=self._failure,
             unmatched=self._is_unmatched,
@@ -588,8 +589,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             published=self._delivered,
             kept=self.has_kept,
             undelivered="" if self._received else self.notices.undelivered,
-            subscribers=self._subscribers,
-            deaf=self.endpoints,
+            subscribers=self._audience.count,
+            deaf=self._audience.deaf,
             others=self._others,
             clocks=self._clocks,
         )
@@ -615,8 +616,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         peer = self.judged.peer
         return peer.text if peer.cause == Cause.SUBSCRIBE_FAILED else ""
 
-    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        return self._report.nodes if self._report else (), node_names(self.endpoints)
+    def end_nodes(self) -> tuple[tuple[str, ...], Audience]:
+        return self._report.nodes if self._report else (), self._audience
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._report.publisher_qos if self._report else None, self._subscriber_qos

@@ -13,6 +13,7 @@ import msgspec
 
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.channel.channel import SendingChannel
+from rsb_bridge.model.audience import NOBODY, Audience, Deaf
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.verdict import Cause
@@ -505,8 +506,12 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._resolver.publisher_qos, self._report.subscriber_qos if self._report else None
 
-    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        return node_names(self.endpoints), self._report.nodes if self._report else ()
+    def end_nodes(self) -> tuple[tuple[str, ...], Audience]:
+        publishers, report = node_names(self.endpoints), self._report
+        if report is None:
+            return publishers, NOBODY
+        deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)
+        return publishers, Audience(max(0, report.subscribers), report.nodes, deaf)
 
     def progress(self) -> TopicProgress:
         report, unresolved = self._report, self._resolver.unresolved
@@ -530,7 +535,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             kept=self.has_kept,
             undelivered=self.notices.undelivered,
             subscribers=report.subscribers if report else None,
-            deaf=report.nodes if report else (),
+            deaf=report.deaf if report else (),
         )
 
     @property

@@ -29,8 +29,12 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
-    from rsb_bridge.ros.ros_interface import TopicSpec
+    from rsb_bridge.ros.ros_interface import Publisher, TopicSpec
     from rsb_bridge.route.arming import Arming
+    from rsb_bridge.route.source_publishers import SourcePublishers
+
+    Mover = Publisher | SourcePublishers
+    """What has published a message that moves the robot."""
 
 EVERY = 0.1
 """s from one rest to the next. A subscription that asks for best effort may miss one."""
@@ -55,9 +59,6 @@ class RestMessage:
         on_end: ``zero``, or a message as JSON.
         failed: is called with the reason if it cannot be published.
         overdue: is called when a velocity has held for too long, to begin the rest.
-
-    Attributes:
-        velocity: of the newest message of this route and its rest, or None if that is not known.
 
     Raises:
         RosError: there can be no publisher for it, or its type is not installed.
@@ -84,7 +85,7 @@ class RestMessage:
         self._overdue = overdue
         self._holds_until = 0.0
         self._timer: asyncio.TimerHandle | None = None
-        self.velocity: Velocity | None = None
+        self._velocity: Velocity | None = None
         self._last: bytes | None = None  # of the messages of the present arming
         self._under_way: asyncio.Task[None] | None = None
         self._is_wanted = True
@@ -96,15 +97,24 @@ class RestMessage:
         except RosError:
             self._publisher.close()
             raise
+        self._mover: Mover = self._publisher
 
-    def moved(self, message: bytes) -> bool:
+    @property
+    def velocity(self) -> Velocity | None:
+        """The velocity of the newest message or rest, or None if it is unknown or nobody hears it."""
+        return None if self._is_moving and not self._mover.subscriber_count else self._velocity
+
+    def moved(self, message: bytes, mover: Mover) -> bool:
         """Note the newest message that this route, or an operator of this side by its arming, has published.
+
+        Args:
+            mover: has published it.
 
         Returns:
             Whether the robot begins or ceases to move by it.
         """
-        was_moving, self.velocity = self._is_moving, velocity_of(self.spec.type_name, message)
-        self._last = message
+        was_moving, self._velocity = self._is_moving, velocity_of(self.spec.type_name, message)
+        self._last, self._mover = message, mover
         self._context.moved_by[self.spec.topic] = self
         self.stop()
         self._hold()
@@ -122,7 +132,7 @@ class RestMessage:
         # A rest is made from the last message, so that must have the same type.
         if before.spec.type_name != self.spec.type_name:
             return
-        self._last, self.velocity = before._last, before.velocity
+        self._last, self._velocity, self._mover = before._last, before._velocity, before._mover
         if self._context.moved_by.get(self.spec.topic) is before:
             self._context.moved_by[self.spec.topic] = self
             self._hold()
@@ -148,7 +158,7 @@ class RestMessage:
 
     @property
     def _is_moving(self) -> bool:
-        return self.velocity is not None and any(self.velocity)
+        return self._velocity is not None and any(self._velocity)
 
     def stop(self) -> None:
         """Publish no more rests: a message has passed."""
@@ -216,7 +226,7 @@ class RestMessage:
             else:
                 rest = stamped(self.spec.type_name, rest, self._context.wall_ns())
             self._publisher.publish(rest)
-            self.velocity = velocity_of(self.spec.type_name, rest)
+            self._velocity, self._mover = velocity_of(self.spec.type_name, rest), self._publisher
         except (RosError, FieldError) as error:
             self._failed(f"the robot may still move: no rest is published: {error}")
             return False
@@ -288,10 +298,10 @@ class RestAfterArming:
         self.close()
         self.message = rest
 
-    def moved_by_hand(self, message: bytes) -> None:
+    def moved_by_hand(self, message: bytes, mover: Mover) -> None:
         """Note a message that an operator of this side has published by the route's arming, after `prepare`."""
         if self.message is not None:
-            self.message.moved(message)
+            self.message.moved(message, mover)
 
     def close(self) -> None:
         """Have no rest any more; one that is being published goes on."""
@@ -307,6 +317,6 @@ def _resting(spec: TopicSpec) -> TopicSpec:
 
 
 def velocity_on(context: Context, topic: str) -> Velocity | None:
-    """Return the velocity that this bridge has published last on a topic of its domain, or None if it is unknown."""
+    """Return the velocity that this bridge has published last on a topic of its domain, as `RestMessage.velocity`."""
     mover = context.moved_by.get(topic)
     return mover.velocity if isinstance(mover, RestMessage) else None

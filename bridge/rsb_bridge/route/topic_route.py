@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
+    from rsb_bridge.model.audience import Audience
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Stage
@@ -235,8 +236,8 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Return the QoS that the original publishers offer, and the QoS that the final subscriptions request."""
         raise NotImplementedError
 
-    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the nodes of the original publishers, and the nodes of the final subscriptions."""
+    def end_nodes(self) -> tuple[tuple[str, ...], Audience]:
+        """Return the nodes of the original publishers, and the final subscriptions."""
         raise NotImplementedError
 
     # --- what is the same for both
@@ -466,7 +467,7 @@ class TopicRoute(Route, Generic[ChannelT]):
     def snapshot(self) -> RouteSnapshot:
         """The route as it is now."""
         publisher_qos, subscriber_qos = self.end_qos()
-        publishers, subscribers = self.end_nodes()
+        publishers, audience = self.end_nodes()
         return self.common_snapshot()(
             qos=self.qos,
             publisher_qos=publisher_qos,
@@ -476,5 +477,6 @@ class TopicRoute(Route, Generic[ChannelT]):
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,
             publishers=publishers,
-            subscribers=subscribers,
+            subscribers=audience.subscribers,
+            audience=audience,
         )

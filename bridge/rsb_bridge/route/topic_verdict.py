@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.qos import clashes, incompatible
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import join_first
+from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, as_known, first_missing, link_and_acceptance, stage, worst
+from rsb_bridge.route.combined_verdict import NODES, node_names
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
 
@@ -45,6 +48,8 @@ NOT_MATCHED = (
 """Verbs for one silent publisher, and for several."""
 _NAMED = 3
 """Nodes that a sentence names."""
+_REASON_LENGTH = 200
+"""Characters for which a node is deaf: a report to the other side has room for hundreds of routes."""
 
 _SILENCE = frozenset({Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE})
 _NO_TYPE = frozenset({Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT})
@@ -93,7 +98,7 @@ class TopicProgress(NamedTuple):
             received, or empty.
         subscribers: subscriptions on the receiving side that DDS has matched, which may be known before their nodes
             are, or None if their number is unknown.
-        deaf: the subscribers, if they do not match.
+        deaf: some of the subscribers that do not match.
         others: on the receiving side, other publishers of the topic, if a subscription does not match.
         clocks: on the receiving side, if it is a clock, the nodes and links that publish it besides this link.
     """
@@ -168,6 +173,56 @@ class Facts(NamedTuple):
     loss_unexplained: bool = False
     loss_of_full_link: bool = False
     shown_cause: str = ""
+
+
+class DeafText(Wording):
+    """Reasons why DDS does not match a subscription with a publisher."""
+
+    TYPE = "its type is {asked}, not {offered}: correct it"
+    QOS = "it asks for {asked}, offered is {offered}: change its QoS"
+    UNMATCHED = "DDS does not match it: check its other policies, partition and security"
+
+
+class Mismatch(NamedTuple):
+    """What keeps a subscription from hearing a publisher.
+
+    Attributes:
+        cause: `Cause.TYPE_CONFLICT` or `Cause.QOS_INCOMPATIBLE`.
+        offered: the publisher's type, or its policies that do not suffice.
+        asked: the subscription's, in the same order.
+    """
+
+    cause: Cause
+    offered: tuple[str, ...]
+    asked: tuple[str, ...]
+
+
+def mismatch(type_name: str, offered: Qos, subscription: Endpoint) -> Mismatch | None:
+    """Return what keeps a subscription from hearing a publisher of a type and a QoS, or None if DDS matches them."""
+    if subscription.type_name != type_name:
+        return Mismatch(Cause.TYPE_CONFLICT, (type_name,), (subscription.type_name,))
+    found = clashes(offered, subscription.qos)
+    return Mismatch(Cause.QOS_INCOMPATIBLE, *zip(*found, strict=True)) if found else None
+
+
+def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], count: int) -> Audience:
+    """Return who hears a publisher of a type and a QoS.
+
+    Args:
+        count: subscriptions that DDS has matched with it. DDS does not say which.
+    """
+    hearing: list[Endpoint] = []
+    deaf: set[tuple[str, str, str]] = set()
+    for each in subscriptions:
+        if (why := mismatch(type_name, offered, each)) is not None:
+            text = DeafText.TYPE if why.cause is Cause.TYPE_CONFLICT else DeafText.QOS
+            reason = text(asked=", ".join(why.asked), offered=", ".join(why.offered))
+            deaf.add((each.node, why.cause.value, sanitize_text(reason, _REASON_LENGTH)))
+        elif not count:
+            deaf.add((each.node, Cause.NONE.value, DeafText.UNMATCHED()))
+        else:
+            hearing.append(each)
+    return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
 
 
 def judge(facts: Facts) -> Verdict:
@@ -479,21 +534,21 @@ def _subscribers(facts: Facts) -> Verdict | None:
     progress, qos = facts.progress, facts.progress.qos
     if facts.status.sends or qos is None or not (progress.described and progress.type_name):
         return None
-    if others := [each for each in progress.endpoints if each.type_name != progress.type_name]:
+    deaf = {each: why for each in progress.endpoints if (why := mismatch(progress.type_name, qos, each)) is not None}
+    if others := [each for each, why in deaf.items() if why.cause is Cause.TYPE_CONFLICT]:
         carries = f"{facts.status.topic} carries {progress.type_name}"
         text = f"{types_and_nodes(others)}, but {carries}: correct the subscription"
         return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
-    for each in progress.endpoints:
-        if found := clashes(qos, each.qos):
-            alike = [other for other in progress.endpoints if clashes(qos, other.qos) == found]
-            offer, asked = zip(*found, strict=True)
-            who = _plural(alike, "asks", "ask", "subscriptions")
-            text = (
-                f"{who} for {', '.join(asked)}, but {facts.status.topic} is published with "
-                f"{', '.join(offer)}{_hears_instead(progress, alike)}: "
-                "change the QoS of the subscription, or of the publishers and this topic"
-            )
-            return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
+    if deaf:
+        first = next(iter(deaf.values()))
+        alike = [each for each, why in deaf.items() if why == first]
+        who = _plural(alike, "asks", "ask", "subscriptions")
+        text = (
+            f"{who} for {', '.join(first.asked)}, but {facts.status.topic} is published with "
+            f"{', '.join(first.offered)}{_hears_instead(progress, alike)}: "
+            "change the QoS of the subscription, or of the publishers and this topic"
+        )
+        return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
     if progress.unmatched and facts.status.came:
         return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(progress.endpoints, *NOT_MATCHED, "subscriptions"))
     if not progress.endpoints and not progress.subscribers and facts.status.came:

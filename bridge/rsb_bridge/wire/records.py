@@ -122,6 +122,17 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         check_qos(self.publisher_qos)
 
 
+class DeafRecord(msgspec.Struct, frozen=True):
+    """A subscription that does not hear the receiving side's publishers (`rsb_bridge.model.audience.Deaf`)."""
+
+    node: Name
+    cause: Name
+    reason: Reason
+
+
+DeafNodes: TypeAlias = Annotated[tuple[DeafRecord, ...], Meta(max_length=16)]
+
+
 class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The receiving side's counts of one incarnation of a route.
 
@@ -131,13 +142,15 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         expired: datagram messages given up incomplete.
         incomplete: datagram messages that wait for fragments.
         newest: the highest message number seen on datagrams; on streams, the messages that came or were lost.
-        subscriber_qos: their combined request, or None without subscribers.
+        subscribers: subscriptions that DDS has matched.
+        subscriber_qos: the combined request of all subscriptions, or None without any.
         type: the topic's type in the receiver's graph, while the sender has described none.
         latency: s, one way, of the last second's messages, corrected by the clock offset, or None without a figure.
         latency_p50: s, one way, of the last messages, or None without a figure.
         latency_p99: s, one way, of the last messages, or None without a figure.
         jitter: s (RFC 3550, 6.4.1), or None without a figure.
-        nodes: some of the nodes that subscribe to the topic.
+        nodes: some of the nodes that hear the topic.
+        deaf: some of the other subscriptions.
         came_before: whether messages came in an earlier incarnation, and none in this one.
         malformed: the field of the last malformed message, and what is wrong with it, or empty.
         velocity: that this side has published last on an armed topic: forward in m/s, and turn in rad/s; None if it is
@@ -161,6 +174,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     jitter: float | None = None
     verdict: VerdictRecord | None = None
     nodes: NodeNames = ()
+    deaf: DeafNodes = ()
     came_before: bool = False
     malformed: Reason = ""
     velocity: tuple[float, float] | None = None

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
+from msgspec.structs import asdict
+
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.by_hand import END_NONE, END_ZERO, LONGEST_REST, OLD_AFTER, REST_AFTER
 from rsb_bridge.model.clock import Clock
@@ -13,14 +15,17 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, done, fields_from, given_at, result
-from rsb_console.session.manual_messages import REPORTED_WITHIN, TRIES, ByHandText, Landing
+from rsb_console.session.manual_messages import REPORTED_WITHIN, TRIES, ByHandText, Landing, hearing
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Iterable
 
     from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.model.audience import Audience
     from rsb_bridge.model.by_hand import Published
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_console.session.manual_messages import Landed
 
 
 class _End(NamedTuple):
@@ -48,6 +53,7 @@ class PubText(Wording):
     PUBLISHED = "published {count} on {topic} ({type_name}): {subscriptions} here{links}"
     NOT_OVER = "not over the link {link}: {reason}"
     NOBODY = "nobody gets {topic}: it has no subscription here, and no link takes it"
+    HERE = "here: {hearing}"
 
 
 def _pub(arguments: Namespace) -> int:
@@ -75,6 +81,7 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     pause = 1.0 if arguments.rate is None else 1 / arguments.rate
     count, due, ticket = 0, given_at(arguments), 0
     last: Published | None = None
+    told = False
     landing = Landing(arguments.topic, engine.snapshot())
     while limit is None or count < limit:
         end = _end(engine.snapshot(), arguments.topic, pause) if arguments.rate else _NO_END
@@ -84,13 +91,16 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
         count, ticket = count + 1, last.ticket
         if count == 1 and limit != 1 and not arguments.json:
             _print(engine, arguments, last, count)
+        if limit is None and not told and not arguments.json and landing.is_settled(engine.snapshot(), last.links):
+            told = True
+            _print_landed(landing.reports(engine.snapshot(), last.links))
         # Messages that a stall has delayed are not made up for: a robot would get many at once.
         due = max(due + pause, Clock.steady())
         if count != limit:
             time.sleep(max(0.0, due - Clock.steady()))
     assert last is not None
-    heard = bool(last.nodes or last.links)
     landed = _landed(engine, landing, last.links)
+    heard = last.audience.count > 0 or any(each.is_heard for each in landed)
     if arguments.json:
         missing = [
             {"link": route.link, "state": route.state, "reason": route.reason}
@@ -103,18 +113,31 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
                     "topic": arguments.topic,
                     "type": last.type_name,
                     "count": count,
-                    "subscriptions": last.nodes,
+                    "subscriptions": last.audience.count,
+                    **_hearing(last.audience),
                     "links": last.links,
                     "not_over": missing,
-                    "landed": [{"ok": ok, "report": report} for ok, report in landed],
+                    "landed": [
+                        {"link": each.link, "ok": each.is_heard, "report": each.text, **_hearing(each.audience)}
+                        for each in landed
+                    ],
                 }
             )
         )
     elif limit == 1:
         _print(engine, arguments, last, count)
-    for ok, report in () if arguments.json else landed:
-        (print_line if ok else print_error)(escape_text(report))
+    if not arguments.json:
+        _print_landed(landed)
     return OK if heard else FAILURE
+
+
+def _hearing(audience: Audience) -> dict[str, object]:
+    return {"heard_by": audience.nodes if audience.count else (), "deaf": [asdict(each) for each in audience.deaf]}
+
+
+def _print_landed(landed: Iterable[Landed]) -> None:
+    for each in landed:
+        (print_line if each.is_heard else print_error)(escape_text(each.text))
 
 
 def _end(snapshot: Snapshot, topic: str, pause: float) -> _End:
@@ -154,10 +177,10 @@ def publish(
     raise EngineError(ByHandText.TOO_SLOW(topic=topic))
 
 
-def _landed(engine: RemoteEngine, landing: Landing, links: tuple[str, ...]) -> list[tuple[bool, str]]:
+def _landed(engine: RemoteEngine, landing: Landing, links: tuple[str, ...]) -> list[Landed]:
     """Wait for the other sides' reports on the messages."""
     deadline = Clock.steady() + REPORTED_WITHIN
-    while not landing.is_known(engine.snapshot(), links) and Clock.steady() < deadline:
+    while not landing.is_settled(engine.snapshot(), links) and Clock.steady() < deadline:
         time.sleep(_LOOK_EVERY)
     return landing.reports(engine.snapshot(), links)
 
@@ -170,17 +193,20 @@ def _not_over(engine: RemoteEngine, published: Published, topic: str) -> list[Ro
 
 def _print(engine: RemoteEngine, arguments: Namespace, published: Published, count: int) -> None:
     topic = escape_text(arguments.topic)
-    if published.nodes or published.links:
+    subscriptions = published.audience.count
+    if subscriptions or published.links:
         links = f", and over the link to {escape_text(', '.join(published.links))}" if published.links else ""
-        many = f"{published.nodes} subscription{'' if published.nodes == 1 else 's'}"
+        many = f"{subscriptions} subscription{'' if subscriptions == 1 else 's'}"
         what = "1 message" if count == 1 else f"{count:,} messages"
         print_line(
             PubText.PUBLISHED(
                 count=what, topic=topic, type_name=escape_text(published.type_name), subscriptions=many, links=links
             )
         )
-    else:
+    elif not published.audience.deaf:
         print_error(PubText.NOBODY(topic=topic))
+    if published.audience.deaf:
+        print_error(PubText.HERE(hearing=escape_text(hearing(published.audience))))
     for route in _not_over(engine, published, arguments.topic):
         reason = escape_text(route.reason or route.state.value)
         print_error(PubText.NOT_OVER(link=escape_text(route.link), reason=reason))

@@ -22,6 +22,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.audience import NOBODY
 from rsb_bridge.model.by_hand import smallest_limits
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.names import expand_type_name
@@ -29,7 +30,7 @@ from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ArmScreen, ConfirmScreen
 from rsb_console.screens.take_over import AskHolderScreen
-from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, Landing, velocity
+from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, Landing, hearing, velocity
 from rsb_console.terminal.input_queue import DIALOG, SEEN_AFTER, GuardedScreen, InputGate
 
 if TYPE_CHECKING:
@@ -103,6 +104,7 @@ class DriveText(Wording):
     NOT_WHILE_DETACHED = "keys do nothing while this console is not attached"
     DETACHED = "not attached, so what it has armed disarms by itself: {reason}"
     MOVED = "moves {robots}{round_trip}"
+    HERE = "here: {hearing}"
     IN_HAND = "{link} now: {motion}"
     MOVING = "moving {forward:.2f} m/s{turning}"
     TURNING = ", turning {turn:.2f} rad/s"
@@ -294,6 +296,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         self._asking: Future[None] | None = None
         self._asker, self._asked_since = "", 0.0
         self._links: tuple[str, ...] = ()
+        self._audience = NOBODY
         self._landing: Landing | None = None
         self._landed_at = 0.0
         self._reports = ""
@@ -356,7 +359,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
                 reduce=True,
             )
         )
-        self._ticket, self._links = published.ticket, published.links
+        self._ticket, self._links, self._audience = published.ticket, published.links, published.audience
         if self._landing is None and published.is_done:
             self._landing, self._landed_at = Landing(self._route.topic, self.console.snapshot()), time.monotonic()
         self._refusals = 0 if published.is_done else self._refusals + 1
@@ -503,7 +506,10 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         if (now := time.monotonic()) - self._landed_at > _LANDING_LASTS:
             self._landed_at, self._landing = now, Landing(self._route.topic, snapshot)
         elif self._landing.is_known(snapshot, self._links):
-            self._reports = "; ".join(text for _, text in self._landing.reports(snapshot, self._links))
+            # Of a topic that nobody takes to another side, or that somebody here cannot hear.
+            told = not self._links or self._audience.deaf
+            here = [DriveText.HERE(hearing=hearing(self._audience))] if told else []
+            self._reports = "; ".join([*here, *(each.text for each in self._landing.reports(snapshot, self._links))])
             self._landed_at, self._landing = now, Landing(self._route.topic, snapshot)
         return f"{moved}   {self._reports}" if self._reports else moved
 

@@ -18,12 +18,12 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.glyphs import DONE, FAILED
 from rsb_console.screens.dialog import ConfirmScreen, beginning
-from rsb_console.session.manual_messages import REPORTED_WITHIN, Landing, publish
+from rsb_console.session.manual_messages import REPORTED_WITHIN, Landing, hearing, publish
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, FormScreen, Notice, Spec, TextField
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from textual.app import ComposeResult
 
@@ -53,6 +53,7 @@ class PublishText(Wording):
     PUBLISHED = "{sign} published on {topic}: {subscriptions} here{links}"
     OVER_LINKS = ", and over the link to {links}"
     NOBODY = "{sign} nobody gets {topic}: it has no subscription here, and no link takes it{reasons}"
+    HERE = "here: {hearing}"
     UNDER_WAY = "the message before is not published yet"
 
 
@@ -193,36 +194,39 @@ class PublishScreen(FormScreen[Message]):
         except EngineError as error:
             self._show("down", f"{FAILED} {error}")
         else:
-            text = self._show_result(message.topic, published)
+            lines = self._show_result(message.topic, published)
             if published.links:
-                self._show_landing(landing, published.links, text)
+                self._show_landing(landing, published, lines)
         finally:
             self._is_busy = False
 
     @work(group=_LANDING)
-    async def _show_landing(self, landing: Landing, links: tuple[str, ...], text: str) -> None:
+    async def _show_landing(self, landing: Landing, published: Published, lines: Sequence[str]) -> None:
         """Add what the other sides report of a message, which takes them up to a second."""
         for _ in range(round(REPORTED_WITHIN / _LOOK_EVERY)):
-            if landing.is_known(self.console.snapshot(), links):
+            if landing.is_settled(self.console.snapshot(), published.links):
                 break
             await asyncio.sleep(_LOOK_EVERY)
-        reports = landing.reports(self.console.snapshot(), links)
-        look = "ok" if all(ok for ok, _ in reports) else "down"
-        self._show(look, text, *(report for _, report in reports))
+        reports = landing.reports(self.console.snapshot(), published.links)
+        heard = [each.is_heard for each in reports]
+        look = "ok" if all(heard) else "slow" if any(heard) or published.audience.count else "down"
+        self._show(look, *lines, *(each.text for each in reports))
 
-    def _show_result(self, topic: str, published: Published) -> str:
+    def _show_result(self, topic: str, published: Published) -> list[str]:
         """Show a message's way on this side; return it in words."""
-        if published.nodes or published.links:
-            subscriptions = f"{published.nodes} subscription{'' if published.nodes == 1 else 's'}"
+        count, deaf = published.audience.count, published.audience.deaf
+        here = [PublishText.HERE(hearing=hearing(published.audience))] if deaf else []
+        if count or published.links:
+            subscriptions = f"{count} subscription{'' if count == 1 else 's'}"
             links = PublishText.OVER_LINKS(links=", ".join(published.links)) if published.links else ""
             text = PublishText.PUBLISHED(sign=DONE, topic=topic, subscriptions=subscriptions, links=links)
-            self._show("ok", text)
-            return text
+            self._show("slow" if deaf else "ok", text, *here)
+            return [text, *here]
         routes = (each for each in self.console.snapshot().routes if each.outgoing and each.topic == topic)
         reasons = "".join(f"; {each.link}: {each.reason or each.state.value}" for each in routes)
         text = PublishText.NOBODY(sign=FAILED, topic=topic, reasons=reasons)
-        self._show("down", text)
-        return text
+        self._show("down", text, *here)
+        return [text, *here]
 
     def _show(self, look: str, *lines: str) -> None:
         self._state.set_text("\n".join(map(escape_text, lines)))

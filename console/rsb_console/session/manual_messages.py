@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.audience import NOBODY, Audience
 from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
+from rsb_console.look import formats
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -38,11 +40,19 @@ class ByHandText(Wording):
     TOO_SLOW = "not published on {topic}: the bridge answers too slowly, or this console stood still"
 
 
+class HearingText(Wording):
+    """Texts about who hears a message."""
+
+    HEARD = "heard by {nodes}"
+    HEARD_BY_SOME = "heard by {count} of {nodes}"
+    NOT_HEARD = "not heard by {node} ({reason})"
+    NO_SUBSCRIPTION = "no subscription"
+
+
 class LandingText(Wording):
     """Reports on messages by hand at the other side of a link."""
 
-    DELIVERED = "{link}: given to DDS there{age}; {subscribers}"
-    SUBSCRIBED = "subscribed by {nodes}"
+    DELIVERED = "{link}: given to DDS there{age}; {hearing}"
     DROPPED = "{link}: dropped: {cause}"
     UNREPORTED = "{link}: not reported within {seconds:g} s"
     ANSWERED = "{link}: answered by {nodes} {where}, after {seconds:.3g} s"
@@ -69,6 +79,33 @@ async def publish(engine: EngineApi | None, topic: str, fields: str, type_name: 
     raise EngineError(ByHandText.TOO_SLOW(topic=topic))
 
 
+class Landed(NamedTuple):
+    """A report on messages by hand at the other side of a link.
+
+    Attributes:
+        audience: the subscriptions there; empty if no message was given to DDS there, as far as this side knows.
+    """
+
+    link: str
+    text: str
+    audience: Audience = NOBODY
+
+    @property
+    def is_heard(self) -> bool:
+        return self.audience.count > 0
+
+
+def hearing(audience: Audience) -> str:
+    """Return who hears a message, and who does not, for which reason."""
+    found, nodes = [], join_first(audience.nodes, _NODES_NAMED)
+    if audience.count >= len(audience.nodes) > 0:
+        found.append(HearingText.HEARD(nodes=nodes))
+    elif audience.count:
+        found.append(HearingText.HEARD_BY_SOME(count=audience.count, nodes=nodes or "the subscriptions"))
+    found += [HearingText.NOT_HEARD(node=each.node or "a node", reason=each.reason) for each in audience.deaf]
+    return "; ".join(found) or HearingText.NO_SUBSCRIPTION()
+
+
 class Landing:
     """Follows messages that are published from now on.
 
@@ -88,25 +125,30 @@ class Landing:
         """Whether all routes of some links have reported at least one message."""
         return all(self._report(each) for each in self._routes(snapshot) if each.link in links)
 
-    def reports(self, snapshot: Snapshot, links: Collection[str]) -> list[tuple[bool, str]]:
-        """Return whether messages were given to DDS at the end of each route, with a text."""
+    def is_settled(self, snapshot: Snapshot, links: Collection[str]) -> bool:
+        """Whether they have, and know for good who hears it."""
+        reports = [self._report(each) for each in self._routes(snapshot) if each.link in links]
+        return all(each is not None and each.audience.is_settled for each in reports)
+
+    def reports(self, snapshot: Snapshot, links: Collection[str]) -> list[Landed]:
+        """Return what became of messages at the end of each route."""
         return [
-            self._report(each) or (False, LandingText.UNREPORTED(link=each.link, seconds=REPORTED_WITHIN))
+            self._report(each) or Landed(each.link, LandingText.UNREPORTED(link=each.link, seconds=REPORTED_WITHIN))
             for each in self._routes(snapshot)
             if each.link in links
         ]
 
-    def _report(self, route: RouteSnapshot) -> tuple[bool, str] | None:
+    def _report(self, route: RouteSnapshot) -> Landed | None:
         """Return a route's report, or None if it has none yet."""
         before = self._before.get(route.key)
         if cause := _dropped_since(before, route.ledger):
-            return False, LandingText.DROPPED(link=route.link, cause=cause)
+            return Landed(route.link, LandingText.DROPPED(link=route.link, cause=cause))
         if route.ledger.delivered <= (0 if before is None else before.delivered):
             return None
-        age = "" if route.latency_p50 is None else f", {route.latency_p50 * 1e3:.0f} ms old"
-        nodes = join_first(route.subscribers, _NODES_NAMED)
-        subscribers = LandingText.SUBSCRIBED(nodes=nodes) if nodes else "no subscription there"
-        return True, LandingText.DELIVERED(link=route.link, age=age, subscribers=subscribers)
+        latency = route.latency_p50
+        age = "" if latency is None else f", {formats.latency(latency, route.latency_uncertainty)} old"
+        text = LandingText.DELIVERED(link=route.link, age=age, hearing=hearing(route.audience))
+        return Landed(route.link, text, route.audience)
 
 
 def answer_report(route: RouteSnapshot, seconds: float) -> str:

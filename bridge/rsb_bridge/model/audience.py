@@ -1,0 +1,46 @@
+"""The subscriptions of a topic that hear a publisher, and those that do not."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Deaf(msgspec.Struct, frozen=True):
+    """A node with a subscription that DDS does not match with the publisher.
+
+    Attributes:
+        node: its full name, or empty while only its subscription is discovered.
+        cause: ``type_conflict``, ``qos_incompatible``, or empty if neither type nor QoS keeps them apart.
+        reason: the same in words, with the remedy.
+    """
+
+    node: str
+    cause: str
+    reason: str
+
+
+class Audience(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The subscriptions of other nodes to a publisher's topic.
+
+    Attributes:
+        count: subscriptions that DDS has matched: only these get its messages.
+        nodes: some of the nodes that can be among them.
+        deaf: some of the nodes that cannot.
+    """
+
+    count: int = 0
+    nodes: tuple[str, ...] = ()
+    deaf: tuple[Deaf, ...] = ()
+
+    @property
+    def subscribers(self) -> tuple[str, ...]:
+        """All of these nodes whose names are known."""
+        return tuple(sorted({*self.nodes, *(each.node for each in self.deaf if each.node)}))
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether nothing is left that DDS may still match."""
+        return all(each.cause for each in self.deaf)
+
+
+NOBODY = Audience()
