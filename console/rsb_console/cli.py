@@ -38,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     sys.stderr = CleanErrors(sys.stderr)
     signal.signal(signal.SIGTERM, _terminated)  # until the command handles it, which a bridge does once it is loaded
     try:
-        return _run(sys.argv[1:], _process_began()) if argv is None else _run(list(argv))
+        return _run(sys.argv[1:] if argv is None else list(argv))
     except KeyboardInterrupt:
         return INTERRUPTED
     finally:
@@ -50,16 +50,7 @@ def _terminated(*_: object) -> None:
     raise SystemExit(TERMINATED)
 
 
-def _process_began() -> float:
-    """Return when this process was started, in s of `rsb_bridge.model.clock.Clock.steady`."""
-    with open("/proc/self/stat", "rb") as file:  # noqa: PTH123 -- without pathlib, which takes a while
-        ticks = file.read().rpartition(b")")[2].split()[19]
-    return int(ticks) / os.sysconf("SC_CLK_TCK")
-
-
-def _run(argv: list[str], given_at: float | None = None) -> int:
-    """Run the command that was given at some time (s of `rsb_bridge.model.clock.Clock.steady`), or now."""
-    from rsb_bridge.model.clock import Clock
+def _run(argv: list[str]) -> int:
     from rsb_console.command.arguments import parser_and_commands
 
     parser, names = parser_and_commands()
@@ -68,7 +59,6 @@ def _run(argv: list[str], given_at: float | None = None) -> int:
 
         complete(parser, names)
     arguments = parser.parse_args(_with_command(argv, names))
-    arguments.given_at = Clock.steady() if given_at is None else given_at
     try:
         code: int = arguments.command(arguments)
         # Here, where its errors are met: Python's own flush at exit would print a traceback and end with 120.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -15,7 +18,7 @@ from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.audience import Audience, Deaf
-from rsb_bridge.model.by_hand import Draft, Published
+from rsb_bridge.model.by_hand import OLD_AFTER, Draft, Published
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.command import pub_command
@@ -305,6 +308,18 @@ def test_a_bridge_that_answers_too_slowly(ran: Any, engine: ScriptedEngine) -> N
     assert done.code == 1
     assert says(done.err, ByHandText.TOO_SLOW, topic="/cmd_vel")
     assert len(sent(engine)) == 3
+
+
+def test_a_slow_start_makes_no_message_old(machine: Machine, engine: ScriptedEngine) -> None:
+    """A small computer takes longer to load the program than a command may be old."""
+    engine.published = [OLD, TAKEN]
+    words = ["rsb-console", "pub", "/words", "data: hello", "--rate", "10", "--count", "1"]
+    starts = f"import sys, time\ntime.sleep({OLD_AFTER + 0.1})\nfrom rsb_console.cli import main\n"
+    script = f"{starts}sys.argv = {words}\nsys.exit(main())"
+    environ = {**os.environ, **machine.environ}
+    done = subprocess.run([sys.executable, "-c", script], env=environ, capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert [each.ticket for each in sent(engine)] == [0, 7]
 
 
 def test_a_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:

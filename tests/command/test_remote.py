@@ -23,6 +23,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import dump
 from rsb_bridge.control.bridges import SessionRuns, running_bridges
 from rsb_bridge.control.protocol import RequestProblem
+from rsb_bridge.control.remote_engine import RemoteEngine, attach
 from rsb_bridge.model.by_hand import OLD_AFTER, VelocityLimits
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.commands import AskHolder, KeepArmed
@@ -299,6 +300,18 @@ def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any
     assert engine.commands == [("pause", "back", True)]
 
 
+def attach_takes(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    """Have commands wait so long for their bridge."""
+    steady = Clock.steady
+
+    def slowly(*arguments: Any, **more: Any) -> RemoteEngine:
+        engine = attach(*arguments, **more)
+        replaced.STEADY_CLOCK.set(monkeypatch, staticmethod(lambda: steady() + seconds))
+        return engine
+
+    replaced.TARGET_ATTACH.set(monkeypatch, slowly)
+
+
 @pytest.mark.parametrize("command", [("resume", "/scan"), ("edit", "/scan", "paused=")], ids=lambda words: words[0])
 def test_a_command_that_began_long_ago_resumes_nothing(
     ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
@@ -306,7 +319,7 @@ def test_a_command_that_began_long_ago_resumes_nothing(
     paused = msgspec.structs.replace(SCAN.spec, paused=True)
     engine.session = msgspec.structs.replace(engine.session, topics=(paused,))
     engine.now = replace(engine.now, routes=(replace(SCAN, spec=paused),))
-    replaced.GIVEN_AT.set(monkeypatch, lambda _: Clock.steady() - OLD_AFTER - 0.1)
+    attach_takes(monkeypatch, OLD_AFTER + 0.1)
     assert says(ran(*command).err, RequestProblem.TOO_LATE)
     assert engine.commands == []
 
@@ -621,7 +634,7 @@ def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
     engine.now = replace(engine.now, routes=(replace(SCAN, arming=ArmingSnapshot(armed=True)),))
     engine.holds = ("/scan",)
     Keys.patch = monkeypatch
-    replaced.GIVEN_AT.set(monkeypatch, lambda _: Clock.steady() - 100.0)
+    attach_takes(monkeypatch, 100.0)
     constants.OLD_AFTER.set(monkeypatch, 200.0)
     replaced.REMOTE_TYPED_KEYS.set(monkeypatch, Keys)
     replaced.REMOTE_PRINT_ERROR.set(monkeypatch, Keys.questions.append)

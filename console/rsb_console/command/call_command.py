@@ -49,8 +49,8 @@ class CallProblem(Wording):
 
 
 def _call(arguments: Namespace) -> int:
-    # The fields are read first, since the command's time counts from the end of standard input.
-    request = fields_from(arguments, arguments.request)
+    # The fields are read first, since the command's time counts from the attachment.
+    request = fields_from(arguments.request)
     with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
         lane, began = _lane(route, arguments.lane), Clock.steady()

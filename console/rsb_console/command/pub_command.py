@@ -14,7 +14,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
-from rsb_console.command.target import UsageError, attached, done, fields_from, given_at, result
+from rsb_console.command.target import UsageError, attached, done, fields_from, result
 from rsb_console.session.manual_messages import REPORTED_WITHIN, TRIES, ByHandText, Landing, hearing
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def _pub(arguments: Namespace) -> int:
         return _template(arguments)
     if arguments.message is None:
         raise UsageError(f"pub {arguments.topic}: the message is missing; --template prints one to begin with")
-    fields = fields_from(arguments, arguments.message)
+    fields = fields_from(arguments.message)
     with attached(arguments, expires=True) as engine:
         return _publish(engine, arguments, fields)
 
@@ -79,7 +79,7 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     """Publish once, or at a rate until the count or an interrupt."""
     limit = arguments.count or (1 if arguments.rate is None else None)
     pause = 1.0 if arguments.rate is None else 1 / arguments.rate
-    count, due, ticket = 0, given_at(arguments), 0
+    count, due, ticket = 0, engine.given_at or Clock.steady(), 0
     last: Published | None = None
     told = False
     landing = Landing(arguments.topic, engine.snapshot())

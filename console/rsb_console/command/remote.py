@@ -498,7 +498,7 @@ def _arm(arguments: Namespace) -> int:
         route = chosen_route(engine, arguments)
         arm = engine.take_arming if arguments.take else engine.ask_holder if arguments.ask else engine.arm
         _wait_alive(engine, arm(route.key, shared=True))  # shared with `rsb-console pub` in another shell
-        engine.given_at = None  # what follows is given by young keys, however long ago this process started
+        engine.given_at = None  # what follows is given by young keys, however long ago this one attached
         _say_armed(arguments, route)
         why, cause = _hold(engine, route, keys)
     return failed(arguments, why, FAILURE, cause=cause)

@@ -174,8 +174,10 @@ def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = F
     """Be attached to the bridge that the arguments mean; of a command for a fleet's robot, to what `attach` gives.
 
     Args:
-        expires: whether the command must not be carried out late, counted from the start of its process.
+        expires: whether the command must not be carried out late, counted from now: a slow computer takes longer to
+            start this process than a command may be old.
     """
+    began = Clock.steady()
     if (open_it := getattr(arguments, "attach", None)) is not None:
         engine = open_it(read_only=read_only)
     elif getattr(arguments, "fleet", None) is not None:
@@ -184,7 +186,7 @@ def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = F
         engine = attach(chosen_bridge(arguments).path, read_only=read_only)
     with engine:
         if expires:
-            engine.given_at = given_at(arguments)
+            engine.given_at = began
         yield engine
 
 
@@ -216,20 +218,12 @@ def fleet_file(arguments: Namespace) -> FleetFile:
         raise UsageError(str(error)) from None
 
 
-def given_at(arguments: Namespace) -> float:
-    """Return when the operator gave the command, in s of `Clock.steady`; now, if it is not known."""
-    known: float = getattr(arguments, "given_at", None) or Clock.steady()
-    return known
-
-
-def fields_from(arguments: Namespace, text: str) -> str:
-    """Return fields in YAML that an argument gives, or standard input, whose end is then the time of the command."""
+def fields_from(text: str) -> str:
+    """Return fields in YAML that an argument gives, or standard input, whose end this awaits."""
     if text != "-":
         return text
     # This reads one character too many: the bridge refuses a text that is too long, but a cut one could be valid.
-    fields = sys.stdin.read(FIELDS_LENGTH + 1)
-    arguments.given_at = Clock.steady()
-    return fields
+    return sys.stdin.read(FIELDS_LENGTH + 1)
 
 
 # --- what it answers
