@@ -713,3 +713,27 @@ def test_the_type_of_the_other_sides_subscription_is_taken(bridge: Bridge, pc: D
 
     eventually(published)
     eventually(lambda: "x" in listener.texts(10))
+
+
+@pytest.mark.usefixtures("patient")
+@pytest.mark.parametrize("from_server", [False, True], ids=["sender", "receiver"])
+def test_the_type_of_a_publisher_that_left_is_forgotten(
+    bridge: Bridge, robot: Domain, pc: Domain, from_server: bool
+) -> None:
+    """The remaining subscription's type counts, on the side of the publisher and on its own."""
+    base = pc.listener("/cmd", TwistStamped)
+    node = robot.publisher("/cmd", Twist)
+    server, client = bridge.both(Topic("/cmd", "transmit"))
+    eventually(lambda: route(server, "/cmd").type_name == TWIST)
+    eventually(lambda: route(client, "/cmd").audience.deaf)
+    robot.node.destroy_publisher(node)
+    engine = server if from_server else client
+
+    def is_forgotten() -> bool:
+        with contextlib.suppress(EngineError):  # while the two sides learn that it has left, there are two types
+            return engine.draft_message("/cmd").result(30).type_name == TWIST_STAMPED
+        return False
+
+    eventually(is_forgotten)
+    assert publish(engine, "twist: {linear: {x: 0.1}}").type_name == TWIST_STAMPED
+    eventually(lambda: base.payloads or not publish(engine, "twist: {linear: {x: 0.1}}"))

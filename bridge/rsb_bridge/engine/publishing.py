@@ -387,7 +387,7 @@ class Publishing:
         known: dict[str, set[str]] = {}
         for name, type_hash in [
             *((each.type_name, each.type_hash) for each in (*publishers, *subscriptions)),
-            *(route.known_type for route in routes),
+            *(route.present_type for route in routes),
         ]:
             if name:
                 known.setdefault(name, set()).add(type_hash)
@@ -396,6 +396,8 @@ class Publishing:
         name = expand_type_name(wanted) if wanted else ""
         if not known and not name:
             known = await self._types_there(routes)
+            # Of what nobody has any more, the type that it had.
+            known = known or {route.type_name: {route.type_hash} for route in routes if route.type_name}
         if not name and len(known) > 1:
             raise LinkError(PublishProblem.TYPES_DIFFER(topic=topic, types=", ".join(sorted(known))))
         name = name or next(iter(known), "")
@@ -431,7 +433,7 @@ class Publishing:
     ) -> Qos:
         """Return the QoS of the other publishers, so that routes see no change, or what subscriptions ask for."""
         offered = [each.qos for each in publishers if each.type_name == type_name]
-        offered += [route.qos for route in routes if route.qos is not None]
+        offered += [route.qos for route in routes if route.qos is not None and route.type_name == type_name]
         if offered:
             qos = match_publishers(offered)
         else:

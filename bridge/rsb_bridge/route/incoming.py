@@ -21,7 +21,7 @@ from rsb_bridge.model.qos import AUTO_DEPTH, match_subscriptions, parts_of_lease
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.ros_graph import type_hint
+from rsb_bridge.ros.ros_graph import agreed_type, type_hint
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, record_of
@@ -158,6 +158,9 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def open(self, route_id: int) -> None:
         """Begin a new opening, without a report of the sender yet."""
         self._is_reported = False
+        # Nobody here hears the type of the last one's publishers, and this participant could publish no other beside.
+        if self._hint[0] not in ("", self.type_name):
+            self.outputs.close()
         super().open(route_id)
 
     def close(self, reason: str) -> None:
@@ -300,6 +303,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._unmatched_since = None
         elif not matched and self._unmatched_since is None:
             self._unmatched_since = now
+        # The sender's publishers may have left, and an operator there may publish by hand.
+        self._hint = agreed_type(self.endpoints)
         requested = [endpoint.qos for endpoint in self.endpoints]
         self._subscriber_qos = match_subscriptions(requested) if requested else None
         if self._offered is None:
@@ -615,6 +620,11 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """The reason why the other side's subscription failed, or an empty string."""
         peer = self.judged.peer
         return peer.text if peer.cause == Cause.SUBSCRIBE_FAILED else ""
+
+    @property
+    def present_type(self) -> TypeVersion:
+        left = self._report is not None and not self._report.publishers
+        return TypeVersion() if left else TypeVersion(self.type_name, self.type_hash)
 
     def end_nodes(self) -> tuple[tuple[str, ...], Audience]:
         return self._report.nodes if self._report else (), self._audience

@@ -252,10 +252,16 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         resolved = self._resolver.resolve(TypeVersion(self.type_name, self.type_hash), self._loop_filter)
         self.notices.set_warning(resolved.warning if resolved else "")
         if resolved is None:
-            unresolved = self._resolver.unresolved
-            if unresolved is not None and unresolved.clash and self._described is not None:
-                # Nothing that is published now could be sent. Once the publishers are right, it opens with their type.
+            unresolved, there = self._resolver.unresolved, self._resolver.hint.name
+            if self._described is None or unresolved is None:
+                return None
+            # Nothing that is published now could be sent. Once the publishers are right, it opens with their type.
+            if unresolved.clash:
                 self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, str(unresolved))
+            # A participant has one type on a topic: its subscription here would keep an operator's messages from them.
+            elif not self.endpoints and there not in ("", self.type_name):
+                text = f"nobody publishes {self.type_name} any more, and the subscriptions there are to {there}"
+                self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, text)
             return None
         sources, qos = self._loop_filter.table.sources, resolved.qos
         if self.arming.required:
@@ -469,9 +475,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         return msgspec.structs.replace(report, verdict=verdict)
 
     @property
-    def known_type(self) -> TypeVersion:
-        """The type of its messages, or else of the subscriptions on the other side; without a name if it is unknown."""
-        return TypeVersion(self.type_name, self.type_hash) if self.type_name else self._resolver.hint
+    def present_type(self) -> TypeVersion:
+        is_sent = self.type_name and self.endpoints
+        return TypeVersion(self.type_name, self.type_hash) if is_sent else self._resolver.hint
 
     def takes(self, gid: bytes) -> bool:
         """Whether messages of a publisher here are taken now, or held until their origin is found out."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
-from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.by_hand import END_ZERO, agreed_end
 from rsb_bridge.model.codes import EventCode
@@ -20,6 +19,7 @@ from rsb_bridge.telemetry.meters import HISTORY, LatencyMeter, Smoothed, StaleWa
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.audience import Audience
@@ -243,9 +243,9 @@ class TopicRoute(Route, Generic[ChannelT]):
     # --- what is the same for both
 
     @property
-    def known_type(self) -> TypeVersion:
-        """The type of its messages, without a name if it is unknown."""
-        return TypeVersion(self.type_name, self.type_hash)
+    def present_type(self) -> TypeVersion:
+        """The type that nodes of the other side, or publishers of this one, have now; without a name if unknown."""
+        raise NotImplementedError
 
     @property
     def on_end(self) -> str:

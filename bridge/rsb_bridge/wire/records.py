@@ -144,7 +144,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         newest: the highest message number seen on datagrams; on streams, the messages that came or were lost.
         subscribers: subscriptions that DDS has matched.
         subscriber_qos: the combined request of all subscriptions, or None without any.
-        type: the topic's type in the receiver's graph, while the sender has described none.
+        type: the topic's type in the receiver's graph; once the sender has described one, of the subscriptions there.
         latency: s, one way, of the last second's messages, corrected by the clock offset, or None without a figure.
         latency_p50: s, one way, of the last messages, or None without a figure.
         latency_p99: s, one way, of the last messages, or None without a figure.
