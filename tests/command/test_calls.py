@@ -13,6 +13,7 @@ from tests.support.wording import says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.decoding import ValueMistake
+from rsb_bridge.config.fields_text import FieldNote
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
@@ -187,6 +188,7 @@ def test_a_service_flows_once_it_can_be_called(
 def test_a_call_prints_the_response(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
     answer(engine, "success: true\nmessage: 'docked'\n# the first 3 of 9 elements\n")
     assert ran("call", "/dock").out == "success: true\nmessage: 'docked'\n# the first 3 of 9 elements\n"
+    engine.called = answered("success: true\nmessage: 'docked'\n")
     printed = ran("call", "/dock", "{speed: 1}", "--json").json
     (landed,) = printed.pop("landed")
     assert printed == {"ok": True, "response": {"success": True, "message": "docked"}}
@@ -256,6 +258,31 @@ class Node:
         monkeypatch.setattr(engine, "do", do)
 
 
+def test_a_cut_answer_is_an_error_for_programs(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The rest would be missing without a word."""
+    note = FieldNote.ELEMENTS(location="poses", shown=1, total=9)
+    answer(engine, f"# goal_id: {'ab' * 16}\nposes: [1]\n# {note}\n")
+    done = ran("call", "/dock", "--json")
+    assert (done.code, done.json["ok"], done.json["response"]) == (1, False, {"poses": [1]})
+    assert says(done.json["error"], CallProblem.CUT, topic="/dock", what=note)
+    assert done.json["goal_id"] == "ab" * 16
+    engine.now = replace(engine.now, routes=(NODE,))
+    Node(
+        engine,
+        monkeypatch,
+        list_parameters=f"result:\n  names: [gains]\n# {note}\n",
+        get_parameters=f"values:\n- {{type: 6, bool_array_value: [true]}}\n# {note}\n",
+    )
+    for words in (("list", "/controller"), ("get", "/controller", "flags"), ("dump", "/controller")):
+        whole = ran("param", *words, "--json")
+        assert whole.code == 1
+        assert says(whole.json["error"], CallProblem.CUT, topic="/controller", what=note)
+        for_people = ran("param", *words)
+        assert (for_people.code, note in for_people.err) == (int(words[0] == "dump"), True)
+
+
 def test_parameters_are_listed_got_and_set(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
     engine.now = replace(engine.now, routes=(NODE,))
     value = "type: 6\n  bool_value: false\n  byte_array_value: []\n  bool_array_value: [true, false]\n"
@@ -270,7 +297,9 @@ def test_parameters_are_listed_got_and_set(ran: Any, engine: ScriptedEngine, mon
     assert ran("param", "get", "/controller", "flags").out == "[true, false]\n"
     assert ran("param", "get", "/controller", "flags", "--json").json == {"ok": True, "value": [True, False]}
     for text in ("true", "3", "-0.5", "fast", "'3'", "[1, 2]", "[1.0, 2.5]", "[a, b]", ""):
-        assert ran("param", "set", "/controller", "gain", text).code == 0
+        done = ran("param", "set", "/controller", "gain", text)
+        assert (done.code, done.err) == (0, "")
+        assert f"gain of /controller: {text}" in done.out
     assert node.asked[:2] == [("list_parameters", {}), ("get_parameters", {"names": ["flags"]})]
     assert [asked["parameters"] for _, asked in node.asked[3:]] == [
         [{"name": "gain", "value": {"type": kind, field: value}}]
@@ -286,6 +315,8 @@ def test_parameters_are_listed_got_and_set(ran: Any, engine: ScriptedEngine, mon
             ("4", "string_value", ""),
         )
     ]
+    made = {"node": "/controller", "parameter": "gain", "type": "double", "value": 0.5}
+    assert ran("param", "set", "/controller", "gain", "0.5", "--json").json == {"ok": True, **made}
 
 
 @pytest.mark.parametrize(

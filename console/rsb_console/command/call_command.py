@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.fields_text import ITEMS, read_written
+from rsb_bridge.config.fields_text import read_written
 from rsb_bridge.config.yaml_text import dump_yaml, inline
 from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.clock import Clock
@@ -44,6 +44,7 @@ class CallProblem(Wording):
     LANE_MISSING = "{topic} has several services: choose one with --lane ({lanes})"
     LANE_UNKNOWN = "{topic} has no service {lane!r}{hint}: choose one with --lane ({lanes})"
     UNREADABLE = "the answer of {topic} cannot be read"
+    CUT = "{topic} answered, and its answer is too long to be whole: {what}"
     PARAMETER_MISSING = "{node} has no parameter {parameter}, or it has no value"
     PARAMETER_REFUSED = "{node} does not set {parameter}: {reason}"
 
@@ -59,11 +60,22 @@ def _call(arguments: Namespace) -> int:
     if arguments.json:
         goal = {"goal_id": text.splitlines()[0].removeprefix(_NEW_GOAL)} if text.startswith(_NEW_GOAL) else {}
         landed = [{"ok": True, "report": report}]
-        print_line(json_line({"ok": True, **goal, "response": json_value(data_of(text)), "landed": landed}))
+        answer = {**goal, "response": json_value(data_of(text)), "landed": landed}
+        if cut := _cut(route, text):
+            print_line(json_line({"ok": False, "error": cut, **answer}))
+            return FAILURE
+        print_line(json_line({"ok": True, **answer}))
     else:
         print_lines(text.removesuffix("\n"))
         print_error(escape_text(report))
     return OK
+
+
+def _cut(route: RouteSnapshot, text: str) -> str:
+    """Return the parts of an answer that the bridge left out, as a sentence, or an empty string."""
+    notes = [line.removeprefix("# ") for line in text.splitlines() if line.startswith("#")]
+    what = "; ".join(note for note in notes if not f"# {note}".startswith(_NEW_GOAL))
+    return CallProblem.CUT(topic=route.topic, what=what) if what else ""
 
 
 def _lane(route: RouteSnapshot, lane: str) -> str:
@@ -142,7 +154,7 @@ def data_of(text: str) -> Any:
 
 def _list(arguments: Namespace) -> int:
     with attached(arguments) as engine:
-        names = names_of(engine, chosen_route(engine, arguments))
+        names = names_of(engine, chosen_route(engine, arguments), whole=arguments.json)
     if arguments.json:
         return done(arguments, names=names)
     for name in names:
@@ -153,7 +165,7 @@ def _list(arguments: Namespace) -> int:
 def _get(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
-        value = _values(engine, route, [arguments.parameter])[0]
+        value = _values(engine, route, [arguments.parameter], whole=arguments.json)[0]
     if value is None:
         return failed(
             arguments, CallProblem.PARAMETER_MISSING(node=route.topic, parameter=arguments.parameter), FAILURE
@@ -181,13 +193,15 @@ def _set(arguments: Namespace) -> int:
             CallProblem.PARAMETER_REFUSED(node=route.topic, parameter=arguments.parameter, reason=why),
             FAILURE,
         )
-    return done(arguments)
+    said = f"set {escape_text(arguments.parameter)} of {escape_text(route.topic)}: {escape_text(request.meaning)}"
+    made = {"parameter": arguments.parameter, "type": request.kind, "value": json_value(request.value)}
+    return done(arguments, said, node=route.topic, **made)
 
 
 def _dump(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
-        names = sorted(names_of(engine, route))
+        names = sorted(names_of(engine, route, whole=True))
         values: dict[str, Any] = {}
         for at in range(0, len(names), _AT_ONCE):
             some = names[at : at + _AT_ONCE]
@@ -217,20 +231,31 @@ def _describe(arguments: Namespace) -> int:
     return OK
 
 
-def names_of(engine: RemoteEngine, route: RouteSnapshot) -> list[str]:
-    names: list[str] = _ask(engine, route, "list_parameters", {})["result"]["names"]
-    if len(names) >= ITEMS:
-        print_error(f"{route.topic} may have more parameters than the first {ITEMS:,}")
+def names_of(engine: RemoteEngine, route: RouteSnapshot, *, whole: bool = False) -> list[str]:
+    """Return the names of parameters. With `whole`, an incomplete list is an error."""
+    text = response(engine, route, "", "list_parameters")
+    names: list[str] = _fields(route, text)["result"]["names"]
+    _report_cut(route, text, whole=whole)
     return names
+
+
+def _report_cut(route: RouteSnapshot, text: str, *, whole: bool) -> None:
+    """Print what an answer lacks.
+
+    Raises:
+        EngineError: it lacks something, and has to be `whole`.
+    """
+    if not (cut := _cut(route, text)):
+        return
+    if whole:
+        raise EngineError(cut)
+    print_error(cut)
 
 
 def _values(engine: RemoteEngine, route: RouteSnapshot, names: list[str], *, whole: bool = False) -> list[Any]:
     """Return the values of parameters, None for a missing one. With `whole`, an incomplete value is an error."""
     text = response(engine, route, dump_yaml({"names": names}), "get_parameters")
-    for note in [line.removeprefix("# ") for line in text.splitlines() if line.startswith("#")]:
-        if whole:
-            raise EngineError(f"{route.topic} has too much to dump: {note}")
-        print_error(note)
+    _report_cut(route, text, whole=whole)
     values = _fields(route, text).get("values") or []
     # If one name is unknown, a node in C++ answers with no values at all.
     return [value_of(each) for each in values] + [None] * (len(names) - len(values))

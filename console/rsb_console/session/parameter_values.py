@@ -78,10 +78,14 @@ class ParameterRequest(NamedTuple):
     Attributes:
         text: its fields, as YAML.
         meaning: the value and its type, in words.
+        kind: one of `KIND_NAMES`.
+        value: as plain data.
     """
 
     text: str
     meaning: str
+    kind: str
+    value: Any
 
 
 def set_request(name: str, value: str, kind: str = "") -> ParameterRequest:
@@ -100,7 +104,8 @@ def set_request(name: str, value: str, kind: str = "") -> ParameterRequest:
         raise FieldError(f"{name}: {error}") from None
     request = {"parameters": [{"name": name, "value": {"type": meant.number, meant.field: plain}}]}
     shown = value.strip()
-    return ParameterRequest(dump_yaml(request), f"{shown[:_SHOWN]}{'…' * (len(shown) > _SHOWN)} ({meant.words})")
+    meaning = f"{shown[:_SHOWN]}{'…' * (len(shown) > _SHOWN)} ({meant.words})"
+    return ParameterRequest(dump_yaml(request), meaning, meant.name, plain)
 
 
 def _node(value: str) -> yaml.Node:
