@@ -143,7 +143,7 @@ DISARMED = replace(
         ({"type_name": TWIST_STAMPED}, None),
         ({"type_name": "", "spec": Topic("/cmd_vel", "transmit", type=TWIST)}, None),
         ({"type_name": "std_msgs/msg/String"}, DriveText.OTHER_TYPE),
-        ({"type_name": ""}, DriveText.OTHER_TYPE),
+        ({"type_name": ""}, DriveText.TYPE_UNKNOWN),
         ({"arming": None}, DriveText.NOT_DRIVEN),
         ({"max_age": 0.0}, DriveText.NOT_DRIVEN),
     ],

@@ -61,7 +61,7 @@ from rsb_console.actions import KEYS_ON_SCREENS
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.look.picture_rows import AXIS
-from rsb_console.screens.drive_screen import DriveScreen
+from rsb_console.screens.drive_screen import DriveScreen, DriveText
 from rsb_console.screens.help import KeyList
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.screens.publish_screen import PublishScreen
@@ -551,12 +551,14 @@ ELSEWHERE = replace(DRIVEN, topic="/robot2/cmd_vel", key="2", link="robot2")
 ARMED = replace(ELSEWHERE, topic="/robot3/cmd_vel", key="3", link="robot1", arming=ArmingSnapshot(armed=True))
 
 
-DRIVES: list[tuple[tuple[RouteSnapshot, ...], str | ViewText]] = [
+UNTYPED = replace(DRIVEN, topic="/untyped", type_name="", spec=replace_type(DRIVEN, AUTO))
+DRIVES: list[tuple[tuple[RouteSnapshot, ...], str | ViewText | DriveText]] = [
     ((DRIVEN,), "/cmd_vel"),
     ((ELSEWHERE,), ViewText.NOT_DRIVEN),
     ((ELSEWHERE, DRIVEN), "/cmd_vel"),
     ((DRIVEN, ARMED), "/robot3/cmd_vel"),
     ((replace(DRIVEN, type_name="", spec=replace_type(DRIVEN, AUTO)),), "/cmd_vel"),
+    ((UNTYPED,), DriveText.TYPE_UNKNOWN),
     ((), ViewText.NOT_DRIVEN),
     ((replace(DRIVEN, max_age=0.0),), ViewText.NOT_DRIVEN),
     ((DRIVEN, replace(DRIVEN, key="4")), ViewText.SEVERAL_DRIVEN),
@@ -570,7 +572,7 @@ async def test_the_robot_of_the_picture_is_driven(app: ConsoleApp, pilot: Pilot[
         await comes(pilot, viewed())
         put(app, route(SCAN), *routes)
         await pilot.press("d")
-        if isinstance(topic, ViewText):
+        if isinstance(topic, ViewText | DriveText):
             await notified(pilot, topic)
             assert isinstance(app.screen, ViewScreen)
             app.clear_notifications()

@@ -111,6 +111,7 @@ class DriveText(Wording):
     RESTS = "rest"
     SEVERAL = "Drive {count} robots by {topic}?"
     GONE = "it is no longer bridged"
+    TYPE_UNKNOWN = "{topic} cannot be driven: its type is unknown; set type: Twist (e)"
     OTHER_TYPE = "{topic} cannot be driven: its type is {type_name}, not Twist or TwistStamped"
     NOT_DRIVEN = "{topic} cannot be driven: set arm: true on the topic first (e), and leave max_age as it is"
 
@@ -129,8 +130,10 @@ def why_not_driven(route: RouteSnapshot, type_name: str = "") -> str:
         type_name: the type, if the route does not know it.
     """
     type_name = full_type(route) or type_name
+    if not type_name:
+        return DriveText.TYPE_UNKNOWN(topic=route.topic)
     if type_name not in (TWIST, TWIST_STAMPED):
-        return DriveText.OTHER_TYPE(topic=route.topic, type_name=type_name or "unknown")
+        return DriveText.OTHER_TYPE(topic=route.topic, type_name=type_name)
     if route.arming is None or not route.max_age:
         return DriveText.NOT_DRIVEN(topic=route.topic)
     return ""

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from textual.events import Click
 
     from rsb_bridge.model.pictures import Scale, Viewed
+    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import Console
     from rsb_console.look.picture_rows import Row
     from rsb_console.screens.look_screen import Subject
@@ -266,7 +267,7 @@ class ViewScreen(FullScreen[bool]):
         keys = ["esc", *(_MAP_KEYS if self._layers else ()), *(_POINT_KEYS if _is_points(type_name) else ())]
         if not self.console.readonly:
             keys += ["g goal"] if is_map(type_name) else []
-            keys += ["d drive"] if any(not why_not_driven(each) for each in self.console.snapshot().routes) else []
+            keys += ["d drive"] if self._driven else []
         keys += _KEYS
         while len(text := " · ".join(keys)) > width and len(keys) > 1:
             keys.pop()
@@ -483,15 +484,20 @@ class ViewScreen(FullScreen[bool]):
         chosen = [each for each in routes if where in ("", each.link)]
         return next((each.topic for each in chosen if each.topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
 
+    @property
+    def _driven(self) -> list[RouteSnapshot]:
+        """The topics that may drive the robot of the picture: nobody watches another one here."""
+        where = self._where
+        # `drive` asks for a type that nobody has published yet, and says if nobody knows it.
+        routes = [each for each in self.console.snapshot().routes if not why_not_driven(each, TWIST)]
+        return [each for each in routes if where in ("", each.link)]
+
     @work(group=DIALOG)
     async def action_drive(self) -> None:
         """Drive the robot of the picture, which stays in sight."""
         if self.console.readonly:
             return
-        where = self._where
-        # `drive` asks for a type that nobody has published yet.
-        driven = [each for each in self.console.snapshot().routes if not why_not_driven(each, TWIST)]
-        driven = [each for each in driven if where in ("", each.link)]  # nobody watches another robot here
+        driven = self._driven
         armed = [each for each in driven if each.arming is not None and each.arming.armed]
         if len(only := armed or driven) == 1:
             await drive(self.console, only[0])
