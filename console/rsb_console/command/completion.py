@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
-from argparse import Namespace
+from argparse import Namespace, _SubParsersAction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
@@ -23,7 +24,7 @@ from rsb_console.command.shell import OK, print_lines
 
 if TYPE_CHECKING:
     from argparse import Action, ArgumentParser
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Sequence
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_console.fleet.fleet import Remembered
@@ -56,14 +57,37 @@ def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
         commands: names of the commands. Any other word in a command's place is a session file, to be run by `run`.
     """
     line = os.environ.get("COMP_LINE", "")
-    words = line.split()
-    # An unfinished second word may still become a command.
-    if len(words) + line.endswith(" ") > 2 and words[1] not in (*commands, "--debug"):
-        os.environ["COMP_LINE"] = line.replace(words[0], f"{words[0]} run", 1)
-        os.environ["COMP_POINT"] = str(int(os.environ["COMP_POINT"]) + len(" run"))
+    # An unfinished word may still become another one.
+    words = (line + "_").split()[:-1]
+    if len(words) > 1 and words[1] not in (*commands, "--debug"):
+        _insert("run", 1)
+    elif (at := _bridge_at(parser, words)) is not None:
+        _insert("--bridge", at)
     # Without its own default, argcomplete offers files for every word.
     argcomplete.autocomplete(parser, default_completer=_files_where_a_path_is_due)
     sys.exit()
+
+
+def _insert(word: str, number: int) -> None:
+    """Insert a word before another one of the line to complete."""
+    line = os.environ["COMP_LINE"]
+    at = [found.start() for found in re.finditer(r"\S+", line)][number]
+    os.environ["COMP_LINE"] = f"{line[:at]}{word} {line[at:]}"
+    os.environ["COMP_POINT"] = str(int(os.environ["COMP_POINT"]) + len(word) + 1)
+
+
+def _bridge_at(parser: ArgumentParser, words: Sequence[str]) -> int | None:
+    """Return which word is a bridge's name before a topic, as in ``pause NAME TOPIC``, or None."""
+    for number, word in enumerate(words[1:], 1):
+        commands = next((each.choices for each in parser._actions if isinstance(each, _SubParsersAction)), None)
+        if commands is None:
+            takes = {each.dest for each in parser._actions}
+            first = "bridge" in takes and not takes.isdisjoint(("topic", "topics")) and word in bridge_names()
+            return number if first else None
+        if word not in commands:
+            return None
+        parser = commands[word]
+    return None
 
 
 def _files_where_a_path_is_due(prefix: str, action: Action, **_: object) -> list[str]:
@@ -142,7 +166,13 @@ def bridged(parsed_args: Namespace, **_: object) -> list[str]:
             and arguments.direction in (None, route.spec.direction)
         ]
 
-    return _asked(arguments, names)
+    return _bridges_unless_named(arguments) + _asked(arguments, names)
+
+
+def _bridges_unless_named(arguments: Namespace) -> list[str]:
+    """Return the bridges whose name may stand before a topic."""
+    is_named = arguments.bridge or arguments.control or getattr(arguments, "topics", None)
+    return [] if is_named else bridge_names()
 
 
 def far_names(parsed_args: Namespace, **_: object) -> list[str]:
@@ -166,7 +196,7 @@ def available(parsed_args: Namespace, **_: object) -> list[str]:
         answers = [future.result(_WAITS) for future in asked if future.exception(_WAITS) is None]
         return [info.topic for answer in answers for info in answer if info.kind == kind]
 
-    return _asked(arguments, names)
+    return _bridges_unless_named(arguments) + _asked(arguments, names)
 
 
 def links(parsed_args: Namespace, **_: object) -> list[str]:
