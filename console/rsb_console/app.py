@@ -232,7 +232,7 @@ class ConsoleApp(TerminalApp[None]):
                 self.note = "not attached"
                 self.notify(str(error), title="Not attached", severity="error", markup=False, timeout=30)
                 return
-            self.engine, self.attached_to, self.note = engine, engine.bridge.name, ""
+            self.engine, self.attached_to, self.note = engine, engine.name, ""
             self.base, self.path = Path(engine.bridge.base), engine.file_here
             self.file = None if self.path is None else open_file(self.path)
             self.saved = None if self.file is None else self.file.session

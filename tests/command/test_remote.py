@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import subprocess
+import threading
 import time
 from concurrent.futures import Future
 from dataclasses import replace
@@ -520,6 +521,16 @@ def test_a_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: 
         assert next(code for code in codes if code == "attach.lost")
         following.terminate()
     assert ran("status").code == 3
+
+
+def test_a_bridge_is_named_as_it_was_chosen(ran: Any, engine: ScriptedEngine, machine: Machine) -> None:
+    """Two of one name run here, with different servers."""
+    other = ScriptedEngine()
+    other.now = replace(other.now, address="elsewhere:7400")
+    machine.serve(other, on_stop=lambda: threading.Thread(target=machine.served[-1].close).start())
+    assert {each["name"] for each in ran("status", "--json").json["bridges"]} == {"robot1", "robot1-2"}
+    stopped = ran("stop", "robot1-2")
+    assert (stopped.code, stopped.out.split()) == (0, ["stopped:", "robot1-2"])
 
 
 def test_a_session_is_not_started_twice(ran: Any, bridge: Forked, path: Path) -> None:

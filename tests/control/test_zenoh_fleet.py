@@ -86,6 +86,8 @@ def test_how_long_it_has_been_so_is_by_the_engines_own_clock(fleet: Fleet) -> No
 def test_an_operator_attaches_by_name_and_does_what_the_engine_lets_them(fleet: Fleet) -> None:
     seen = seen_with(fleet, "robot1", "robot2")
     fleet.attach("robot2").retry().result(60)
+    came = [each for each in fleet.accesses["robot2"].events.after(0) if each.code == EventCode.ATTACH_OPERATOR]
+    assert "through Zenoh (id " in came[-1].text
     assert fleet.engines["robot2"].commands == [("retry", "")]
     assert fleet.engines["robot1"].commands == []
     with pytest.raises(EngineError, match=pattern(OperatorRefused.READ_ONLY, name="bob")):

@@ -256,6 +256,11 @@ class RemoteEngine(EngineApi):
             return out_of_reach(self._shown, AttachProblem.SILENT(), since=wall - silent, now=wall)
         return self._shown
 
+    @property
+    def name(self) -> str:
+        """The name by which operators choose its bridge: here its socket's, since two bridges may have one name."""
+        return self._way.path.stem if isinstance(self._way, UnixSocket) else self.bridge.name
+
     def events(self, after: int = 0) -> list[Event]:
         return self._log.after(after)
 
@@ -391,7 +396,7 @@ class RemoteEngine(EngineApi):
         self.bridge = bridge
         if self._lost:
             text = AttachedAgain.RESTARTED if another else AttachedAgain.SAME
-            self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, text(name=bridge.name, pid=bridge.pid))
+            self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, text(name=self.name, pid=bridge.pid))
         self._receiver = StateReceiver(bridge, trusted=self._untrusted is None)
         self._poll()
         self._send(protocol.FollowEvents(self._followed))
@@ -421,7 +426,7 @@ class RemoteEngine(EngineApi):
         self._requests.fail(reason)
         if is_new:
             why = reason.removeprefix(f"{self._way.text}: ")
-            text = f"not attached to {self.bridge.name} any more: {why}; trying again"
+            text = f"not attached to {self.name} any more: {why}; trying again"
             self._log.add(Level.ERROR, EventCode.ATTACH_LOST, text)
 
     def _send(self, message: ToBridge) -> None:

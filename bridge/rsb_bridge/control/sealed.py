@@ -263,7 +263,8 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         if isinstance(self._transport, Pipe):
             self._transport.when_doubted = self._console.doubted
         server.add(self._console)
-        text = f"{self.operator} has attached through {self._peer}, and may {self._granted.operator.may}"
+        way = f"Zenoh (id {self._peer})" if isinstance(self._transport, Pipe) else self._peer
+        text = f"{self.operator} has attached through {way}, and may {self._granted.operator.may}"
         self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, str(self.operator), text)
 
     def _fail(self, reason: str, answer: bytes) -> None:

@@ -126,9 +126,7 @@ def _over_link(arguments: Namespace) -> int:
         loads = loads_of(engine.snapshot(), link.name)
         directions = _BOTH if arguments.direction == "both" else (arguments.direction,)
         place = OverLink(engine, link.name, ways_of(engine.session, arguments.transports, directions))
-        report = BenchReport(
-            f"The link of {engine.bridge.name} with {link.peer or link.name}", f"{machine()} on this side"
-        )
+        report = BenchReport(f"The link of {engine.name} with {link.peer or link.name}", f"{machine()} on this side")
         try:
             # Over a link, no topics are opened: left in the plan, they would make the report say that the time was up.
             code = _measure(place, report, replace(_plan(arguments), many=()))

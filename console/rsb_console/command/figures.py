@@ -203,7 +203,7 @@ def _newer(engine: RemoteEngine, moment: float, due: float) -> Snapshot:
 
 def _find(engine: RemoteEngine, now: Snapshot, before: RouteSnapshot) -> RouteSnapshot:
     if (route := _same_route(now, before)) is None:
-        raise EngineError(f"{engine.bridge.name} no longer bridges {before.topic}")
+        raise EngineError(f"{engine.name} no longer bridges {before.topic}")
     return route
 
 

@@ -274,7 +274,7 @@ def _stop(arguments: Namespace) -> int:
             if time.monotonic() > deadline:
                 raise TimeoutError
             time.sleep(_LOOK_EVERY)
-        return done(arguments, f"stopped: {engine.bridge.name}")
+        return done(arguments, f"stopped: {engine.name}", name=engine.name)
 
 
 # --- waiting

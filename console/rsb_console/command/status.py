@@ -129,13 +129,13 @@ def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, ob
     """Return a bridge's faults, its status as lines, and the same as data."""
     now, bridge = engine.snapshot(), engine.bridge
     faults, known, waits = wrong(now), acknowledged(now), waiting(now)
-    about = {key: getattr(bridge, key) for key in ("name", "role", "pid", "started", "file", "program")}
-    figures = {"ok": not faults, "wrong": faults, "acknowledged": known, "waiting": waits, **about,
+    about = {key: getattr(bridge, key) for key in ("role", "pid", "started", "file", "program")}
+    figures = {"ok": not faults, "wrong": faults, "acknowledged": known, "waiting": waits, "name": engine.name, **about,
                "address": now.address, "domain_id": now.domain_id,
                "running": now.running, "time": now.time, **status_of(now)}  # fmt: skip
     file = f", {bridge.file}" if bridge.file else ""
     lines = [
-        f"{bridge.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}",
+        f"{engine.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}",
         f"  since {clock(bridge.started)}{file}{', not saved' if now.unsaved else ''}",
         f"  {_in_short(now, faults, known, waits)}",
     ]

@@ -433,6 +433,4 @@ def check_link(engine: RemoteEngine, name: str) -> None:
     """
     known = [link.name for link in engine.snapshot().links]
     if name and name not in known:
-        raise UsageError(
-            RouteChoice.UNKNOWN_LINK(bridge=engine.bridge.name, name=name, known=", ".join(known) or "none")
-        )
+        raise UsageError(RouteChoice.UNKNOWN_LINK(bridge=engine.name, name=name, known=", ".join(known) or "none"))
