@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -28,11 +29,12 @@ from rsb_bridge.route.topic_verdict import (
     USE_TCP,
     Facts,
     TopicProgress,
+    audience,
     judge,
     topic_stages,
 )
 from rsb_bridge.telemetry.watches import Loss
-from rsb_bridge.wire.records import VerdictRecord
+from rsb_bridge.wire.records import DeafRecord, ReceivedReport, VerdictRecord
 
 NOW = 2e6
 """s."""
@@ -529,3 +531,24 @@ def test_late_messages_have_their_text_on_one_line(how: dict[str, Any]) -> None:
     verdict = late_verdict(late)
     assert verdict.cause is Cause.LATE
     assert len(verdict.text) <= ON_ONE_LINE, verdict.text
+
+
+def test_an_audience_fits_into_a_report() -> None:
+    """Names and types are other programs', and the other side ends a link for a text that is too long."""
+    long = "x" * 255
+    others = [endpoint(f"/{number}{long}", type_name=f"{long}/msg/{long}") for number in range(9)]
+    found = audience(long, Qos(), [*others, endpoint("/deaf", LATCHED)], 0)
+    assert len(found.deaf) == 4
+    record = ReceivedReport(route=1, deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in found.deaf))
+    assert msgspec.json.decode(msgspec.json.encode(record), type=ReceivedReport) == record
+
+
+@pytest.mark.parametrize(
+    ("count", "nodes", "causes"), [(0, (), ["", "qos_incompatible"]), (1, ("/a",), ["qos_incompatible"])]
+)
+def test_dds_decides_whether_anybody_hears(count: int, nodes: tuple[str, ...], causes: list[str]) -> None:
+    """A policy that is not compared, as a lease of liveliness, keeps a subscription from a publisher, too."""
+    asks_for_more = endpoint("/b", LATCHED)
+    found = audience(endpoint("/a").type_name, Qos(), [endpoint("/a"), asks_for_more], count)
+    assert (found.count, found.nodes, [each.cause for each in found.deaf]) == (count, nodes, causes)
+    assert found.is_settled is bool(count)

@@ -33,7 +33,7 @@ _LONGEST = 1e9
 _JITTER = 2.0
 """s by which two reports on the same fault may be apart, or its time would jump on the screens with each of them. A
 round figure."""
-NODES, _NODE_LENGTH = 4, 64
+NODES, NODE_LENGTH = 4, 64
 """The most nodes in a report to the other side, and characters of their names: a report has room for a thousand
 routes."""
 _LASTS = 3.0
@@ -169,7 +169,7 @@ def _since(seconds: float, now: float) -> float:
 def node_names(endpoints: Iterable[Endpoint]) -> tuple[str, ...]:
     """Return the names of the nodes with these endpoints, as reports to the other side list them."""
     names = sorted({each.node for each in endpoints if each.node})
-    return tuple([sanitize_text(name, _NODE_LENGTH) for name in names[:NODES]])
+    return tuple([sanitize_text(name, NODE_LENGTH) for name in names[:NODES]])
 
 
 class StateEvent(NamedTuple):

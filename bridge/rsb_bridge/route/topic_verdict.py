@@ -13,7 +13,7 @@ from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, as_known, first_missing, link_and_acceptance, stage, worst
-from rsb_bridge.route.combined_verdict import NODES, node_names
+from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
 
@@ -214,12 +214,13 @@ def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], co
     hearing: list[Endpoint] = []
     deaf: set[tuple[str, str, str]] = set()
     for each in subscriptions:
+        node = sanitize_text(each.node, NODE_LENGTH)
         if (why := mismatch(type_name, offered, each)) is not None:
             text = DeafText.TYPE if why.cause is Cause.TYPE_CONFLICT else DeafText.QOS
             reason = text(asked=", ".join(why.asked), offered=", ".join(why.offered))
-            deaf.add((each.node, why.cause.value, sanitize_text(reason, _REASON_LENGTH)))
+            deaf.add((node, why.cause.value, sanitize_text(reason, _REASON_LENGTH)))
         elif not count:
-            deaf.add((each.node, Cause.NONE.value, DeafText.UNMATCHED()))
+            deaf.add((node, Cause.NONE.value, DeafText.UNMATCHED()))
         else:
             hearing.append(each)
     return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
