@@ -313,12 +313,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         # Only then: it searches the graph, and only a clash needs the result.
         clash = any(each.cause == Cause.QOS_INCOMPATIBLE for each in self._audience.deaf)
         self._others = tuple(self.ends.publishers(self.remote_topic)) if clash else ()
-        self._clocks = self._further_clocks() if self.type_name == CLOCK else frozenset()
-
-    def _further_clocks(self) -> frozenset[str]:
-        nodes = {each.node for each in self.ends.publishers(self.remote_topic) if each.type_name == CLOCK}
-        links = self.context.announcements.publishing_links(self.remote_topic, self.peer.name)
-        return frozenset(nodes | {f"link {each}" for each in links})
+        self._clocks = _further_clocks(self) if self.type_name == CLOCK else frozenset()
 
     def destroy(self) -> None:
         """End it for good, its publisher too."""
@@ -631,3 +626,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._report.publisher_qos if self._report else None, self._subscriber_qos
+
+
+def _further_clocks(route: IncomingRoute) -> frozenset[str]:
+    """Return the nodes and the links that publish a route's clock here besides it."""
+    nodes = {each.node for each in route.ends.publishers(route.remote_topic) if each.type_name == CLOCK}
+    links = route.context.announcements.publishing_links(route.remote_topic, route.peer.name)
+    return frozenset(nodes | {f"link {each}" for each in links})
