@@ -24,7 +24,6 @@ from rsb_bridge.route.topic_verdict import NOT_MATCHED, PUBLISHED_NOTHING
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: it has wheels for Python 3.11 to 3.13")
 
 from cyclonedds.core import Policy
-from cyclonedds.util import duration
 from tests.support.cyclone import CycloneProgram
 
 if TYPE_CHECKING:
@@ -81,6 +80,8 @@ def _profile(qos: Qos) -> QoSProfile:
         durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.latched else DurabilityPolicy.VOLATILE,
         deadline=Duration(seconds=qos.deadline),
         lifespan=Duration(seconds=qos.lifespan),
+        liveliness=LivelinessPolicy[qos.liveliness.upper()],
+        liveliness_lease_duration=Duration(seconds=qos.liveliness_lease_duration),
     )
 
 
@@ -150,25 +151,15 @@ def test_nothing_of_keep_all_is_lost(bridge: Bridge, sides: tuple[Any, Any]) -> 
     crossed(writer, reader, [str(number) for number in range(500)])
 
 
-def test_deadline_and_lifespan_reach_far_side(bridge: Bridge, sides: tuple[Any, Any], pc: Domain) -> None:
+def test_timed_policies_reach_far_side(bridge: Bridge, sides: tuple[Any, Any], pc: Domain) -> None:
     near, _ = sides
-    near.writer("/timed", Qos(deadline=2.0, lifespan=4.0))
+    near.writer("/timed", Qos(deadline=2.0, lifespan=4.0, liveliness="manual_by_topic", liveliness_lease_duration=3.0))
     bridge.both(Topic("/timed", "transmit"))
-    found = eventually(lambda: pc.node.get_publishers_info_by_topic("/timed"))
-    assert (found[0].qos_profile.deadline, found[0].qos_profile.lifespan) == (Duration(seconds=2), Duration(seconds=4))
-
-
-def test_manual_liveliness_crosses_as_automatic(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    lease = Duration(seconds=1)
-    manual = QoSProfile(depth=10, liveliness=LivelinessPolicy.MANUAL_BY_TOPIC, liveliness_lease_duration=lease)
-    stock = _StockWriter(robot.publisher("/stock", qos=manual))
-    with closing(CycloneProgram(robot.id)) as near:
-        writer = near.writer("/cyclone", Qos(), Policy.Liveliness.ManualByTopic(duration(seconds=1)))
-        bridge.both(Topic("/stock", "transmit"), Topic("/cyclone", "transmit"))
-        for topic, each in (("/stock", stock), ("/cyclone", writer)):
-            crossed(each, _StockReader(pc.listener(topic)), ["a", "b"])
-            offered = pc.node.get_publishers_info_by_topic(topic)[0].qos_profile.liveliness
-            assert offered == LivelinessPolicy.AUTOMATIC
+    offered = eventually(lambda: pc.node.get_publishers_info_by_topic("/timed"))[0].qos_profile
+    assert [offered.deadline, offered.lifespan, offered.liveliness_lease_duration] == [
+        Duration(seconds=seconds) for seconds in (2, 4, 3)
+    ]
+    assert offered.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
 
 
 def test_program_is_named_as_no_node(bridge: Bridge, robot: Domain) -> None:

@@ -102,6 +102,9 @@ def _policies(qos: model.Qos) -> Iterator[Any]:
         yield Policy.Deadline(duration(seconds=qos.deadline))
     if qos.lifespan:
         yield Policy.Lifespan(duration(seconds=qos.lifespan))
+    if qos.liveliness_lease_duration:
+        alive = Policy.Liveliness.ManualByTopic if qos.liveliness == "manual_by_topic" else Policy.Liveliness.Automatic
+        yield alive(duration(seconds=qos.liveliness_lease_duration))
 
 
 def main() -> None:
