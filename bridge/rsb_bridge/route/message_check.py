@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING
 
 import zstandard
@@ -85,19 +86,22 @@ class _Publication:
 
     Args:
         then: called on the loop with the reason why it is not published, or None.
+
+    Attributes:
+        wanted: whether its route is still in the opening that it came in.
     """
 
-    wanted = True
-
     def __init__(self, publisher: Publisher, content: bytes, then: Callable[[RosError | None], None]) -> None:
+        self.wanted = True
         self._publisher, self._content = publisher, content
         self._then = then
         self._error: RosError | None = None
 
     def run(self) -> None:
         """Publish it, on any thread."""
+        content, self._content = self._content, b""  # it is freed here, and not once the loop comes to that
         try:
-            self._publisher.publish(self._content)
+            self._publisher.publish(content)
         except RosError as error:
             self._error = error
 
@@ -251,22 +255,22 @@ class Unpacker:
         Args:
             failed: called with the reason if it is not published.
         """
-
-        def then(error: RosError | None) -> None:
-            if error is not None:
-                failed(error)
-            if self._publication is publication:  # else that opening is over
-                self._publication = None
-                self._go_on()
-
-        publication = self._publication = _Publication(publisher, content, then)
+        self._publication = _Publication(publisher, content, partial(self._published, failed))
         self.holds = True
-        self._budget.publish(publication, self._context.loop)
+        self._budget.publish(self._publication, self._context.loop)
+
+    def _published(self, failed: Callable[[RosError], None], error: RosError | None) -> None:
+        self._publication = None
+        if error is not None:
+            failed(error)
+        self._go_on()
 
     def clear(self) -> None:
         """Drop the messages that wait."""
         self.waiting, self._size, self.holds = [], 0, False
-        self._publication = None
+        if self._publication is not None:
+            self._publication.wanted = False
+            self._publication = None
         self.forget()
 
     def forget(self) -> None:
