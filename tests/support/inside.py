@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_bridge.ros.node import RosNode
     from rsb_bridge.ros.participant import Participant
-    from rsb_bridge.ros.ros_interface import Response
     from rsb_bridge.route.calls.calls_route import CallsRoute
     from rsb_bridge.route.calls.kept_calls import KeptAnswers
     from rsb_bridge.route.calls.pending_calls import PendingCalls
@@ -128,11 +127,6 @@ def kept_answers(answers: KeptAnswers) -> dict[Any, Any]:
 def numbers_of(thing: ProvidingRoute | KeptAnswers) -> dict[Any, Any]:
     """Return what is known by the number of a call."""
     return thing._by_number
-
-
-def responded(route: ProvidingRoute, lane: int, *responses: Response) -> None:
-    """Have a half get responses from ROS."""
-    route._responded(lane, responses)
 
 
 def refusal_of(route: ProvidingRoute, frame: CallFrame) -> Refused | None:

@@ -30,6 +30,7 @@ class Graph(NoRos):
     def __init__(self) -> None:
         self.found: list[Endpoint] = []
         self.looks = 0
+        self.respond: Any = None
         self.client = SimpleNamespace(ready=True, call=lambda request: 1, close=lambda: None)
 
     def servers(self, service: str) -> list[Endpoint]:
@@ -39,7 +40,8 @@ class Graph(NoRos):
     def installed_service_hash(self, type_name: str) -> str | None:
         return LAMP.type_hash
 
-    def call_service(self, *_: object) -> Any:
+    def call_service(self, name: str, type_name: str, type_hash: str, put: Any, failed: object) -> Any:
+        self.respond = put
         return self.client
 
 

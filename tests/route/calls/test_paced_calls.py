@@ -8,7 +8,6 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from tests.route.calls.test_gone import LAMP, Graph, providing
-from tests.support.inside import responded
 
 from rsb_bridge.ros.ros_interface import Response
 from rsb_bridge.wire.headers import CallFrame, What
@@ -26,8 +25,9 @@ class Lamp:
     """A route that provides a service, and the requests that its node has got."""
 
     def __init__(self, make_context: Callable[..., Context], loop: VirtualLoop) -> None:
-        ros = Graph()
+        ros = self._ros = Graph()
         ros.found = [LAMP]
+        self._loop = loop
         self.got: list[int] = []
         self._numbers = itertools.count(1)
         self._answered = 0
@@ -47,7 +47,8 @@ class Lamp:
     def answer(self, count: int = 1) -> None:
         for _ in range(count):
             self._answered += 1
-            responded(self.route, 0, Response(bytes(16), self._answered, 0))
+            self._ros.respond([Response(bytes(16), self._answered, 0)])
+        self._loop.run_until_complete(asyncio.sleep(0))
 
 
 def test_next_call_waits_for_an_answer(make_context: Callable[..., Context], loop: VirtualLoop) -> None:

@@ -85,6 +85,9 @@ class _Pace:
 class ProvidingRoute(CallsRoute):
     """Tells the peer what is provided here, and passes its calls on.
 
+    It has more than 40 methods because calls come from the peer and answers from ROS, and either may end before a call
+    does.
+
     Attributes:
         come_as: the kinds of frames that are calls.
     """
@@ -300,10 +303,16 @@ class ProvidingRoute(CallsRoute):
         return None if leaving is None else leaving(frame, self.context.now())
 
     def _have_more(self) -> None:
-        """Give a node more calls that has answered none for a while."""
+        """Give a node more calls that has answered none for a while, and expire those that have waited too long."""
         self._unanswered = None
         now = self.context.now()
-        for pace in self._paces.values():
+        for lane, pace in self._paces.items():
+            while pace.waiting and now - pace.waiting[0][0] > self.call_timeout:
+                _, frame = pace.waiting.popleft()
+                self.peer.budget.provided.give(frame_size(frame.content))
+                self.calls.expired += 1
+                nodes = " and ".join(node_names(self.endpoints)) or "the server"
+                self.failures.say(f"{nodes} did not answer earlier calls of {self.local_names[lane]} in time")
             if pace.waiting and pace.answered_at <= now - _UNANSWERED:
                 pace.most *= 2
             self._pass_on_waiting(pace)
@@ -477,18 +486,6 @@ class ProvidingRoute(CallsRoute):
         for message in messages:
             self._outbox.put(CallFrame(What.MESSAGE, lane, 0, 0, message.payload))
         self.flush()
-
-    def tick(self) -> None:
-        """Expire calls that wait for others, and update counts; called once a second."""
-        now = self.context.now()
-        for lane, pace in self._paces.items():
-            while pace.waiting and now - pace.waiting[0][0] > self.call_timeout:
-                _, frame = pace.waiting.popleft()
-                self.peer.budget.provided.give(frame_size(frame.content))
-                self.calls.expired += 1
-                nodes = " and ".join(node_names(self.endpoints)) or "the server"
-                self.failures.say(f"{nodes} did not answer earlier calls of {self.local_names[lane]} in time")
-        super().tick()
 
     # --- verdict and snapshot
 
