@@ -106,6 +106,10 @@ class Socket:
     def getsockname(self) -> Address:
         return self.own
 
+    def getpeername(self) -> Address:
+        assert self.remote is not None
+        return self.remote
+
     def fileno(self) -> int:
         """Its number, as if it had been the last to get one."""
         return _FIRST_DESCRIPTOR + len(self.process.descriptors)
