@@ -113,7 +113,7 @@ async def test_calls_that_expire_while_nothing_gets_through_hold_nothing(
             for _ in range(100):
                 client.ask()
             if answers:
-                await until(lambda: len(server.asked) == 100, 1.0)
+                await until(lambda: len(server.asked) == 100, 3.0)
             stuck.setattr(type(half.channel), "congested", True)
             server.answer()
             await asyncio.sleep(5.0)

@@ -387,7 +387,7 @@ def test_beyond_its_bounds_a_call_is_refused_and_counted(
         await harness.ready(client)
         for _ in range(50):
             client.ask(bytes(1000))
-        await asyncio.sleep(1.0)
+        await asyncio.sleep(1.2)
         near, far = harness.counted()
         assert len(server.asked) == passing
         assert (near.in_flight, far.in_flight) == (passing, passing)

@@ -302,6 +302,11 @@ class ProvidingRoute(CallsRoute):
             return why
         return None if leaving is None else leaving(frame, self.context.now())
 
+    @property
+    def waiting_calls(self) -> int:
+        """Calls that wait until the node has answered others."""
+        return sum(len(pace.waiting) for pace in self._paces.values())
+
     def _have_more(self) -> None:
         """Give a node more calls that has answered none for a while, and expire those that have waited too long."""
         self._unanswered = None
