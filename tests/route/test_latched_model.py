@@ -147,6 +147,7 @@ class FarDds:
         self.loop = loop
         self.lifespan = lifespan
         self.discovery: Callable[[], float] = lambda: 0.1  # s until the subscriber knows a new publisher
+        self.asks_after = 0.0  # s until a publisher that overwrites nothing asks for acknowledgements
         self.open: list[FarPublisher] = []
         self.heard: list[bytes] = []
         self.first_heard = 0.0
@@ -174,16 +175,19 @@ class FarPublisher:
         dds.loop.call_at(self._known_at, self._deliver)
         self.kept: deque[bytes] = deque(maxlen=depth)
         self._unheard: deque[bytes] = deque(maxlen=depth)
+        self._published_at = 0.0
 
     @property
     def acknowledged(self) -> bool:
-        return not self._unheard
+        asked = len(self.kept) == self.kept.maxlen or self._dds.loop.time() - self._published_at >= self._dds.asks_after
+        return asked and not self._unheard
 
     def assert_liveliness(self) -> None:
         pass
 
     def publish(self, content: bytes) -> None:
         assert self in self._dds.open
+        self._published_at = self._dds.loop.time()
         self.kept.append(content)
         if self._dds.lifespan:
             self._dds.loop.call_later(self._dds.lifespan, self._expire, content)
@@ -560,6 +564,24 @@ def test_live_messages_cross_at_once_at_any_rate(rate: float, publishers: int, l
         assert behind <= 1 + rate * 0.5
         assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
         assert world.route.offered == world.route.sent == count
+
+
+@pytest.mark.parametrize("rate", [25, 200])
+def test_late_acknowledgements_hold_a_message_up_half_a_second(rate: int) -> None:
+    """DDS asks for them every 3 s, until a publisher overwrites what it has published."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        world.far.asks_after = 3.0
+        world.wait(1)
+        writer, behind = world.near.new_writer(1000), 0
+        world.wait(0.1)
+        for at in range(5 * rate):
+            world.near.publish(writer)
+            world.wait(1 / rate)
+            behind = max(behind, at + 1 - len(world.far.heard))
+        assert behind <= 1 + 0.6 * rate
+        world.wait(1)
+        assert len(world.far.heard) == 5 * rate
 
 
 def test_a_lifespan_does_not_hide_that_one_message_is_kept() -> None:

@@ -76,6 +76,8 @@ class _OutputHistory:
     Attributes:
         kept: number of each message that it keeps, and size of its memory, oldest first.
         waiting: number of its messages that are not published yet.
+        published: number of the others.
+        made_at: time (s) when it was made.
         used_at: time (s) when it was made, last published, or was retired.
         discovered: whether all subscribers have had a message of it, or had time to.
     """
@@ -84,8 +86,8 @@ class _OutputHistory:
         self.publisher = publisher
         self.depth = depth
         self.kept: deque[tuple[int, int]] = deque()
-        self.waiting = 0
-        self.used_at = now
+        self.waiting = self.published = 0
+        self.made_at = self.used_at = now
         self.discovered = False
 
     @property
@@ -351,20 +353,28 @@ class LatchedTopic:
 
     def _publish(self, history: _History, output: _OutputHistory, content: bytes) -> None:
         history.last, output.used_at = output, self._loop.time()
+        output.published += 1
         output.publisher.publish(content)
 
     def _is_next(self, history: _History, output: _OutputHistory, now: float) -> bool:
         """Whether the next message may be published: all subscribers will hear it, after those of other outputs."""
         last = history.last
-        if last is None or (last is output and output.discovered):
+        if last is None or (last is output and (output.discovered or self._overwrites_nothing(output, now))):
             return True
         # DDS here knows the subscribers of a new publisher at once, but they may not know it yet, and would miss what
-        # it overwrites meanwhile.
-        within = _ACKNOWLEDGED_WITHIN if last.discovered else _DISCOVERED_WITHIN
-        if last.publisher.acknowledged or now - last.used_at >= within:
-            last.discovered = True
-            return True
-        return False
+        # it overwrites meanwhile. Before it does, they are asked for acknowledgements every 3 s only.
+        may_lose = not last.discovered and last.published >= last.depth
+        acknowledged = last.publisher.acknowledged
+        if not acknowledged and now - last.used_at < (_DISCOVERED_WITHIN if may_lose else _ACKNOWLEDGED_WITHIN):
+            return False
+        last.discovered = last.discovered or acknowledged or may_lose
+        return True
+
+    @staticmethod
+    def _overwrites_nothing(output: _OutputHistory, now: float) -> bool:
+        """Whether a new output has room for a message, and not so many that they overrun who discovers it."""
+        few = output.published < _AT_ONCE or now - output.made_at >= _ACKNOWLEDGED_WITHIN
+        return few and output.published < output.depth
 
     def _look_again(self, after: float = _LOOKS_AGAIN_AFTER) -> None:
         if self._timer is None:
