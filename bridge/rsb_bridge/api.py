@@ -187,9 +187,6 @@ class EngineApi(ABC):
     def reload(self, *, dry_run: bool = False, drop_arm: bool = False, seen: str = "") -> Future[Reloaded]:
         return self.do(commands.Reload(dry_run, drop_arm, seen))
 
-    def save(self) -> Future[None]:
-        return self.do(commands.Save())
-
     def topics(self, link: str | None = None) -> Future[tuple[TopicInfo, ...]]:
         return self.do(commands.Topics(link))
 

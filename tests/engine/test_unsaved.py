@@ -15,7 +15,7 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_changes import with_client
 from rsb_bridge.config.session_file import SavingProblem, dump, load, load_file, save
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import acting
+from rsb_bridge.model.commands import Save, acting
 from rsb_bridge.model.session import Client, Topic
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def test_a_change_is_unsaved_until_it_is_saved(bridge: Bridge) -> None:
         side.add_topic(topic).result(60)
         assert side.snapshot().unsaved
         with acting("anna"):
-            side.save().result(60)
+            side.do(Save()).result(60)
         assert not side.snapshot().unsaved
         assert path.read_text().startswith("# mine\n")
         assert load(path).topics or load(path).listed_clients[0].topics
@@ -74,7 +74,7 @@ def test_a_file_changed_by_others_is_not_overwritten(bridge: Bridge) -> None:
     for text in f"# theirs\n{path.read_text()}", "name: [\n":
         path.write_text(text)
         with pytest.raises(EngineError, match=pattern(SavingProblem.CHANGED)):
-            client.save().result(60)
+            client.do(Save()).result(60)
         assert path.read_text() == text
         assert client.snapshot().unsaved
 
@@ -85,7 +85,7 @@ def test_another_console_may_have_saved_the_same(bridge: Bridge) -> None:
     client.add_topic(MAP).result(60)
     save(client.session, path, load_file(path))
     text = path.read_text()
-    client.save().result(60)
+    client.do(Save()).result(60)
     assert not client.snapshot().unsaved
     assert path.read_text() == text
 
@@ -99,7 +99,7 @@ def test_clients_that_are_in_the_file_are_saved(bridge: Bridge) -> None:
     save(with_client(opened.session, client), path, opened)
     server.add_client(client).result(60)
     assert server.snapshot().unsaved, "the topic is not saved"
-    server.save().result(60)
+    server.do(Save()).result(60)
     assert [len(each.topics) for each in load(path).listed_clients] == [1, 0]
     save(msgspec.structs.replace(load(path), clients=load(path).listed_clients[:1]), path, load_file(path))
     server.remove_client("robot2").result(60)
@@ -111,7 +111,7 @@ def test_a_session_without_a_file_is_not_unsaved(bridge: Bridge) -> None:
     client.add_topic(MAP).result(60)
     assert not client.snapshot().unsaved
     with pytest.raises(EngineError, match=pattern(Unable.NO_FILE)):
-        client.save().result(60)
+        client.do(Save()).result(60)
     assert not happened(client, EventCode.OPERATOR_SAVED)
 
 
@@ -122,5 +122,5 @@ def test_key_files_elsewhere_are_left_to_the_console(bridge: Bridge, tmp_path: P
     text = path.read_text()
     client.add_topic(MAP).result(60)
     with pytest.raises(EngineError, match=pattern(Unable.SAVED_ELSEWHERE)):
-        client.save().result(60)
+        client.do(Save()).result(60)
     assert path.read_text() == text

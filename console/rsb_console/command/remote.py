@@ -15,6 +15,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.model.by_hand import ASKED_FOR
+from rsb_bridge.model.commands import Save
 from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
@@ -261,7 +262,7 @@ def _reload(arguments: Namespace) -> int:
 
 def _save(arguments: Namespace) -> int:
     with attached(arguments) as engine:
-        result(engine.save())
+        result(engine.do(Save()))
         return done(arguments, f"saved: {engine.bridge.file}")
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import SUFFIX
-from rsb_bridge.model.commands import Effect
+from rsb_bridge.model.commands import Effect, Save
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -232,7 +232,7 @@ class SessionOperations:
         engine, title = self._console.engine, SessionQuestion.SAVE_THERE(name=self._console.attached_to)
         question = ConfirmScreen(title, SessionQuestion.SAVES_THERE(), "Save", Effect.LOSES)
         if engine is not None and await self._console.ask(question):
-            await self._console.command(engine.save(), "saved")
+            await self._console.command(engine.do(Save()), "saved")
 
     async def save_as(self) -> None:
         from rsb_console.screens.session_files import SaveAsScreen  # noqa: PLC0415 -- keeps the start short
@@ -276,7 +276,7 @@ class SessionOperations:
             self._console.saved_to(session, path)
             own = self._console.path
             if self._console.attached_to and own is not None and own.resolve() == path.resolve():  # noqa: ASYNC240 -- as all files of a session here
-                await self._console.command(engine.save())  # it finds its session in the file
+                await self._console.command(engine.do(Save()))  # it finds its session in the file
             return True
         return False
 
