@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 def run(name: str, path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command for a session file and the program that runs it."""
-    return rsb_console("client", name, *arguments, str(path), "--control", f"{path}.sock", "--json")
+    return rsb_console("client", name, str(path), *arguments, "--control", f"{path}.sock", "--json")
 
 
 def client(name: str, path: Path, *arguments: str) -> Any:

@@ -100,6 +100,11 @@ _FAILURES: dict[type[Exception], tuple[str, EventCode]] = {
 _CAUGHT: tuple[type[Exception], ...] = (_NotPublishedError, *_FAILURES)
 
 
+def _failure_of(peer: Verdict) -> str:
+    """Return the reason why the other side's subscription failed, or an empty string."""
+    return peer.text if peer.cause == Cause.SUBSCRIBE_FAILED else ""
+
+
 class IncomingRoute(TopicRoute[ReceivingChannel]):
     """Publishes here what the peer sends.
 
@@ -505,7 +510,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def reported(self, report: SentReport) -> None:
         """Take the sender's ledger, which is right for both sides."""
-        failed_before = self._failure
+        failed_before = _failure_of(self.judged.peer)
         self._report = report
         # Until the first report of an opening, the verdict is that this side waits for it.
         if not self._is_reported:
@@ -516,7 +521,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
         left_out = peer.cause == Cause.TYPE_CONFLICT and peer.state is not State.DOWN
         self.notices.set_warning(peer.text if left_out else "")
-        failure = self._failure
+        failure = _failure_of(self.judged.peer)
         if failure and failure != failed_before:
             self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
         ledger = reported_ledger(report)
@@ -570,6 +575,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def progress(self) -> TopicProgress:
         report, peer = self._report if self._is_reported else None, self.judged.peer
+        since = self._unmatched_since
         # One that matches no subscription at all.
         deaf = () if self._audience.count else self._audience.deaf
         clash = next((each.reason for each in deaf if each.cause == Cause.QOS_INCOMPATIBLE), "")
@@ -582,8 +588,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             why_unresolved=peer.text,
             clash=clash or (peer.text if peer.cause == Cause.QOS_INCOMPATIBLE else ""),
             subscribed=report is not None and report.subscribed,
-            subscribe_failed=self._failure,
-            unmatched=self._is_unmatched,
+            subscribe_failed=_failure_of(peer),
+            unmatched=since is not None and self.context.now() > since + _MATCHED_WITHIN,
             sent=report.offered if report else 0,
             received=self._received,
             published=self._delivered,
@@ -596,11 +602,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         )
 
     @property
-    def _is_unmatched(self) -> bool:
-        since = self._unmatched_since
-        return since is not None and self.context.now() > since + _MATCHED_WITHIN
-
-    @property
     def has_kept(self) -> bool:
         """Whether messages are kept here. The peer's verdict tells whether newer ones exist."""
         return self.outputs.has_kept
@@ -609,12 +610,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def silence_counts(self) -> bool:
         """Whether silence counts while messages are in transit; otherwise the sending side judges."""
         return super().silence_counts and (self.silence.own or self._sender_ledger.in_flight > 0)
-
-    @property
-    def _failure(self) -> str:
-        """The reason why the other side's subscription failed, or an empty string."""
-        peer = self.judged.peer
-        return peer.text if peer.cause == Cause.SUBSCRIBE_FAILED else ""
 
     @property
     def present_type(self) -> TypeVersion:
