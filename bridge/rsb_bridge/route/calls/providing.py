@@ -337,13 +337,14 @@ class ProvidingRoute(CallsRoute):
                 self.peer.budget.provided.give(frame_size(frame.content))
                 self._refuse_peer(frame, why)
 
-    def _left(self, lane: int, number: int) -> int | None:
+    def _left(self, lane: int, number: int, *, answered: bool = False) -> int | None:
         """Return the peer's call that a client's call was made for, which is over, or None if it was over before."""
         peers = self._by_number.pop((lane, number), None)
         if peers is not None and (pace := self._paces.get(lane)) is not None:
             pace.open -= 1
-            pace.most = max(_OPEN, min(pace.most, pace.open + 1))
-            pace.answered_at = self.context.now()
+            if answered:  # one that has expired does not show that the node answers
+                pace.most = max(_OPEN, min(pace.most, pace.open + 1))
+                pace.answered_at = self.context.now()
             self._pass_on_waiting(pace)
         return peers
 
@@ -414,7 +415,7 @@ class ProvidingRoute(CallsRoute):
         self.flush()
 
     def _take_response(self, lane: int, response: Response) -> None:
-        peers = self._left(lane, response.number)
+        peers = self._left(lane, response.number, answered=True)
         if peers is None or not self._answer(peers, response.payload):
             self.calls.late += 1
 
