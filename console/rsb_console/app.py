@@ -256,7 +256,7 @@ class ConsoleApp(TerminalApp[None]):
         from rsb_console.screens.session_files import remember  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of  # noqa: PLC0415 -- keeps the start short
 
-        # An attached bridge keeps to its own file, whatever file gets a copy.
+        # An attached bridge keeps to its own file, even if another one gets a copy.
         own = None if self.path is None else self.path.resolve()
         if not self.attached_to or (path is not None and path.resolve() == own):
             self.path, self.saved = path, session

@@ -175,7 +175,7 @@ class PathRate:
         # What is lost in the best span is lost at any pace, and has crossed the narrowest part of the path, or would.
         carries = max(rate for _, rate in self._rates) / max(self._shares)
         self.pace = self._gain * carries
-        if not self._was_full:  # what was sent by then was little, not the path slow
+        if not self._was_full:  # little was sent until then; the path was not slow
             self.pace = max(_FIRST_PACE, self.pace)
         self.crossing = int(carries * self._round_trips.least)
         least = self.most if self._gain == _GROWING else LEAST_ON_PATH

@@ -180,7 +180,7 @@ def _sorted(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
 
 
 class SessionInFile:
-    """What a session file holds, next to the running session.
+    """A session file's contents, next to the running session.
 
     Attributes:
         session: of the file, or None without a file.

@@ -213,7 +213,7 @@ def _shared_memory(folder: Path) -> Iterator[Finding]:
 
 def _cleaning(folder: Path) -> str:
     """Return how to remove what killed programs have left: Fast DDS's own tool spares the nodes that run."""
-    beside = Path(sys.executable).with_name("fastdds")  # of the wheels, whose folder need not be in $PATH
+    beside = Path(sys.executable).with_name("fastdds")  # of the wheels, whose folder may be missing in $PATH
     if tool := "fastdds" if shutil.which("fastdds") else str(beside) if beside.exists() else "":
         return f"run: {tool} shm clean"
     return f"stop all ROS nodes of this machine, then run: rm {folder}/fast* {folder}/sem.fast*"

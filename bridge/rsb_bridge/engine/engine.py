@@ -456,7 +456,7 @@ class Engine(EngineApi):
         await self._client_saved(name)
 
     async def _client_saved(self, name: str) -> None:
-        """Take over a client's entry from the file: whoever changes a client writes it there first."""
+        """Take over a client's entry from the file: a change of a client is written there first."""
         path, before, held = self._file, self._opened, self._in_file.session
         if path is None or before is None or held is None:
             return

@@ -435,7 +435,7 @@ class LinkArming:
                 self._peer.send(Arm(route.id, route.arming.by))
 
     def _end_overdue(self) -> None:
-        """Disarm overdue routes, and schedule those that are due before the next beat."""
+        """Disarm overdue routes, and schedule the ones due before the next beat."""
         now = self._context.now()
         for route in self._routes():
             if (why := route.arming.overdue(now)) is not None:

@@ -224,7 +224,7 @@ class TopicView:
         return msgspec.structs.replace(picture, problem=picture.problem or sanitize_text(problem), waiting=waiting)
 
     def _unheard(self, feed: _Feed) -> str:
-        """Return what is known of a topic of which no message has come."""
+        """Describe a topic without a message: its publishers, and how long it is silent."""
         count = None if feed.authors is None else len(feed.authors)
         publishers = "published by the bridge" if count is None else f"{count or 'no'} publisher{'s' * (count != 1)}"
         reliability = feed.viewable.qos.reliability.replace("_", " ")

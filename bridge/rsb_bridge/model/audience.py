@@ -1,4 +1,4 @@
-"""The subscriptions of a topic that hear a publisher, and those that do not."""
+"""The subscriptions of a topic, by whether they hear a publisher."""
 
 from __future__ import annotations
 

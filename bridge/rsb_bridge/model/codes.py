@@ -183,7 +183,7 @@ class EventCode(StrEnum):
     ROUTE_DISARMED = "route.disarmed"
     """A topic was disarmed by itself; `Event.cause` says why."""
     ROUTE_OTHER_END = "route.other_end"
-    """The two sessions set different ends of an arming (`on_end`); the text says which one the robot gets."""
+    """The two sessions set different ends of an arming (`on_end`); the text names the one that the robot gets."""
     ROUTE_REFUSED = "route.refused"
     """One of the sides refused the route as the other asked for it."""
     ROUTE_CLOSED = "route.closed"

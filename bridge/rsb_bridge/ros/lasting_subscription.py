@@ -63,7 +63,7 @@ class LastingSubscription:
 
     @property
     def alive(self) -> bool:
-        """Whether a publisher is known to be alive; only asked if the QoS has a lease."""
+        """Whether DDS reports a publisher alive; only asked if the QoS has a lease."""
         return self._subscription is not None and self._subscription.alive
 
     def reopen(self) -> None:

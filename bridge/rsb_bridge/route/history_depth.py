@@ -392,7 +392,7 @@ class Histories:
 
 @dataclass(slots=True)
 class _Found:
-    """What a probe got of one publisher.
+    """Messages of one publisher that a probe got.
 
     Attributes:
         first: the first number.
@@ -433,7 +433,7 @@ class _Probe:
             if found is None:
                 found = self.found[message.gid] = _Found(message.number, message.stamp)
             found.last = message.number
-            # What was published after the first message had come is no history.
+            # Messages published after the first one had come are no history.
             if message.source <= found.came:
                 found.kept = message.number
         if not self._complete and all(

@@ -35,7 +35,7 @@ ms."""
 EXPANDED_ASIDE = 1 << 20
 """Bytes; longer messages are unpacked on another thread. 63 MiB take 30 ms, in which no link would be served."""
 PUBLISHED_ASIDE = 8 << 20
-"""Bytes; longer messages are given to DDS on that thread, too, as copying them would hold up the loop. A round figure."""
+"""Bytes; longer messages are given to DDS on that thread, too: copying them holds up the loop. A round figure."""
 BACKLOG_LIMIT = 2 * MESSAGE_LIMIT
 """Bytes of one route's messages that wait behind one that is unpacked. The sender's window is far smaller."""
 CHECKED_AT_ONCE = 2 * STEPS

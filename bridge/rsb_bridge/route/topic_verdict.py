@@ -184,7 +184,7 @@ class DeafText(Wording):
 
 
 class Mismatch(NamedTuple):
-    """What keeps a subscription from hearing a publisher.
+    """A reason why a subscription does not hear a publisher.
 
     Attributes:
         cause: `Cause.TYPE_CONFLICT` or `Cause.QOS_INCOMPATIBLE`.

@@ -24,7 +24,7 @@ io_uring, pidfd, clone3, new mounts: libraries do without them, as on an older k
 """
 _THREAD = 0x10000  # CLONE_THREAD
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
-_OWNER = 0b1000  # of all commands of fcntl, those that have another process signalled
+_OWNER = 0b1000  # commands of fcntl that have another process signalled
 _ALL_BITS = 0xFFFFFFFF
 _POINTER = 8
 
@@ -64,7 +64,7 @@ REFUSED: dict[str, tuple[int | None, int | None]] = {
     "perf_event_open": (298, 241), "userfaultfd": (323, 282), "unshare": (272, 97), "setns": (308, 268),
     "mount": (165, 40), "umount2": (166, 39), "pivot_root": (155, 41), "chroot": (161, 51),
 }  # fmt: skip
-"""Numbers of the refused calls, on x86-64 and on aarch64; None where there is none."""
+"""Numbers of the refused calls, on x86-64 and on aarch64; None where it has no such call."""
 _REFUSED_IF: dict[str, tuple[int | None, int | None, int, int]] = {
     "open": (2, None, 1, _WRITING), "openat": (257, 56, 2, _WRITING),
     "fcntl": (72, 25, 1, _OWNER), "prlimit64": (302, 261, 0, _ALL_BITS),

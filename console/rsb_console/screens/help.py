@@ -125,5 +125,5 @@ class ActionsProvider(Provider):
 
 
 def _by_use(action: Action) -> tuple[bool, bool]:
-    """Sort those of the footer first, and last what only moves the cursor."""
+    """Sort the footer's actions first, and movements of the cursor last."""
     return action.group is Group.MOVE, not action.in_footer

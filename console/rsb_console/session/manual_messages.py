@@ -131,7 +131,7 @@ class Landing:
         return all(each is not None and each.audience.is_settled for each in reports)
 
     def reports(self, snapshot: Snapshot, links: Collection[str]) -> list[Landed]:
-        """Return what became of messages at the end of each route."""
+        """Describe the fate of messages at the end of each route."""
         return [
             self._report(each) or Landed(each.link, LandingText.UNREPORTED(link=each.link, seconds=REPORTED_WITHIN))
             for each in self._routes(snapshot)

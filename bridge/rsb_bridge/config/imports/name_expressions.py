@@ -14,10 +14,10 @@ _TOKEN = re.compile(
 
 
 def patterns(expression: str) -> list[str] | None:
-    """Return patterns (`rsb_bridge.model.patterns`) that match the same full names, or None if none are known.
+    """Return patterns (`rsb_bridge.model.patterns`) that match the same full names, or None if it cannot be written so.
 
-    ``.*`` and ``[^/]*``, groups and alternatives are understood. ``/**/`` also stands for no segment at all, so that
-    ``/a/.*/b`` becomes a pattern that matches ``/a/b``, too.
+    ``.*`` and ``[^/]*``, groups and alternatives are understood. ``/**/`` also matches no segment at all, so the
+    pattern of ``/a/.*/b`` matches ``/a/b``, too.
     """
     branches = _branches(expression)
     if branches is None:
@@ -35,14 +35,14 @@ def globs(expression: str) -> list[str] | None:
 
 
 def _branches(expression: str) -> list[str] | None:
-    """Return the names that an expression stands for, with `_ANY` and `_SEGMENT` in them."""
+    """Return the names that an expression matches, with `_ANY` and `_SEGMENT` in them."""
     text = expression.removeprefix("^").removesuffix("$")
     branches, end = _alternatives(text, 0)
     return branches if text and branches and end == len(text) else None
 
 
 def _alternatives(text: str, at: int) -> tuple[list[str], int]:
-    """Return what stands for the alternatives from a place on, and the place where they end: none if not understood."""
+    """Return the branches from a place on, and the place where they end. An unknown expression has no branches."""
     done: list[str] = []
     now = [""]
     while at < len(text) and text[at] != ")":

@@ -21,7 +21,7 @@ class OtherBridge(Enum):
 
 
 class Choices(NamedTuple):
-    """The caller's choices, for what a file does not say or is to be said differently.
+    """The caller's choices, which come before the file's.
 
     Attributes:
         name: of the bridge, or None for the file's, if it has one.

@@ -260,12 +260,12 @@ class _Conversion:
 
 
 def _covers(pattern: str, name: str) -> bool:
-    """Whether all that a name or pattern means is meant by another one, as far as can be told from their texts."""
+    """Whether a pattern matches a whole name, or is the same pattern."""
     return pattern == name or (not is_pattern(name) and Pattern(pattern).match(name) is not None)
 
 
 def _priority(level: float) -> dict[str, Any]:
-    """Return the setting of one of Zenoh's priorities, 1 (highest) to 7."""
+    """Convert a priority of Zenoh's, 1 (highest) to 7."""
     if level < _HIGHEST_NORMAL:
         return {"priority": "high"}
     return {"priority": "low" if level > _LOWEST_NORMAL else "normal"}
