@@ -17,6 +17,7 @@ from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.session_files import FileText
 from rsb_console.screens.take_over import AskHolderScreen
+from rsb_console.widgets.form import FieldSearch
 
 KEYS = {  # dialog: the key that opens it on the main screen
     "Sessions": "o",
@@ -63,6 +64,8 @@ async def press(app: ConsoleApp, pilot: Pilot[None], dialog: str, label: str) ->
     await pilot.press("enter")
     if label == "More (F8)":
         await shown(pilot, "Stale after")
+    elif label == "Go to (F7)":
+        await until(pilot, lambda: isinstance(app.focused, FieldSearch), "the search for a field")
     elif label == "Import":  # nothing is filled in
         await shown(pilot, FileText.MISSING)
     else:
