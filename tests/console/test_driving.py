@@ -619,6 +619,7 @@ async def test_the_holder_sees_the_question_while_driving_and_answers(
     assert not [command for command in engine_of(app).commands if command[0] == "answer_asker"]
     put(app, ARMED)
     await gone(pilot, "asks for it")
+    await rests(app, pilot, clock)  # each command puts the screen's clock ahead of the keys' own
     clock.now = time.monotonic() - 1.0
     put(app, ASKED)
     await shown(pilot, DriveText.ASKS, who="bert on pts/2", seconds=7.0)
