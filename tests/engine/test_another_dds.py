@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
 USUAL, ALL = Qos(), Qos(history="keep_all")
-BEST_EFFORT, LATCHED = Qos(reliability="best_effort"), Qos(durability="transient_local", depth=3)
+BEST_EFFORT, LATCHED = Qos(reliability="best_effort"), Qos(durability="transient_local", depth=5)
 
 
 class Stock:
@@ -136,12 +136,12 @@ def test_large_messages_cross(bridge: Bridge, sides: tuple[Any, Any]) -> None:
 def test_late_joiner_hears_latched_history(bridge: Bridge, sides: tuple[Any, Any]) -> None:
     near, far = sides
     writers = near.writer("/up", LATCHED), far.writer("/down", LATCHED)
-    for number in range(5):
+    for number in range(7):
         for each in writers:
             each.publish(str(number))
     bridge.both(Topic("/up", "transmit"), Topic("/down", "receive"))
     for reader in far.reader("/up", LATCHED), near.reader("/down", LATCHED):
-        eventually(lambda reader=reader: reader.texts == ["2", "3", "4"])
+        eventually(lambda reader=reader: reader.texts == ["2", "3", "4", "5", "6"])
 
 
 def test_nothing_of_keep_all_is_lost(bridge: Bridge, sides: tuple[Any, Any]) -> None:

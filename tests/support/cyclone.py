@@ -41,7 +41,7 @@ class CycloneProgram:
 
     def __init__(self, domain_id: int) -> None:
         self._participant: Any = DomainParticipant(domain_id)
-        self._endpoints: list[Any] = []  # the last reference to one deletes it
+        self._endpoints: list[CycloneWriter | CycloneReader] = []
 
     def writer(self, topic: str, qos: model.Qos = _USUAL, *more: Any) -> CycloneWriter:
         """Write to a topic.
@@ -51,41 +51,46 @@ class CycloneProgram:
         """
         given = Qos(*_policies(qos), *more)
         group = Publisher(self._participant, qos=Qos(*(each for each in more if isinstance(each, Policy.Partition))))
-        self._endpoints.append(DataWriter(group, Topic(self._participant, f"rt{topic}", STRING), given))
-        return CycloneWriter(self._endpoints[-1])
+        writer = CycloneWriter(DataWriter(group, Topic(self._participant, f"rt{topic}", STRING), given))
+        self._endpoints.append(writer)
+        return writer
 
     def reader(self, topic: str, qos: model.Qos = _USUAL, *more: Any) -> CycloneReader:
         """Read from a topic."""
         given, group = Qos(*_policies(qos), *more), Subscriber(self._participant)
-        self._endpoints.append(DataReader(group, Topic(self._participant, f"rt{topic}", STRING), given))
-        return CycloneReader(self._endpoints[-1])
+        reader = CycloneReader(DataReader(group, Topic(self._participant, f"rt{topic}", STRING), given))
+        self._endpoints.append(reader)
+        return reader
 
     def close(self) -> None:
+        """Take them out of the domain. The last reference to one does that, and a failed test's traceback holds more."""
+        for each in self._endpoints:
+            each.entity = None
         self._endpoints.clear()
         self._participant = None
 
 
 class CycloneWriter:
     def __init__(self, writer: Any) -> None:
-        self._writer = writer
+        self.entity = writer
 
     @property
     def matched(self) -> int:
-        return len(self._writer.get_matched_subscriptions())
+        return len(self.entity.get_matched_subscriptions())
 
     def publish(self, text: str) -> None:
-        self._writer.write(STRING(data=text))
+        self.entity.write(STRING(data=text))
 
 
 class CycloneReader:
     def __init__(self, reader: Any) -> None:
-        self._reader = reader
+        self.entity = reader
         self._texts: list[str] = []
 
     @property
     def texts(self) -> list[str]:
         """All that has come so far."""
-        self._texts += [each.data for each in self._reader.take(_MOST)]
+        self._texts += [each.data for each in self.entity.take(_MOST)]
         return self._texts
 
 

@@ -133,7 +133,8 @@ class Stream(asyncio.Protocol):
         self._reason = ""
         self._given_up_after = 0.0
         self._retried_after = RETRIED_AFTER
-        self._closing = self._resuming = False
+        self._closing = False
+        self._resuming: asyncio.Handle | None = None
         self._lingering: asyncio.TimerHandle | None = None
 
     def write(self, data: bytes | memoryview) -> None:
@@ -147,7 +148,7 @@ class Stream(asyncio.Protocol):
 
     def close(self, reason: str = _CLOSED_HERE) -> None:
         """Send what waits, then close; a peer that takes nothing is not waited for longer than 2 s."""
-        if self._transport is None or self._closing or self._waits_to_end(self.close, reason):
+        if self._transport is None or self._closing:
             return
         # While reading is paused, the peer's end would not show. Not later: a stream that closes is not resumed.
         self.resume_reading()
@@ -165,15 +166,9 @@ class Stream(asyncio.Protocol):
 
     def abort(self, reason: str) -> None:
         """Close now; what waits is lost."""
-        if self._transport is not None and not self._waits_to_end(self.abort, reason):
+        if self._transport is not None:
             self._reason = self._reason or reason
             self._transport.abort()
-
-    def _waits_to_end(self, end: Callable[[str], None], reason: str) -> bool:
-        """Whether it ends a moment later: while asyncio resumes writing, it would end the transport a second time."""
-        if self._resuming:
-            asyncio.get_running_loop().call_soon(end, reason)
-        return self._resuming
 
     def pause_reading(self) -> None:
         """Leave what the peer sends in the kernel, until `resume_reading`."""
@@ -291,17 +286,17 @@ class Stream(asyncio.Protocol):
 
     def pause_writing(self) -> None:
         self.congested = True
+        if self._resuming is not None:
+            self._resuming.cancel()
 
     def resume_writing(self) -> None:
-        self.congested = False
-        self._resuming = True
-        try:
-            self._go_on()
-        finally:
-            self._resuming = False
+        # Not within asyncio's own write: a stream that ends there, or to which a write fails, would be ended twice.
+        self._resuming = asyncio.get_running_loop().call_soon(self._go_on)
 
     def _go_on(self) -> None:
-        self.handler.writable()
+        if self._transport is not None:
+            self.congested = False
+            self.handler.writable()
 
     def eof_received(self) -> None:
         self._reason = self._reason or CLOSED_BY_PEER

@@ -95,7 +95,7 @@ class TcpStream(Stream):
 
     def _go_on(self) -> None:
         super()._go_on()
-        if self._closing:
+        if self._closing and self._transport is not None:
             self._end_sending()
 
     def _end_sending(self) -> None:

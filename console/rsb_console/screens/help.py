@@ -75,8 +75,9 @@ class HelpScreen(ModalScreen[None]):
                 yield from ((((" " * KEYS_WIDTH + text), ""),) for text in more)
             yield ()
         yield from self._chapters([each for each in chapters if each.screen not in self._classes_below], room)
-        others = f"Other keys: {self.console.config / 'keys.yaml'}, one line each, like   pause: P"
-        yield from (((text, "dim"),) for text in textwrap.wrap(others, max(20, width), drop_whitespace=False))
+        yield (("Other keys, one line each, like   pause: P", "dim"),)
+        file = f"in {self.console.config / 'keys.yaml'}"
+        yield from (((text, "dim"),) for text in textwrap.wrap(file, max(20, width)))
 
     def _chapters(self, chapters: Sequence[KeyChapter], room: int) -> Iterator[Line]:
         for chapter in chapters:
