@@ -8,6 +8,7 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.replaced import PUBLISH_LONG_MESSAGE
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.qos import Qos
@@ -106,3 +107,41 @@ def test_a_publisher_is_not_freed_while_it_publishes(open_node: Callable[..., Ro
         publisher.close()
         thread.join(60)
         assert not thread.is_alive()
+
+
+@pytest.mark.parametrize("ends", ["publisher", "node"])
+def test_long_publication_outlives_the_close_of_its_publisher(
+    open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch, ends: str
+) -> None:
+    """Closing does not wait for it, but leaving the domain does: DDS may not lose what it works with."""
+    publish: Callable[..., int] = PUBLISH_LONG_MESSAGE.value
+    begun, goes_on, order = threading.Event(), threading.Event(), list[str]()
+
+    def slow(*arguments: Any) -> int:
+        begun.set()
+        assert goes_on.wait(60)
+        order.append("published")
+        return publish(*arguments)
+
+    PUBLISH_LONG_MESSAGE.set(monkeypatch, slow)
+    node = open_node()
+    publisher = node.advertise(TopicSpec("/long", "made_up_msgs/msg/Blob", _HASH, Qos()), "a link")
+    publishing = threading.Thread(target=publisher.publish, args=(_payload(300_000),))
+    publishing.start()
+    assert begun.wait(60)
+    publisher.close()
+
+    def stop() -> None:
+        node.stop()
+        order.append("stopped")
+
+    leaving = threading.Thread(target=stop)
+    if ends == "node":
+        leaving.start()
+    goes_on.set()
+    publishing.join()
+    with pytest.raises(RosError):
+        publisher.publish(_payload(300_000))
+    if ends == "node":
+        leaving.join()
+        assert order == ["published", "stopped"]

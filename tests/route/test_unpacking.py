@@ -69,13 +69,18 @@ class OnePublisher(NoRos):
         return self.published
 
 
-def opened(context: Context, peer: FakePeer, topic: str) -> IncomingRoute:
+def opened(context: Context, peer: FakePeer, topic: str, qos: Qos | None = None) -> IncomingRoute:
     proposal = Propose(route=2, topic=topic, remote_topic=topic, from_client=False)
     route = IncomingRoute(context, peer, Topic(topic, "receive"), proposal, proposed_here=False)
+    reopened(route, qos or Qos())
+    return route
+
+
+def reopened(route: IncomingRoute, qos: Qos = Qos()) -> None:  # noqa: B008
+    """Begin an opening with one source."""
     route.open(2)
     route.on_accepted()
-    route.described(Describe(2, "std_msgs/msg/String", "RIHS01_" + "0" * 64, Qos(), (Source(("there",)),)))
-    return route
+    route.described(Describe(2, "std_msgs/msg/String", "RIHS01_" + "0" * 64, qos, (Source(("there",)),)))
 
 
 def grown(size: int) -> Message:
@@ -201,13 +206,16 @@ def test_long_message_of_an_earlier_opening_holds_nothing_up(
     loop: HeldLoop, make_context: Callable[..., Context]
 ) -> None:
     ros, peer = OnePublisher(), FakePeer()
-    route = opened(make_context(ros=ros), peer, "/one")
+    context = make_context(ros=ros)
+    route, other = opened(context, peer, "/one"), opened(context, peer, "/other")
     route.deliver([grown(HUGE), (b"small", 0, 0)])
     loop.finish_one()
+    other.deliver([grown(LARGE)])
     route.close("over")
+    while loop.held:
+        loop.finish_one()
+    assert ros.published.sizes == [LARGE]
     assert not loop.errors
-    loop.finish_one()
-    assert ros.published.sizes == [HUGE]
 
 
 def test_a_backlog_is_bounded(

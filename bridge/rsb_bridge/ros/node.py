@@ -11,6 +11,7 @@ import time
 from collections import defaultdict, deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from weakref import WeakSet
 
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.distribution import check_middleware
@@ -97,6 +98,7 @@ class RosNode:
         # These two are replaced and never changed, so that the thread, and questions about the graph, need no lock.
         self._drains: dict[int, Drain[Any]] = {}  # by endpoint's address
         self._publishers: frozenset[_Publisher] = frozenset()
+        self._writers: WeakSet[Writer] = WeakSet()  # also closed ones that still publish on another thread
         self._retired: deque[Incoming] = deque()
         self._on_graph_change: Callable[[], None] = lambda: None
         self._on_failure: Callable[[str], None] = _log.error
@@ -203,6 +205,7 @@ class RosNode:
     def advertise(self, spec: TopicSpec, origin: Hashable) -> Publisher:
         with self._lock:
             writer = self._joined().create_writer(spec)
+            self._writers.add(writer)
             self._own[writer.topic, origin].add(writer.told)
             publisher = _Publisher(writer, spec.qos, self, (writer.topic, origin))
             self._publishers |= {publisher}
@@ -355,13 +358,13 @@ class RosNode:
         with self._lock:
             self._participant = None
             endpoints = [*self._retired, *(each.endpoint for each in self._drains.values())]
-            publishers, self._publishers = self._publishers, frozenset()
+            writers, self._publishers = tuple(self._writers), frozenset()
             self._drains = {}
             self._retired.clear()
         for endpoint in endpoints:
             endpoint.close()
-        for publisher in publishers:
-            publisher.writer.close()
+        for writer in writers:
+            writer.close(wait=True)
         with self._asking:
             participant.leave()
 

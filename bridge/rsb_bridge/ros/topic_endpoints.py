@@ -176,6 +176,8 @@ class Reader:
 class Writer:
     """A raw publisher, for any thread. It is never freed under a `publish`, which keeps the GIL, or else a lock.
 
+    A thread that closes it during a long `publish` leaves the freeing to the thread that publishes.
+
     Attributes:
         gid: what the graph, and taken messages, know it by.
         told: what the middleware says of its messages: another id than `gid` where that is Cyclone DDS.
@@ -187,8 +189,8 @@ class Writer:
         self.gid = cyclone_dds.guid_of_publisher(handle.address) if cyclone_dds.is_used() else self.told
         self._handle = handle
         self._publish = handle.rclpy.publish_raw
-        self._closed = False
-        self._closing = threading.Lock()
+        self._closed = self._freed = False
+        self._using = threading.Lock()
 
     def publish(self, payload: bytes) -> None:
         """Publish one serialized message.
@@ -204,8 +206,14 @@ class Writer:
             elif len(payload) < _LONG:
                 self._publish_in_place(publish_message, payload)
             else:
-                with self._closing:
-                    self._publish_in_place(publish_long_message, payload)
+                try:
+                    with self._using:
+                        if self._closed:
+                            raise RosError(f"{self.topic}: {RosProblem.CLOSED()}")
+                        self._publish_in_place(publish_long_message, payload)
+                finally:
+                    if self._closed:
+                        self._free()
         except RuntimeError as error:
             reason = RosProblem.CLOSED() if self._closed else reason_of(error)
             raise RosError(f"{self.topic}: {reason}") from error
@@ -242,9 +250,20 @@ class Writer:
         with suppress(RuntimeError), self._handle.rclpy:
             assert_liveliness(self._handle.rclpy)
 
-    def close(self) -> None:
-        """Free it. May be called twice, and from two threads."""
-        with self._closing:
-            if not self._closed:
-                self._closed = True
-                self._handle.free()
+    def close(self, *, wait: bool = False) -> None:
+        """Free it, during a long `publish` at its end. May be called twice, and from two threads.
+
+        Args:
+            wait: whether to return only once it is freed.
+        """
+        self._closed = True
+        self._free(wait=wait)
+
+    def _free(self, *, wait: bool = False) -> None:
+        if self._using.acquire(blocking=wait):
+            try:
+                if not self._freed:
+                    self._freed = True
+                    self._handle.free()
+            finally:
+                self._using.release()

@@ -43,7 +43,7 @@ from rsb_bridge.wire.records import DeafRecord, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
@@ -119,11 +119,13 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.compare_types: CompareTypes = unknown_difference
+        self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self.outputs = SourcePublishers(
             context,
             self.purpose,
             peer,
             lambda error: self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error)),
+            self._unpacker.go_on,
         )
         self.rest = RestAfterArming(
             context,
@@ -133,7 +135,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED),
             self.lapsed,
         )
-        self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self.check = MessageCheck(context, peer.budget.checks)
         compose_when_switched(self, self._compose_gates)
         self._received = 0
@@ -170,6 +171,9 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def close(self, reason: str) -> None:
         """End the opening, and keep its counts: the sender gets them with the next opening, which counts from 0."""
+        if self._unpacker.withdraw(wait=self.arming.held):
+            self._received += 1
+            self._delivered += 1
         if self._received:
             self._before = self.instance, self._received_report()
             self._received = self._delivered = 0
@@ -274,6 +278,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         Every end of an arming passes here. Nothing that moves can follow the rest: `deliver` publishes nothing from now
         on, and a rest's own publisher is not theirs.
         """
+        self._unpacker.withdraw(wait=True)
         self.outputs.close()
         super().disarm(why, reason)
         self.lapsed()
@@ -281,6 +286,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def lapsed(self) -> None:
         """Publish the rest, as nothing passes any more, at least for now."""
         if self.rest.message is not None:
+            self._unpacker.withdraw(wait=True)
             self.rest.message.begin()
             self.peer.report_soon(self)
 
@@ -349,7 +355,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if not sinks:
             return
         now = sent = self.context.stamps.now()
-        gated = arriving is not None or leaving is not None
         checker = self.check.checker
         # With a bounded number of lengths, a check takes next to no time, and nothing of the budget: one call less.
         check = None if checker is None else self.check.check if checker.loops else checker.check
@@ -364,7 +369,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             if flags & ZSTD and not self._unpacker.begin((payload, stamp, flags)):
                 self._unpacker.wait((message, *messages))
                 break
-            sample = GatedMessage(stamp, number) if gated else NO_SAMPLE
+            sample = NO_SAMPLE if arriving is leaving is None else GatedMessage(stamp, number)
             if arriving is not None and (why := arriving(sample, began)) is not None:
                 self._unpacker.forget()
                 self._refuse(why)
@@ -381,10 +386,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 if check is not None:
                     check(content)
                 if isinstance(sink, LatchedTopic):
-                    self._publish_latched(sink, header, content, look)
-                # One that may come too late is looked at as DDS gets it.
-                elif len(content) > PUBLISHED_ASIDE and look is None and self.purpose.in_graph:
-                    self._publish_aside(sink, content, messages)
+                    self._publish_latched(sink, header, content, look, messages)
+                elif len(content) > PUBLISHED_ASIDE and self.purpose.in_graph:
+                    self._publish_aside(sink, content, len(payload), GatedMessage(stamp, number), messages)
+                    continue
                 elif (why := sink.publish(content, look)) is not None:
                     raise _NotPublishedError(CAUSES[why])
             except _CAUGHT as error:
@@ -406,12 +411,12 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             began: s, when they arrived.
         """
         self._delivered += count
-        if (rest := self.rest.message) is not None and self.arming.required and rest.moved(last, self.outputs):
+        if last and (rest := self.rest.message) is not None and self.arming.required and rest.moved(last, self.outputs):
             self.peer.report_soon(self)
         latency = None if (offset := self.peer.stamps.offset) is None else took + offset
         if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
             self.latency.add(latency)
-        if self.peek_slot.wanted:
+        if last and self.peek_slot.wanted:
             clock = (self.peer.clock.offset, self.peer.clock.uncertainty)
             shown = peeked(self, last, self.context.wall_ns(), latency=latency, clock=clock)
             self.peek_slot.put(shown, self.context.now())
@@ -433,38 +438,72 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         header, rest = split_history(payload) if flags & HISTORY else (_NO_HISTORY, payload)
         return header, self._unpacker.unpack(rest) if flags & ZSTD else rest
 
-    def _publish_aside(self, sink: VolatileTopic, content: bytes, later: Iterator[Message]) -> None:
-        """Publish a long message on another thread; later ones wait until it is done."""
-        self._unpacker.publish(sink.reserve(content), content, partial(self._not_published, self.id))
+    def _publish_aside(
+        self,
+        sink: VolatileTopic,
+        content: bytes,
+        size: int,
+        sample: GatedMessage,
+        later: Iterator[Message],
+    ) -> None:
+        """Publish a long message on another thread; it counts, and later ones follow, once that is done.
+
+        Args:
+            size: bytes of its payload.
+        """
+        publisher = sink.reserve(content)
+        self._received -= 1
+        batch, _, leaving = self._gates
+        look = None if batch is leaving is None else partial(self._last_look, sample)
+        took, began = (self.context.stamps.now() - sample.stamp) / 1e9, self.context.now()
+        shown = content if self.rest.message is not None or self.peek_slot.wanted else b""
+
+        def then(why: Refused | RosError | None) -> None:
+            self._received += 1
+            if why is None:
+                self._published(1, size, shown, took, began)
+                return
+            if isinstance(why, Refused):
+                sink.unreserve()
+            self._drop(why)
+
+        # First, as a message that may not be published lets them go on at once. Too many of them end the opening.
         self._unpacker.wait(later)
+        if self._unpacker.holds:
+            self._unpacker.publish(publisher, content, look, then)
+
+    def _last_look(self, sample: GatedMessage) -> Refused | None:
+        """Return the reason why a message may not be published now that has passed all gates before."""
+        (batch, _, leaving), now = self._gates, self.context.now()
+        why = None if batch is None else batch(sample, now)
+        return leaving(sample, now) if why is None and leaving is not None else why
 
     def _publish_latched(
-        self, topic: LatchedTopic, header: HistoryHeader, content: bytes, look: LastLook | None
+        self,
+        topic: LatchedTopic,
+        header: HistoryHeader,
+        content: bytes,
+        look: LastLook | None,
+        later: Iterator[Message],
     ) -> None:
         if look is not None and (why := look()) is not None:
             raise _NotPublishedError(CAUSES[why])
-        if not topic.publish(header, content, partial(self._publish_late, look, self.id)):
+        if not topic.publish(header, content, look, partial(self._not_published, self.id)):
             raise _NotPublishedError("already published")
+        # Unpacked, they would take memory until a long message is published.
+        if topic.is_busy:
+            self._unpacker.wait(later)
 
-    def _publish_late(self, look: LastLook | None, opening: int, publish: Callable[[], None]) -> None:
-        """Publish a message that had to wait, and that counts as delivered in an opening, unless it is too late."""
-        try:
-            if look is not None and (why := look()) is not None:
-                raise _NotPublishedError(CAUSES[why])
-            publish()
-        except _CAUGHT as error:
-            self._not_published(opening, error)
-
-    def _not_published(self, opening: int, error: Exception) -> None:
+    def _not_published(self, opening: int, why: Refused | RosError) -> None:
         """Note that a message counts as delivered in an opening, and is not published."""
         if self.id == opening:  # else its counts are closed
             self._delivered -= 1
-            self._drop(error)
+            self._drop(why)
 
-    def _drop(self, error: Exception) -> None:
+    def _drop(self, error: Refused | Exception) -> None:
         """Count a message that is not published, and tell operators why."""
-        if isinstance(error, _NotPublishedError):
-            self._dropped[str(error)] += 1
+        if isinstance(error, Refused | _NotPublishedError):
+            self._dropped[CAUSES[error] if isinstance(error, Refused) else str(error)] += 1
             return
         cause, code = next(found for kind, found in _FAILURES.items() if isinstance(error, kind))
         self._dropped[cause] += 1

@@ -16,17 +16,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.limits import LATCHED_DEPTH
-from rsb_bridge.ros.ros_interface import RosError, RosProblem
+from rsb_bridge.ros.ros_interface import Publisher, RosError, RosProblem
+from rsb_bridge.route.message_check import PUBLISHED_ASIDE
 from rsb_bridge.route.peer import KEPT_LIMIT
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Iterable, Iterator, Mapping
 
-    from rsb_bridge.ros.ros_interface import Publisher
+    from rsb_bridge.route.gates import LastLook
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.headers import HistoryHeader
 
@@ -56,8 +58,10 @@ _GONE_AFTER = 10.0
 """Seconds that a history outlives its publisher: the sender may have just started, and not have discovered it yet."""
 
 
-Late: TypeAlias = Callable[[Callable[[], None]], None]
-"""Called with the function that publishes a message that had to wait, and that may raise RosError."""
+Dropped: TypeAlias = Callable[[Refused | RosError], None]
+"""Called with the reason for which a message is not published after all."""
+Aside: TypeAlias = "Callable[[Publisher, bytes, LastLook | None, Callable[[Refused | RosError | None], None]], None]"
+"""Has a long message published on another thread; the last argument is called then, with the reason if it is not."""
 
 
 class LatchedFullError(Exception):
@@ -75,7 +79,7 @@ class _OutputHistory:
 
     Attributes:
         kept: number of each message that it keeps, and size of its memory, oldest first.
-        waiting: number of its messages that are not published yet.
+        waiting: number of its messages that DDS does not have yet.
         published: number of the others.
         made_at: time (s) when it was made.
         used_at: time (s) when it was made, last published, or was retired.
@@ -95,6 +99,20 @@ class _OutputHistory:
         return len(self.kept) >= self.depth
 
 
+class _Message(NamedTuple):
+    """A message, and the output that is to publish it.
+
+    Attributes:
+        look: asked right before DDS gets it, or None.
+        dropped: called if it is not published.
+    """
+
+    output: _OutputHistory
+    content: bytes
+    look: LastLook | None
+    dropped: Dropped
+
+
 @dataclass(slots=True)
 class _History:
     """The history of one publisher of the sending side.
@@ -110,20 +128,20 @@ class _History:
     seen_at: float
     newest: int = 0
     outputs: list[_OutputHistory] = field(default_factory=list)
-    waiting: deque[tuple[_OutputHistory, bytes, Late]] = field(default_factory=deque)
+    waiting: deque[_Message] = field(default_factory=deque)
     last: _OutputHistory | None = None
 
 
-def _published(publish: Callable[[], None]) -> None:
-    publish()
-
-
-def _is_closed() -> None:
-    raise RosError(RosProblem.CLOSED())
+def _ignored(_: object) -> None:
+    pass
 
 
 class LatchedTopic:
-    """The histories of one topic, for as long as its type and QoS stay. It belongs to the I/O loop."""
+    """The histories of one topic, for as long as its type and QoS stay. It belongs to the I/O loop.
+
+    Attributes:
+        is_busy: whether DDS is about to get a long message, which later ones must not overtake.
+    """
 
     def __init__(
         self,
@@ -132,6 +150,7 @@ class LatchedTopic:
         budget: Budget,
         depth: int,
         failed: Callable[[Exception], None],
+        aside: Aside | None = None,
     ) -> None:
         """Create a first publisher, so that the topic is there before its first message.
 
@@ -139,6 +158,7 @@ class LatchedTopic:
             advertise: makes a publisher with a depth; may raise RosError.
             depth: initial depth of a history, until its own has been found.
             failed: called when a later publisher cannot be created.
+            aside: publishes long messages, which are published here otherwise.
 
         Raises:
             RosError: the publisher cannot be created.
@@ -148,6 +168,8 @@ class LatchedTopic:
         self._advertise = advertise
         self._budget = budget
         self._failed = failed
+        self._aside = aside
+        self.is_busy = False
         self._histories: dict[bytes, _History] = {}
         self._retired: list[_OutputHistory] = []
         self._present: Mapping[bytes, int] = {}
@@ -176,7 +198,7 @@ class LatchedTopic:
             self._timer = None
         for history in self._histories.values():
             while history.waiting:
-                self._next_waiting(history)[2](_is_closed)
+                self._next_waiting(history).dropped(RosError(RosProblem.CLOSED()))
         for output in (*self._outputs(), *self._retired):
             self._close(output)
         self._spare = None
@@ -219,17 +241,24 @@ class LatchedTopic:
 
     # --- messages
 
-    def publish(self, header: HistoryHeader, content: bytes, late: Late = _published) -> bool:
+    def publish(
+        self,
+        header: HistoryHeader,
+        content: bytes,
+        look: LastLook | None = None,
+        dropped: Dropped = _ignored,
+    ) -> bool:
         """Publish a message, now or as soon as all present subscribers will have it, after the messages before it.
 
         Args:
-            late: called with the function that publishes it, when its time comes, if it has to wait.
+            look: asked right before DDS gets it, or None.
+            dropped: called if it was new, but is not published.
 
         Returns:
             Whether it was new; one that was published before is left out.
 
         Raises:
-            RosError: the middleware refused it.
+            RosError: there can be no publisher for it.
             LatchedFullError: it would be too much to keep.
         """
         now = self._loop.time()
@@ -243,7 +272,7 @@ class LatchedTopic:
         found = self._present.get(header.publisher, 0)
         depth = min(header.depth, found or LATCHED_DEPTH)
         output = self._output_for(history, number, depth, is_found=depth == found)
-        waits = bool(history.waiting) or not self._is_next(history, output, now)
+        waits = self.is_busy or bool(history.waiting) or not self._is_next(history, output, now)
         # Only now, as a history without outputs would have the spare publisher closed, the topic's last one.
         self._histories[header.publisher] = history
         # The message that gives way leaves its memory, so that a full publisher costs no more than before.
@@ -254,12 +283,13 @@ class LatchedTopic:
             output.kept.popleft()
         output.kept.append((number, memory))
         history.newest = number
+        message = _Message(output, content, look, dropped)
         if waits:
             output.waiting += 1
-            history.waiting.append((output, content, late))
+            history.waiting.append(message)
             self._look_again()
         else:
-            self._publish(history, output, content)
+            self._publish(history, message)
         self._drop_older(history, number - depth)
         return True
 
@@ -351,10 +381,34 @@ class LatchedTopic:
         self._budget.give(PUBLISHER_COST + sum(size for _, size in output.kept))
         output.kept.clear()
 
-    def _publish(self, history: _History, output: _OutputHistory, content: bytes) -> None:
-        history.last, output.used_at = output, self._loop.time()
-        output.published += 1
-        output.publisher.publish(content)
+    def _publish(self, history: _History, message: _Message) -> None:
+        output, content, look, dropped = message
+        if len(content) > PUBLISHED_ASIDE and self._aside is not None:
+            self.is_busy = True
+            output.waiting += 1
+            self._aside(output.publisher, content, look, partial(self._published, history, message))
+            return
+        why: Refused | RosError | None = None if look is None else look()
+        if why is None:
+            history.last, output.used_at = output, self._loop.time()
+            output.published += 1
+            try:
+                output.publisher.publish(content)
+            except RosError as error:
+                why = error
+        if why is not None:
+            dropped(why)
+
+    def _published(self, history: _History, message: _Message, why: Refused | RosError | None) -> None:
+        """Go on after a long message, which is published unless there is a reason."""
+        self.is_busy = False
+        output = message.output
+        output.waiting -= 1
+        if why is None:
+            history.last, output.used_at = output, self._loop.time()
+            output.published += 1
+        else:
+            message.dropped(why)
 
     def _is_next(self, history: _History, output: _OutputHistory, now: float) -> bool:
         """Whether the next message may be published: all subscribers will hear it, after those of other outputs."""
@@ -385,15 +439,16 @@ class LatchedTopic:
         now = self._loop.time()
         left = max(_AT_ONCE, sum(len(history.waiting) for history in self._histories.values()) - _MANY)
         for history in self._histories.values():
-            while left and history.waiting and self._is_next(history, history.waiting[0][0], now):
+            while (
+                left and history.waiting and not self.is_busy and self._is_next(history, history.waiting[0].output, now)
+            ):
                 left -= 1
-                output, content, late = self._next_waiting(history)
-                late(partial(self._publish, history, output, content))
+                self._publish(history, self._next_waiting(history))
             if history.waiting:
                 self._look_again(_LOOKS_AGAIN_AFTER if left else _GOES_ON_AFTER)
 
-    def _next_waiting(self, history: _History) -> tuple[_OutputHistory, bytes, Late]:
-        output, content, late = history.waiting.popleft()
-        output.waiting -= 1
-        self._budget.give(len(content))
-        return output, content, late
+    def _next_waiting(self, history: _History) -> _Message:
+        message = history.waiting.popleft()
+        message.output.waiting -= 1
+        self._budget.give(len(message.content))
+        return message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.checker import Checker
     from rsb_bridge.context import Context
+    from rsb_bridge.model.calls import Refused
     from rsb_bridge.ros.ros_interface import Endpoint, Publisher
     from rsb_bridge.wire.framing import Message
 
@@ -36,6 +38,9 @@ EXPANDED_ASIDE = 1 << 20
 """Bytes; longer messages are unpacked on another thread. 63 MiB take 30 ms, in which no link would be served."""
 PUBLISHED_ASIDE = 8 << 20
 """Bytes; longer messages are given to DDS on that thread, too: copying them holds up the loop. A round figure."""
+_BEGINS_WITHIN = 0.05
+"""Seconds after the last look at a message in which the thread has to begin, or it is looked at again. A round figure:
+a free thread begins within a millisecond, and ten times as long would let commands pass that are too old."""
 BACKLOG_LIMIT = 2 * MESSAGE_LIMIT
 """Bytes of one route's messages that wait behind one that is unpacked. The sender's window is far smaller."""
 CHECKED_AT_ONCE = 2 * STEPS
@@ -60,53 +65,97 @@ class _Expansion:
 
     Attributes:
         wanted: whether its route still waits for it.
+        begun: whether it needs no other attempt.
         result: the content, or the reason why it is damaged, or None before it is unpacked.
     """
 
     def __init__(self, payload: bytes, then: Callable[[], None]) -> None:
         self.payload = payload
         self.then = then
-        self.wanted = True
+        self.wanted = self.begun = True
         self.result: bytes | zstandard.ZstdError | None = None
+
+    def begins(self) -> bool:
+        """Whether it has to be run."""
+        return self.wanted
 
     def run(self) -> None:
         """Unpack it, on any thread."""
-        if self.wanted:
-            try:
-                self.result = zstandard.ZstdDecompressor().decompress(self.payload)
-            except zstandard.ZstdError as error:
-                self.result = error
-            # Without a result, the route would wait for ever.
-            except MemoryError:
-                self.result = zstandard.ZstdError("not enough memory to unpack it")
+        try:
+            self.result = zstandard.ZstdDecompressor().decompress(self.payload)
+        except zstandard.ZstdError as error:
+            self.result = error
+        # Without a result, the route would wait for ever.
+        except MemoryError:
+            self.result = zstandard.ZstdError("not enough memory to unpack it")
 
 
-class _Publication:
+class Publication:
     """A long message that is given to DDS on another thread.
 
     Args:
-        then: called on the loop with the reason why it is not published, or None.
+        look: asked on the loop right before that, or None if the message is wanted in any case.
+        steady: s on a clock that goes on while the machine sleeps.
+        then: called on the loop with the reason why DDS does not have it, or None.
 
     Attributes:
-        wanted: whether its route is still in the opening that it came in.
+        wanted: whether `then` is to be called.
+        begun: whether DDS has it, or is about to.
     """
 
-    def __init__(self, publisher: Publisher, content: bytes, then: Callable[[RosError | None], None]) -> None:
+    def __init__(
+        self,
+        publisher: Publisher,
+        content: bytes,
+        look: Callable[[], Refused | None] | None,
+        steady: Callable[[], float],
+        then: Callable[[Refused | RosError | None], None],
+    ) -> None:
         self.wanted = True
+        self.begun = False
         self._publisher, self._content = publisher, content
+        self._look, self._steady = look, steady
         self._then = then
-        self._error: RosError | None = None
+        self._why: Refused | RosError | None = None
+        self._begins_until = float("-inf")
+        self._claim = threading.Lock()
+        self._over = threading.Event()
+
+    def begins(self) -> bool:
+        """Look at it for the last time; return whether it has to be run."""
+        if self._look is None:
+            self._begins_until = float("inf")
+        else:
+            self._why, self._begins_until = self._look(), self._steady() + _BEGINS_WITHIN
+        return self.wanted and self._why is None
 
     def run(self) -> None:
-        """Publish it, on any thread."""
+        """Publish it, on any thread, unless that begins too late."""
+        with self._claim:
+            if self._steady() > self._begins_until:
+                return
+            self.begun = True
         content, self._content = self._content, b""  # it is freed here, and not once the loop comes to that
         try:
             self._publisher.publish(content)
         except RosError as error:
-            self._error = error
+            self._why = error
+        finally:
+            self._over.set()
+
+    def withdraw(self, *, wait: bool) -> None:
+        """Keep DDS from getting it before the next look. If it has begun, that is too late.
+
+        Args:
+            wait: whether to return only once DDS has it then.
+        """
+        with self._claim:
+            self._begins_until = float("-inf")
+        if wait and self.begun:
+            self._over.wait()
 
     def then(self) -> None:
-        self._then(self._error)
+        self._then(self._why)
 
 
 class ExpansionBudget:
@@ -119,7 +168,7 @@ class ExpansionBudget:
         self.over_time = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, now)
         self._this_turn = 0
         self._waiting: deque[Callable[[], None]] = deque()
-        self._aside: deque[_Expansion | _Publication] = deque()
+        self._aside: deque[_Expansion | Publication] = deque()
         self._is_busy = False
 
     def expand(self, expansion: _Expansion, loop: asyncio.AbstractEventLoop) -> None:
@@ -127,19 +176,24 @@ class ExpansionBudget:
         self._aside.append(expansion)
         self._do_next(loop)
 
-    def publish(self, publication: _Publication, loop: asyncio.AbstractEventLoop) -> None:
+    def publish(self, publication: Publication, loop: asyncio.AbstractEventLoop) -> None:
         """Publish a message on another thread, before further ones are unpacked: each takes memory until then."""
         self._aside.appendleft(publication)
         self._do_next(loop)
 
     def _do_next(self, loop: asyncio.AbstractEventLoop) -> None:
-        if self._aside and not self._is_busy:
-            self._is_busy = True
+        while self._aside and not self._is_busy:
             work = self._aside.popleft()
-            loop.run_in_executor(None, work.run).add_done_callback(lambda _: self._done(work, loop))
+            if work.begins():
+                self._is_busy = True
+                loop.run_in_executor(None, work.run).add_done_callback(partial(self._done, work, loop))
+            elif work.wanted:
+                work.then()
 
-    def _done(self, work: _Expansion | _Publication, loop: asyncio.AbstractEventLoop) -> None:
-        if work.wanted:
+    def _done(self, work: _Expansion | Publication, loop: asyncio.AbstractEventLoop, _: object) -> None:
+        if work.wanted and not work.begun:
+            self._aside.appendleft(work)
+        elif work.wanted:
             work.then()
         self._is_busy = False
         self._do_next(loop)
@@ -205,7 +259,7 @@ class Unpacker:
         self._reopen = reopen
         self._decompressor = zstandard.ZstdDecompressor()
         self._expansion: _Expansion | None = None
-        self._publication: _Publication | None = None
+        self._publication: Publication | None = None
 
     def begin(self, message: Message) -> bool:
         """Return whether a message can be unpacked at this turn of the loop. One that will be refused costs no turn.
@@ -227,12 +281,12 @@ class Unpacker:
             return True
         if len(content) + growth > EXPANDED_ASIDE:
             budget.over_time.take(growth, self._context.now())
-            self._expansion = _Expansion(content, self._go_on)
+            self._expansion = _Expansion(content, self.go_on)
             budget.expand(self._expansion, loop)
             return False
         if budget.begin(growth, loop):
             return True
-        budget.wait(self._go_on)
+        budget.wait(self.go_on)
         return False
 
     def wait(self, messages: Iterable[Message]) -> None:
@@ -244,31 +298,54 @@ class Unpacker:
         if self._size > BACKLOG_LIMIT:
             self._reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, _BACKLOG_FULL)
 
-    def _go_on(self) -> None:
+    def go_on(self) -> None:
+        """Deliver the messages that wait, as far as they need not wait any longer."""
         waiting, self.waiting, self._size = self.waiting, [], 0
         self.holds = False
         self._deliver(waiting)
 
-    def publish(self, publisher: Publisher, content: bytes, failed: Callable[[RosError], None]) -> None:
+    def publish(
+        self,
+        publisher: Publisher,
+        content: bytes,
+        look: Callable[[], Refused | None] | None,
+        then: Callable[[Refused | RosError | None], None],
+    ) -> None:
         """Publish a long message on another thread; later ones of this route wait until that is done.
 
         Args:
-            failed: called with the reason if it is not published.
+            look: asked right before DDS gets it, or None.
+            then: called with the reason why it is not published, or None.
         """
-        self._publication = _Publication(publisher, content, partial(self._published, failed))
+        then = partial(self._published, then)
+        self._publication = Publication(publisher, content, look, self._context.clock.steady, then)
         self.holds = True
         self._budget.publish(self._publication, self._context.loop)
 
-    def _published(self, failed: Callable[[RosError], None], error: RosError | None) -> None:
+    def _published(self, then: Callable[[Refused | RosError | None], None], why: Refused | RosError | None) -> None:
         self._publication = None
-        if error is not None:
-            failed(error)
-        self._go_on()
+        then(why)
+        self.go_on()
+
+    def withdraw(self, *, wait: bool) -> bool:
+        """Keep DDS from getting a message that is about to be published, before the next look at it.
+
+        Args:
+            wait: whether DDS has to have it at the end if that is too late.
+
+        Returns:
+            Whether that was too late.
+        """
+        if self._publication is None:
+            return False
+        self._publication.withdraw(wait=wait)
+        return self._publication.begun
 
     def clear(self) -> None:
         """Drop the messages that wait."""
         self.waiting, self._size, self.holds = [], 0, False
         if self._publication is not None:
+            self._publication.withdraw(wait=False)
             self._publication.wanted = False
             self._publication = None
         self.forget()

@@ -12,6 +12,7 @@ from rsb_bridge.model.qos import AUTO_DEPTH
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.latched import MESSAGE_COST, LatchedFullError, LatchedTopic
+from rsb_bridge.route.message_check import Publication
 from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ class VolatileTopic:
         else:
             self._make_room(size, memory)
         if look is not None and (why := look()) is not None:
-            self._free.append(self._waiting.pop())  # for the next message
+            self.unreserve()
             return why
         self._publisher.publish(content)
         return None
@@ -150,6 +151,11 @@ class VolatileTopic:
         """Take memory for a long message as `publish` does, and return the publisher to give it to."""
         self._make_room(len(content) + MESSAGE_COST, self._memory())
         return self._publisher
+
+    def unreserve(self) -> None:
+        """Leave the memory of the last message, which DDS did not get, to the next one."""
+        if self._waiting:  # else it is closed
+            self._free.append(self._waiting.pop())
 
     def _make_room(self, size: int, memory: int) -> None:
         """Take memory for the next message: ask DDS what is acknowledged, or have another publisher, if needed."""
@@ -290,18 +296,21 @@ class _SourcePublisher:
         spec: TopicSpec,
         origin: Origin,
         failed: Callable[[Exception], None],
+        resumed: Callable[[], None],
     ) -> None:
         self._context = context
         self._purpose = purpose
         self._peer = peer
         self._spec = spec
         self._origin = origin
+        self._resumed = resumed
         self._publishers: dict[bytes, Publisher] = {}  # that are open, by their ids
         self.came_by = origin.via[:-1]  # without the sender, which may be another process by now
         self.sink: VolatileTopic | LatchedTopic
         depth = spec.qos.depth
         if spec.qos.latched:
-            self.sink = LatchedTopic(context.loop, self._advertise, peer.budget.kept, depth, failed)
+            aside = self._publish_aside if purpose.in_graph else None
+            self.sink = LatchedTopic(context.loop, self._advertise, peer.budget.kept, depth, failed, aside)
         else:
             keeps_all = spec.qos.history == "keep_all"
             burst = depth == 0 and not keeps_all and spec.qos.reliability == "reliable"
@@ -322,6 +331,20 @@ class _SourcePublisher:
             self._origin = origin
             for gid in tuple(self._publishers):
                 self._announce(gid)
+
+    def _publish_aside(
+        self,
+        publisher: Publisher,
+        content: bytes,
+        look: LastLook | None,
+        then: Callable[[Refused | RosError | None], None],
+    ) -> None:
+        def published(why: Refused | RosError | None) -> None:
+            then(why)
+            self._resumed()
+
+        made = Publication(publisher, content, look, self._context.clock.steady, published)
+        self._peer.budget.expansion.publish(made, self._context.loop)
 
     def _advertise(self, depth: int) -> Publisher:
         spec = self._spec._replace(qos=msgspec.structs.replace(self._spec.qos, depth=depth))
@@ -359,16 +382,25 @@ class SourcePublishers:
         sinks: get the messages; in the same order.
     """
 
-    def __init__(self, context: Context, purpose: Purpose, peer: Peer, failed: Callable[[Exception], None]) -> None:
+    def __init__(
+        self,
+        context: Context,
+        purpose: Purpose,
+        peer: Peer,
+        failed: Callable[[Exception], None],
+        resumed: Callable[[], None] = lambda: None,
+    ) -> None:
         """Begin without publishers.
 
         Args:
             failed: called if a later publisher cannot be created.
+            resumed: called when a latched topic is no longer busy (`LatchedTopic.is_busy`).
         """
         self._context = context
         self._purpose = purpose
         self._peer = peer
         self._failed = failed
+        self._resumed = resumed
         self._type = TypeUse(context.ros, peer.budget.types)
         self._outputs: list[_SourcePublisher] = []
         self.sinks: list[VolatileTopic | LatchedTopic] = []
@@ -420,7 +452,9 @@ class SourcePublishers:
         if further and not self._peer.budget.further_publishers.take(1):
             raise RosError("this link has too many publishers")
         try:
-            output = _SourcePublisher(self._context, self._purpose, self._peer, spec, origin, self._failed)
+            output = _SourcePublisher(
+                self._context, self._purpose, self._peer, spec, origin, self._failed, self._resumed
+            )
         except (RosError, LatchedFullError):
             if further:
                 self._peer.budget.further_publishers.give(1)
