@@ -10,7 +10,9 @@ import pytest
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, qos_profile_best_available
-from tests.support.bridge import protocol_of, route
+from tests.engine.test_loops import connect
+from tests.support import constants
+from tests.support.bridge import find, protocol_of, reloaded, route
 from tests.support.domain import LATCHED, Domain, Listener, text
 from tests.support.steady import Steady
 from tests.support.waiting import eventually, holds
@@ -21,7 +23,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
 
     from rclpy.publisher import Publisher
     from tests.support.bridge import Bridge
@@ -53,6 +56,9 @@ def with_lease(kind: str = "automatic", lease: float = LEASE, *, latched: bool =
         liveliness=LivelinessPolicy[kind.upper()],
         liveliness_lease_duration=Duration(seconds=lease),
     )
+
+
+MANUAL = with_lease("manual_by_topic")
 
 
 class Watcher:
@@ -168,3 +174,76 @@ def test_publisher_that_offers_less_than_the_topic(bridge: Bridge, robot: Domain
     server, client = bridge.both(Topic("/scan", "transmit", qos={"liveliness_lease_duration": LEASE}))
     for engine in (server, client):
         eventually(lambda engine=engine: says(engine, "/scan") == (State.DOWN, Cause.QOS_INCOMPATIBLE))
+
+
+def asserted(lease: float) -> dict[str, Any]:
+    return {"liveliness": "manual_by_topic", "liveliness_lease_duration": lease}
+
+
+def follows(publisher: Publisher, watcher: Watcher) -> None:
+    """Check that a watcher learns when a publisher is alive, and when it is not."""
+    eventually(lambda: alive_after([publisher], [watcher]) == [1])
+    eventually(lambda: not watcher.alive)
+
+
+def changed_by_edit(client: Engine, _: Path, topic: Topic) -> None:
+    client.edit_topic(route(client, topic.topic).key, topic).result(60)
+
+
+def changed_in_file(client: Engine, folder: Path, topic: Topic) -> None:
+    assert not reloaded(client, folder / "edited.yaml", topics=(topic,)).failed
+
+
+@pytest.mark.parametrize("change", [changed_by_edit, changed_in_file])
+def test_other_lease_counts_while_it_runs(
+    change: Callable[[Engine, Path, Topic], None], bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    watcher, publisher = Watcher(pc, "/scan", with_lease("manual_by_topic")), robot.publisher("/scan", qos=MANUAL)
+    server, client = bridge.both(Topic("/scan", "transmit"))
+    follows(publisher, watcher)
+    change(client, bridge.folder, Topic("/scan", "transmit", qos=asserted(4 * LEASE)))
+    eventually(lambda: says(server, "/scan") == (State.UNHEARD, Cause.QOS_INCOMPATIBLE))
+    change(client, bridge.folder, Topic("/scan", "transmit", qos=asserted(LEASE)))
+    follows(publisher, watcher)
+
+
+@pytest.mark.parametrize(
+    ("topic", "direction"), [("/sub/*", "transmit"), ("/sub/*", "receive"), ("/sub/scan", "receive")]
+)
+def test_lease_crosses_by_pattern_and_to_the_client(
+    bridge: Bridge, robot: Domain, pc: Domain, topic: str, direction: Any
+) -> None:
+    near, far = (robot, pc) if direction == "transmit" else (pc, robot)
+    watcher, publisher = Watcher(far, "/sub/scan", MANUAL), near.publisher("/sub/scan", qos=MANUAL)
+    bridge.both(Topic(topic, direction))
+    follows(publisher, watcher)
+
+
+def test_far_publisher_stands_for_two(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """It is alive as long as one of them is."""
+    watcher = Watcher(pc, "/scan", MANUAL)
+    publishers = [robot.publisher("/scan", qos=MANUAL) for _ in range(2)]
+    bridge.both(Topic("/scan", "transmit"))
+    eventually(lambda: alive_after(publishers, [watcher]) == [1])
+    holds(lambda: alive_after(publishers[:1], [watcher]) == [1], 2 * LEASE)
+    eventually(lambda: not watcher.alive)
+
+
+@pytest.mark.parametrize("others", [False, True])
+def test_ring_of_two_bridges_keeps_nobody_alive(
+    bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch, others: bool
+) -> None:
+    """Each of two bridges publishes what the other one takes, and would see it alive."""
+    constants.EXPLAINED_WITHIN.set(monkeypatch, 30.0)
+    watchers = [Watcher(domain, "/chat", MANUAL) for domain in (robot, pc)]
+    publishers = [robot.publisher("/chat", qos=MANUAL)]
+    if others:
+        publishers.append(pc.publisher("/chat", qos=MANUAL))
+    ways = ((robot, pc), (pc, robot))
+    for pair in [connect(bridge, here, there, "transmit", qos="auto") for here, there in ways]:
+        eventually(lambda pair=pair: all(find(engine, "/chat") is not None for engine in pair))
+    alive = [2, 2] if others else [1, 1]
+    eventually(lambda: alive_after(publishers, watchers) == alive)
+    holds(lambda: alive_after(publishers, watchers) == alive, 2 * LEASE)
+    eventually(lambda: alive_after(publishers[1:], watchers) == ([1, 1] if others else [0, 0]))
+    eventually(lambda: alive_after([], watchers) == [0, 0])

@@ -67,11 +67,13 @@ class Pair(NamedTuple):
     client: Engine
 
 
-def connect(bridge: Bridge, here: Domain, there: Domain, *directions: Literal["transmit", "receive"]) -> Pair:
+def connect(
+    bridge: Bridge, here: Domain, there: Domain, *directions: Literal["transmit", "receive"], qos: Any = DEEP
+) -> Pair:
     """A bridge of the chat: `transmit` is from here to there."""
     name = next(_names)
     changes: dict[str, Any] = {"name": name, "server_port": free_port()}
-    topics = [Topic(CHAT, direction, qos=DEEP) for direction in directions]
+    topics = [Topic(CHAT, direction, qos=qos) for direction in directions]
     server = bridge.start(bridge.server_session(domain_id=there.id, **changes))
     client = bridge.start(bridge.client_session(*topics, domain_id=here.id, **changes))
     eventually(lambda: linked(client, name) and linked(server, name), what="linked")

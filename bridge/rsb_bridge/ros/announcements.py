@@ -61,6 +61,7 @@ class PublisherEntry(msgspec.Struct, frozen=True):
     gid: Annotated[str, Meta(pattern=r"\A([0-9a-f]{2}){1,24}\Z")]
     via: Hops
     live: bool = True
+    alive: bool = False
 
 
 class ServiceEntry(msgspec.Struct, frozen=True):
@@ -87,10 +88,12 @@ class Origin(NamedTuple):
     Attributes:
         via: the bridges that they crossed, or empty for an endpoint of an ordinary node.
         live: whether messages still reach the endpoint.
+        alive: whether a bridge asserts the publisher's liveliness.
     """
 
     via: Via
     live: bool = True
+    alive: bool = False
 
 
 class _Own(NamedTuple):
@@ -130,7 +133,7 @@ class OwnAnnouncement:
         Raises:
             RosError: the announcement is full.
         """
-        entry = _encode(PublisherEntry(topic, endpoint.gid.hex(), origin.via, origin.live)) if origin.via else b""
+        entry = _encode(PublisherEntry(topic, endpoint.gid.hex(), *origin)) if origin.via else b""
         return self._put(self.publishers, _Own(topic, link, endpoint, origin, entry))
 
     def put_service(self, service: str, link: Hashable, endpoint: Endpoint, via: Via) -> bool:
@@ -512,6 +515,6 @@ def read_announcement(payload: bytes) -> AnnouncementContent:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise AnnouncementError("no announcement of a bridge") from None
     return AnnouncementContent(
-        {bytes.fromhex(each.gid): Origin(each.via, each.live) for each in announcement.publishers},
+        {bytes.fromhex(each.gid): Origin(each.via, each.live, each.alive) for each in announcement.publishers},
         {each.service: Origin(each.via) for each in announcement.services},
     )

@@ -62,9 +62,9 @@ class LastingSubscription:
         return self._subscription.matched if self._subscription is not None else 0
 
     @property
-    def alive(self) -> bool:
-        """Whether DDS reports a publisher alive; only asked if the QoS has a lease."""
-        return self._subscription is not None and self._subscription.alive
+    def alive(self) -> int:
+        """How many publishers DDS reports alive; only asked if the QoS has a lease."""
+        return self._subscription.alive if self._subscription is not None else 0
 
     def reopen(self) -> None:
         """Subscribe again; if that fails, retry later."""

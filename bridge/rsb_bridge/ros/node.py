@@ -513,8 +513,8 @@ class _Subscription(Drain[RawMessage]):
         return self._reader.matched
 
     @property
-    def alive(self) -> bool:
-        return self._reader.alive > self._node.own_asserted(self.key, self.qos)
+    def alive(self) -> int:
+        return max(0, self._reader.alive - self._node.own_asserted(self.key, self.qos))
 
 
 class _Publisher:

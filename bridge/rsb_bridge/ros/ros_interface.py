@@ -125,8 +125,8 @@ class Subscription(Protocol):
         """How many publishers DDS has matched with it, our own node's too."""
 
     @property
-    def alive(self) -> bool:
-        """Whether a publisher of others that matches asserts its liveliness. Only asked if the QoS has a lease."""
+    def alive(self) -> int:
+        """How many publishers of others that match assert their liveliness. Only asked if the QoS has a lease."""
 
     def close(self) -> None:
         """Stop taking, and free it. After it returns the sink is not called again. May be called twice."""

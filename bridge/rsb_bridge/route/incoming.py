@@ -63,6 +63,8 @@ _ASKED_EVERY = 0.9
 `link.graph_watch` looks once more, when the graph has settled."""
 _MATCHED_WITHIN = 2.0
 """s. A round figure: DDS matches a subscription that it lists within milliseconds."""
+_ANNOUNCED_WITHIN = 0.25
+"""Seconds in which other bridges hear an announcement: it is said and read within 0.1 s. A round figure."""
 _REPORTS_AFTER = 100
 """Messages after which an early report is sent: if this process is killed, the sender never learns whether the
 unreported messages arrived."""
@@ -181,6 +183,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._dropped.clear()
         self._unpacker.clear()
         self._alive = False
+        self.outputs.set_alive(False)
         super().close(reason)
 
     def described(self, description: Describe) -> None:
@@ -226,16 +229,21 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def told_of_publishers(self, publishers: Publishers) -> None:
         """Take the publishers that the sending side has now."""
         self.outputs.present(publishers.present)
-        self._alive = publishers.alive
-        self._assert_liveliness()
+        began, self._alive = publishers.alive and not self._alive, publishers.alive
+        self.outputs.set_alive(self._alive)
+        # Other bridges of this domain first have to hear that these are no publishers of a node's.
+        self._assert_liveliness(_ANNOUNCED_WITHIN if began else 0.0)
 
-    def _assert_liveliness(self) -> None:
-        """Have subscriptions here see the publishers of the sending side alive as long as they are."""
+    def _assert_liveliness(self, after: float = 0.0) -> None:
+        """Have subscriptions here see the publishers of the sending side alive as long as they are, `after` s."""
         if self._asserts_again is not None:
             self._asserts_again.cancel()
             self._asserts_again = None
         lease = self.qos.liveliness_lease_duration if self.qos is not None else 0.0
         if not self._alive or not lease:
+            return
+        if after:
+            self._asserts_again = self.context.loop.call_later(after, self._assert_liveliness)
             return
         count = self.outputs.assert_liveliness() if self.flowing else 1
         self._asserts_again = self.context.loop.call_later(parts_of_lease(lease, count), self._assert_liveliness)

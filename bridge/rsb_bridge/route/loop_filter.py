@@ -13,7 +13,7 @@ from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.names import MOST_HOPS, MOST_SOURCES, Via, hop, node_of_hop, topic_place
-from rsb_bridge.model.qos import QUEUE_BYTES
+from rsb_bridge.model.qos import QUEUE_BYTES, incompatible
 from rsb_bridge.model.text import join_first
 from rsb_bridge.wire.framing import SOURCE_SHIFT
 from rsb_bridge.wire.records import Source
@@ -31,6 +31,9 @@ EXPLAINED_WITHIN = 3.0
 """Seconds in which a bridge has to announce a publisher's hops; then the publisher counts as an ordinary node's. A
 round figure: nothing was measured. With less, messages could go round while DDS is slow. With more, messages
 from a node without a name would wait longer."""
+_HEARD_WITHIN = 1.0
+"""Seconds until an announcement that a publisher is no longer alive is heard. A round figure: it is said and read
+within 0.1 s."""
 HELD = -1
 """No number yet: keep the message until there is one."""
 LEFT_OUT = -2
@@ -47,12 +50,14 @@ class Publication(NamedTuple):
         node: its node's name, without the ``/`` before it.
         via: the bridges that its messages crossed: empty for an ordinary node, None if not known yet.
         live: whether messages still reach it.
+        alive: whether its bridge asserts its liveliness.
     """
 
     gid: bytes
     node: str
     via: Via | None
     live: bool = True
+    alive: bool = False
 
 
 class SourceTable:
@@ -224,6 +229,8 @@ class LoopFilter:
         self._peer = peer
         self._held: deque[RawMessage] = deque()
         self._held_bytes = 0
+        self._qos: dict[bytes, Qos] = {}  # of the publishers, by id
+        self._asserted: dict[bytes, float] = {}  # s, when publishers that are left out were alive last, by id
 
     def update(self, topic: str, remote_topic: str) -> list[Endpoint]:
         """Update the table from the ROS graph; return the publishers whose messages may be carried."""
@@ -243,6 +250,7 @@ class LoopFilter:
             topic_place(self._peer.bridges, remote_topic),
             self._context.now(),
         )
+        self._qos = {each.gid: each.qos for each in endpoints}
         self._wait()
         return [each for each in endpoints if not self.table.left_out(each.gid)]
 
@@ -252,6 +260,24 @@ class LoopFilter:
         if self.table.unexplained:
             delay = self.table.explained_by - self._context.now()
             self._timer = self._context.loop.call_later(delay, self._due)
+
+    def alive_left_out(self, requested: Qos) -> int:
+        """Return how many publishers may be alive whose messages are left out, for a subscription of that QoS.
+
+        Else two bridges would keep each other's publishers alive.
+        """
+        now, table = self._context.now(), self.table
+        left_out = {each.gid for each in table.unexplained}
+        for each in table.echoes:
+            if each.alive:
+                self._asserted[each.gid] = now
+            elif (
+                now - self._asserted.get(each.gid, float("-inf")) > requested.liveliness_lease_duration + _HEARD_WITHIN
+            ):
+                continue
+            left_out.add(each.gid)
+        self._asserted = {gid: at for gid, at in self._asserted.items() if gid in left_out}
+        return sum(gid in self._qos and not incompatible(self._qos[gid], requested) for gid in left_out)
 
     def admit(self, batch: Sequence[RawMessage]) -> tuple[list[RawMessage], bool]:
         """Sort messages; hold those with an unknown source until `release`.

@@ -157,6 +157,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._log_subscription,
             self._look_who_is_present,
             lambda: self.arming.lease if self.arming.required else None,
+            self._loop_filter.alive_left_out,
         )
         self._resolver = Resolver(context, proposal)
         self._health = Health()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -326,11 +327,18 @@ class _SourcePublisher:
             )
 
     def set_origin(self, origin: Origin) -> None:
-        """Announce another origin of the source's messages, which may raise RosError."""
+        """Announce another origin of the source's messages.
+
+        Raises:
+            RosError: the announcement is full.
+        """
         if origin != self._origin:
             self._origin = origin
             for gid in tuple(self._publishers):
                 self._announce(gid)
+
+    def set_alive(self, alive: bool) -> None:
+        self.set_origin(self._origin._replace(alive=alive))
 
     def _publish_aside(
         self,
@@ -403,6 +411,7 @@ class SourcePublishers:
         self._resumed = resumed
         self._type = TypeUse(context.ros, peer.budget.types)
         self._outputs: list[_SourcePublisher] = []
+        self._alive = False
         self.sinks: list[VolatileTopic | LatchedTopic] = []
 
     def __len__(self) -> int:
@@ -421,7 +430,7 @@ class SourcePublishers:
         if not self._outputs:
             self._type.begin(spec.type_name, spec.type_hash)
         for number, source in enumerate(sources):
-            origin = Origin(source.via, source.live)
+            origin = Origin(source.via, source.live, self._alive)
             try:
                 if number < len(self._outputs):
                     self._outputs[number].set_origin(origin)
@@ -481,6 +490,14 @@ class SourcePublishers:
     def assert_liveliness(self) -> int:
         """Assert that the publishers are alive, and return their number."""
         return sum(output.assert_liveliness() for output in self._outputs)
+
+    def set_alive(self, alive: bool) -> None:
+        """Announce whether the publishers are asserted from now on."""
+        if alive != self._alive:
+            self._alive = alive
+            for output in self._outputs:
+                with suppress(RosError):  # the announcement is full: bridges learn of it with the next change
+                    output.set_alive(alive)
 
     # --- of latched topics
 

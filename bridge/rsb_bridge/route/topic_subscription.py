@@ -47,6 +47,7 @@ class TopicSubscription:
         meter: of the topic's messages so far.
         found: called after the histories know more depths, or `alive` has changed.
         marks: gives the lease that messages are marked with, or None if they are not marked.
+        alive_left_out: returns how many publishers may be alive that do not count, for a subscription of a QoS.
 
     Attributes:
         spec: the present opening's topic, with the QoS that publishers offer or an operator wants; or None before.
@@ -65,6 +66,7 @@ class TopicSubscription:
         log: Callable[[Level, EventCode, str], None],
         found: Callable[[], None],
         marks: Callable[[], LeaseHalf | None] = lambda: None,
+        alive_left_out: Callable[[Qos], int] = lambda _: 0,
     ) -> None:
         self.spec: TopicSpec | None = None
         self.histories: Histories | None = None
@@ -79,6 +81,7 @@ class TopicSubscription:
         self._log = log
         self._found = found
         self._marks = marks
+        self._alive_left_out = alive_left_out
         self._automatic = False
         self._expected_rate: float | None = None
         self._receiver = _Receiver(path.offer)
@@ -131,7 +134,7 @@ class TopicSubscription:
     def _look_who_is_alive(self) -> None:
         assert self.spec is not None
         assert self._subscription is not None
-        alive = self._subscription.alive
+        alive = self._subscription.alive > self._alive_left_out(self.spec.qos)
         lease = self.spec.qos.liveliness_lease_duration
         self._looks_again = self._context.loop.call_later(parts_of_lease(lease), self._look_who_is_alive)
         if alive != self.alive:
