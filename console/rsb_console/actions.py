@@ -98,9 +98,8 @@ ACTIONS: tuple[Action, ...] = (
     Action("sort_right", "greater_than_sign", "sort", "Sort by the column to the right", Group.VIEW),
     Action("reverse", "s", "reverse", "Reverse the order", Group.VIEW),
     Action("group", "B", "group", "Group the topics by robot", Group.VIEW),
+    Action("columns", "vertical_line", "columns", "Choose the columns of the topics", Group.VIEW, also="hide, show"),
     Action("freeze", "space", "freeze", "Freeze the view; the bridge goes on", Group.VIEW),
-    Action("faster", "plus", "faster", "Refresh more often", Group.VIEW),
-    Action("slower", "minus", "slower", "Refresh less often", Group.VIEW),
     Action("zoom", "z", "zoom", "Give the focused pane the whole screen", Group.VIEW),
     Action("log", "l", "log", "Go to the log, and back", Group.VIEW, in_footer=True),
     Action("level", "L", "level", "Log level: all, info, WARN, ERROR", Group.VIEW),
@@ -126,6 +125,8 @@ ACTIONS: tuple[Action, ...] = (
            Group.SESSION, changes=True),
     Action("demo", "f4", "demo", "Run the demo: a simulated robot on this machine", Group.SESSION, changes=True),
     Action("welcome", "f5", "welcome", "Show the welcome screen", Group.SESSION, changes=True),
+    Action("faster", "plus", "faster", "Refresh more often", Group.CONSOLE),
+    Action("slower", "minus", "slower", "Refresh less often", Group.CONSOLE),
     Action("theme", "t", "theme", "Next theme", Group.CONSOLE),
     Action("mouse", "m", "mouse", "Give the mouse to the terminal, or take it back", Group.CONSOLE),
     Action("bell_on_fault", "exclamation_mark", "bell", "Turn the terminal's bell for new faults on or off",
@@ -186,7 +187,7 @@ KEYS_ON_SCREENS: tuple[KeyChapter, ...] = (
             ("space k", "Stop"),
             ("+ -", "Faster, slower"),
             ("A", "Arm the topic, disarm it, or ask its holder for it"),
-            ("y n", "Give it to whoever asks for it, or keep it"),
+            ("y n", "Give it to the operator who asks for it, or keep it"),
             ("esc q", "Leave"),
         ),
     ),
@@ -202,7 +203,6 @@ KEYS_ON_SCREENS: tuple[KeyChapter, ...] = (
         ),
     ),
 )
-_CONSOLE_ACTIONS = {action.id: action for action in ACTIONS}
 _ON_FLEET = {
     "back": "Drop the filter, the marks",
     "filter": "Filter: terms, !terms; state: robot: group: why:",
@@ -213,8 +213,6 @@ _ON_FLEET = {
     "sort_right": "Sort by the column to the right",
     "reverse": "Reverse the order",
     "group": "Group the robots",
-    "faster": "Refresh more often",
-    "slower": "Refresh less often",
     "copy": "Copy the line under the cursor, over SSH too",
     "quit": "Quit; the bridges go on",
 }
@@ -228,11 +226,9 @@ FLEET_ACTIONS: tuple[Action, ...] = (
     Action("edit_marked", "e", "edit", "Edit a topic of the marked robots, one after the other",
            Group.FLEET, changes=True, in_footer=True, also="roll out, max_rate, pause"),
     Action("dismiss", "d", "dismiss", "Forget the robots that have gone", Group.FLEET, in_footer=True),
-    *(replace(_CONSOLE_ACTIONS[name], help=text) for name, text in _ON_FLEET.items()),
-    *(action for action in ACTIONS
-      if action.group is Group.MOVE
+    *(replace(action, help=_ON_FLEET.get(action.id, action.help)) for action in ACTIONS
       # The fleet's app has no bell.
-      or (action.group is Group.CONSOLE and action.id not in (*_ON_FLEET, "bell_on_fault"))),
+      if action.id in _ON_FLEET or (action.group in (Group.MOVE, Group.CONSOLE) and action.id != "bell_on_fault")),
 )  # fmt: skip
 
 BY_ID = {action.id: action for action in (*FLEET_ACTIONS, *ACTIONS)}

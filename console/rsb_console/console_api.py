@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_console.actions import Action
     from rsb_console.look.formats import Row
-    from rsb_console.preferences import Preferences
+    from rsb_console.preferences import Preferences, Setting
     from rsb_console.session.changes import Changes
 
 T = TypeVar("T")
@@ -73,8 +73,8 @@ class ConsoleShell(Protocol):
     def pull(self) -> None:
         """Show the present state now."""
 
-    def change_refresh_rate(self, step: int) -> None:
-        """Refresh faster or slower by so many steps."""
+    def remember(self, name: str, value: Setting) -> None:
+        """Keep a choice of the operator for the next start."""
 
 
 class Console(ConsoleShell, Protocol):

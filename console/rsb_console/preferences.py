@@ -44,16 +44,27 @@ THEME_VARIABLES = {
 """Defaults of the variables that our style sheet adds to Textual's."""
 KEY_SIGNS = {
     "slash": "/", "question_mark": "?", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">", "plus": "+",
-    "minus": "-", "exclamation_mark": "!", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp",
+    "minus": "-", "exclamation_mark": "!", "colon": ":", "vertical_line": "|", "pagedown": "PgDn", "pageup": "PgUp",
 }  # fmt: skip
 UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
 
 
+Setting = str | float | bool | list[str]
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
-TOPIC_COLUMNS = (
-    "KIND", "PEER", "VIA", "HZ/EXP", "kB/s", "TOTAL", "ms", "NODE", "AGE", "HISTORY", "LAST FAILURE",
-)  # fmt: skip
-"""Columns of the topics that an operator may leave out; state and topic stay."""
+TOPIC_COLUMNS = {
+    "KIND": "msg, srv, act or par",
+    "PEER": "the other side",
+    "VIA": "direction and transport",
+    "HZ/EXP": "rate and expected rate",
+    "kB/s": "throughput",
+    "TOTAL": "bytes in all",
+    "ms": "time in transit",
+    "NODE": "a node's time for a call",
+    "AGE": "since the last message",
+    "HISTORY": "rate in the last seconds",
+    "LAST FAILURE": "of the calls",
+}
+"""Columns of the topics that an operator may leave out, and what they show; state and topic stay."""
 _SETTING = r"^{name}\s*:[^#\n]*?(?P<comment>\s*#.*)?$"
 
 
@@ -290,13 +301,14 @@ class Preferences:
             return {}
         return cast("dict[str, Any]", settings)
 
-    def remember(self, name: str, value: str | float | bool) -> None:
+    def remember(self, name: str, value: Setting) -> None:
         """Write a setting that the operator chose; the rest of the file stays.
 
         Raises:
             PreferenceError: it is not written.
         """
-        line = f"{name}: {str(value).lower() if isinstance(value, bool) else value}"
+        words = f"[{', '.join(value)}]" if isinstance(value, list) else str(value)
+        line = f"{name}: {words.lower() if isinstance(value, bool) else words}"
         settings = _read(self._path)
         if problem := _settings_problem(self._path, settings):
             raise PreferenceError(problem)

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from textual.filter import LineFilter
     from textual.screen import Screen
 
+    from rsb_console.preferences import Setting
+
 T = TypeVar("T")
 _ENDS_WITHIN = 10.0
 """s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
@@ -167,7 +169,13 @@ class TerminalApp(App[ReturnType]):
         """Call `pull` as often as `refresh_rate` says, from now on."""
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
 
-    def change_refresh_rate(self, step: int) -> None:
+    def action_faster(self) -> None:
+        self._change_refresh_rate(1)
+
+    def action_slower(self) -> None:
+        self._change_refresh_rate(-1)
+
+    def _change_refresh_rate(self, step: int) -> None:
         index = REFRESH_RATES.index(self.refresh_rate) + step
         self.refresh_rate = REFRESH_RATES[max(0, min(len(REFRESH_RATES) - 1, index))]
         # Textual cannot change the interval of a timer.
@@ -176,7 +184,7 @@ class TerminalApp(App[ReturnType]):
         self.remember("refresh_rate", self.refresh_rate)
         self.pull()
 
-    def remember(self, name: str, value: str | float | bool) -> None:
+    def remember(self, name: str, value: Setting) -> None:
         """Keep a choice of the operator for the next start."""
         try:
             self.preferences.remember(name, value)

@@ -19,6 +19,7 @@ from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
+from rsb_console.preferences import TOPIC_COLUMNS
 from rsb_console.widgets.detail import DetailText
 from rsb_console.widgets.topics import FAULTS, layout, via
 
@@ -74,14 +75,18 @@ async def test_calls_a_second_those_under_way_and_the_time_on_the_way(app: Conso
 @pytest.mark.parametrize("width", [60, 81, 100, 120, 160, 200])
 @pytest.mark.parametrize("calls", [False, True])
 @pytest.mark.parametrize("grouped", [False, True])
-def test_the_columns_fit_and_leave_room_for_names(width: int, calls: bool, grouped: bool) -> None:
-    columns = layout(width, peers=grouped, grouped=grouped, calls=calls)
+@pytest.mark.parametrize("wanted", [None, frozenset(TOPIC_COLUMNS)], ids=["usual", "all"])
+def test_the_columns_fit_and_leave_room_for_names(
+    width: int, calls: bool, grouped: bool, wanted: frozenset[str] | None
+) -> None:
+    columns = layout(width, peers=grouped, grouped=grouped, calls=calls, wanted=wanted)
     assert sum(cells + 1 for _, cells in columns) < width + 1
     name = next(cells for column, cells in columns if column.title == "TOPIC")
     assert name >= (10 if grouped else 14)
     titles = [column.title for column, _ in columns]
     assert ("KIND" in titles) is calls
-    assert ("NODE" in titles) is (calls and width >= 100)
+    if wanted is None:
+        assert ("NODE" in titles) is (calls and width >= 100)
 
 
 @pytest.mark.parametrize("transport", ["zenoh", "zenoh-drop"])

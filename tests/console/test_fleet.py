@@ -321,6 +321,19 @@ def test_opening_one_and_coming_back() -> None:
 
 
 @on_fleet()
+async def test_the_footer_ends_with_help_and_quit(bed: Bed) -> None:
+    assert text(bed.app).splitlines()[-1].rstrip().endswith("? help  q quit")
+
+
+@on_fleet()
+async def test_the_fleets_faults_are_counted_shown_or_not(bed: Bed) -> None:
+    assert bed.app.main.fault_count == 3
+    bed.source.problem = "no router answers"
+    await bed.press("slash", *"robot1", "enter")
+    await bed.until(lambda: bed.app.main.fault_count == 4, "the source")
+
+
+@on_fleet()
 async def test_the_help_has_the_fleets_actions(bed: Bed) -> None:
     await bed.press("question_mark")
     await bed.until(lambda: "edit_marked" in text(bed.app) or bed.app.screen is not bed.app.main, "the help")
@@ -648,9 +661,11 @@ def test_in_a_terminal(machine: Machine, tmp_path: Path, monkeypatch: pytest.Mon
     )
     with Tmux(tmp_path, "sh", "-c", command, size=NARROW) as tmux:
         tmux.wait_for("2 ● ok")
+        assert tmux.title == "fleet"
         tmux("send-keys", "j", "Enter")
         tmux.wait_for("/robot2/scan")
         assert "/robot1/scan" not in tmux.picture
+        assert tmux.title != "fleet"
         tmux("send-keys", "p")
         tmux("send-keys", "q")
         tmux.wait_for("2 ● ok")

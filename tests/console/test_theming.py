@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.console.driving import notices, notified, on_main, shown, text
+from tests.console.driving import gone, notices, notified, on_main, shown, text
 from tests.support.wording import says
 from textual.color import Color
 from textual.pilot import Pilot
@@ -224,9 +224,43 @@ async def test_only_chosen_columns_are_shown(app: ConsoleApp, pilot: Pilot[None]
     assert [column.title for column, _ in app.main.topics.columns] == ["STATE", "TOPIC", "VIA", "AGE"]
 
 
+def titles(app: ConsoleApp) -> list[str]:
+    return [column.title.strip() for column, _ in app.main.topics.columns]
+
+
+def own_folder() -> dict[str, object]:
+    return {"config": Path().resolve()}
+
+
+@pytest.mark.usefixtures("folder")
+@on_main((80, 24), (120, 36), before=own_folder)
+async def test_chosen_columns_are_shown_and_kept(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    before = titles(app)
+    await pilot.press("vertical_line", "j", "j", "enter")
+    await shown(pilot, f"  VIA          {preferences.TOPIC_COLUMNS['VIA']}")
+    assert "VIA" in before
+    assert "VIA" not in titles(app)
+    assert preferences.Preferences(Path(), None).columns == frozenset(preferences.TOPIC_COLUMNS) - {"VIA"}
+    await pilot.press("enter", "escape")
+    await gone(pilot, "show or hide")
+    assert titles(app) == before
+    assert Path("console.yaml").read_text() == f"columns: [{', '.join(preferences.TOPIC_COLUMNS)}]\n"
+
+
+@pytest.mark.usefixtures("folder")
+@on_main((80, 24), (120, 36), before=own_folder)
+async def test_hidden_columns_make_room_for_chosen_ones(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    assert "TOTAL" not in titles(app)
+    await pilot.press("vertical_line")
+    await shown(pilot, "bytes in all: no room")
+    await shown(pilot, "a node's time for a call: nothing to show")
+    for down in (2, 1, 1, 2):  # VIA, HZ/EXP, kB/s and ms
+        await pilot.press(*"j" * down, "space")
+    assert titles(app) == ["STATE", "TOPIC", "TOTAL", "AGE", "HISTORY"]
+
+
 def test_every_column_can_be_chosen() -> None:
-    titles = {column.title.strip() for column in topics.COLUMNS}
-    assert titles == {"", "STATE", "TOPIC", *preferences.TOPIC_COLUMNS}
+    assert {column.title.strip() for column in topics.COLUMNS} == {"", "STATE", "TOPIC", *preferences.TOPIC_COLUMNS}
 
 
 @pytest.mark.parametrize(

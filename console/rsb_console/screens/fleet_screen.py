@@ -241,12 +241,6 @@ class FleetScreen(Screen[None]):
     def action_reverse(self) -> None:
         self.table.reverse()
 
-    def action_faster(self) -> None:
-        self.console.change_refresh_rate(1)
-
-    def action_slower(self) -> None:
-        self.console.change_refresh_rate(-1)
-
     def action_copy(self) -> None:
         """Copy the robot's name and the reason of its state."""
         if (robot := self.table.selected) is not None:

@@ -19,12 +19,15 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
 from rsb_console.look import formats
 from rsb_console.look.formats import PatternRow
+from rsb_console.preferences import TOPIC_COLUMNS
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.bars import BarState, KeyBar, KeyEntry, StatusBar, state_counts, warning_count
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.fault_pane import Fault, FaultLines, MoreKeys, faults_of
 from rsb_console.widgets.filter import Prompt
+from rsb_console.widgets.lines import fit
 from rsb_console.widgets.log import WORD, LogPane, plain
+from rsb_console.widgets.selectable_list import SelectableList
 from rsb_console.widgets.topics import FAULTS, TopicsTable, is_armed
 
 if TYPE_CHECKING:
@@ -36,7 +39,6 @@ if TYPE_CHECKING:
     from rsb_console.actions import Action
     from rsb_console.console_api import Console
     from rsb_console.widgets.lines import Line
-    from rsb_console.widgets.selectable_list import SelectableList
 
 MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen
 
@@ -332,16 +334,14 @@ class MainScreen(Screen[None]):
         self.topics.grouped = not self.topics.grouped
         self.topics.relist()
 
+    def action_columns(self) -> None:
+        """Have the operator choose the columns of the topics."""
+        self.app.push_screen(ColumnsScreen(self.console, self.topics))
+
     def action_freeze(self) -> None:
         """Freeze the screen, or continue."""
         self._frozen_since = time.time() if self._frozen_since is None else None
         self.console.pull()
-
-    def action_faster(self) -> None:
-        self.console.change_refresh_rate(1)
-
-    def action_slower(self) -> None:
-        self.console.change_refresh_rate(-1)
 
     def action_level(self) -> None:
         self.log_pane.next_level()
@@ -457,6 +457,69 @@ class MainScreen(Screen[None]):
             self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
         else:
             self.notify(f"written to {path}", markup=False)
+
+
+class ColumnsList(SelectableList):
+    """The columns that an operator may choose, with a mark on each chosen one.
+
+    Args:
+        topics: the table whose columns they are.
+    """
+
+    def __init__(self, topics: TopicsTable) -> None:
+        super().__init__(id="columns")
+        self._topics = topics
+        self.keys = list(TOPIC_COLUMNS)
+
+    def on_mount(self) -> None:
+        """Set the height to the number of lines."""
+        self.styles.height = self.line_count
+        self.sync()
+
+    @property
+    def chosen(self) -> frozenset[str]:
+        wanted = self._topics.wanted_columns
+        return frozenset(self.keys) if wanted is None else wanted
+
+    def line(self, index: int) -> Line:
+        title = self.keys[index]
+        wanted = title in self.chosen
+        why = self._topics.why_not_shown(title) if wanted else ""
+        pieces = (
+            ("▌" if self.is_cursor(index) else " ", "key"),
+            (f"{'✓' if wanted else ' '} ", "ok"),
+            (f"{title:<13}", "strong" if wanted else ""),
+            (TOPIC_COLUMNS[title], "" if wanted else "dim"),
+            (f": {why}" if why else "", "dim"),
+        )
+        return fit(pieces, self.size.width)
+
+
+class ColumnsScreen(ModalScreen[None]):
+    """The columns of the topics; each choice is shown at once, and kept for the next start."""
+
+    BINDINGS: ClassVar = [
+        Binding(f"escape,q,{BY_ID['columns'].keys}", "dismiss", show=False),
+        Binding("space,enter", "choose", show=False),
+    ]
+
+    def __init__(self, console: Console, topics: TopicsTable) -> None:
+        super().__init__()
+        self.console, self._topics = console, topics
+        self._list = ColumnsList(topics)
+
+    def compose(self) -> ComposeResult:
+        yield Dialog("Columns", self._list, keys="space show or hide   esc close", shape="")
+
+    def action_choose(self) -> None:
+        """Show the column under the cursor, or hide it."""
+        self._topics.wanted_columns = chosen = self._list.chosen ^ {self._list.keys[self._list.position]}
+        self._topics.relist()
+        self._list.sync()
+        self.console.remember("columns", [title for title in TOPIC_COLUMNS if title in chosen])
+
+    def on_selectable_list_chosen(self) -> None:
+        self.action_choose()
 
 
 class EventScreen(ModalScreen[None]):

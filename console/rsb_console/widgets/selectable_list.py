@@ -204,11 +204,13 @@ class Column(Generic[R]):
     names: bool = False
     least: int = 0
 
+    def needs(self, *, calls: bool) -> int:
+        """Return the least width of a table that has this column."""
+        return self.from_width if self.beside_calls is None or not calls else self.beside_calls
+
     def fits(self, width: int, *, calls: bool) -> bool:
         """Whether a table of so many cells, which has more than topics or not, has this column."""
-        if not calls:
-            return width >= self.from_width and not self.only_calls
-        return width >= (self.from_width if self.beside_calls is None else self.beside_calls)
+        return width >= self.needs(calls=calls) and (calls or not self.only_calls)
 
     def cell(self, row: R, width: int) -> str:
         """Return the text of a row in so many cells, and a blank behind it."""

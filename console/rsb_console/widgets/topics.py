@@ -26,9 +26,11 @@ FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DIS
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY, _SHORT_HISTORY = 12, 7
 """s, usually, and at least, where long names need the room."""
-_LONGEST_NAME = 40  # cells for which other columns give way
+_LEAST_NAME, _LONGEST_NAME = 14, 40
+"""Cells that the columns leave a name, and for which other columns give way."""
 _STATE_WIDTH = 10  # cells
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
+_ENDLESS = 1000  # cells of a table that has room for all columns
 _SHORT_NAMES = {"zenoh-drop": "DROP"}
 _BESIDE_CALLS = 100  # cells; wider tables have room for both topics' bytes and figures of calls
 
@@ -191,6 +193,8 @@ STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
     next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "TOPIC", "PEER", " HISTORY")
 )
 
+_ALWAYS = (STATE, SIGN, TOPIC)
+
 
 @cache
 def layout(
@@ -210,17 +214,31 @@ def layout(
         grouped: whether that column comes first, however narrow the table is.
         calls: whether the table has more than topics.
         names: cells of the longest name.
-        wanted: the headings that the operator wants besides state and topic, or None for all.
+        wanted: the headings that the operator wants besides state and topic, or None for those of a table this wide.
     """
     hidden = {SIGN if width >= WIDE else STATE} | (set() if peers and not grouped else {PEER})
-    shown = [column for column in COLUMNS if column.fits(width, calls=calls) and column not in hidden]
-    if wanted is not None:
-        shown = [each for each in shown if each.title.strip() in wanted or each in (STATE, SIGN, TOPIC)]
+    possible = [column for column in COLUMNS if column not in hidden]
+    if wanted is None:
+        shown = [column for column in possible if column.fits(width, calls=calls)]
+    else:
+        room = width - (PEER.width + 1) * grouped
+        shown = _chosen([column for column in possible if calls or not column.only_calls], room, wanted, calls=calls)
     if grouped:
         shown.insert(0, PEER)
-        if width < TOTAL_FROM and shown[-1] is HISTORY_COLUMN:
+        if wanted is None and width < TOTAL_FROM and shown[-1] is HISTORY_COLUMN:
             shown.pop()  # the names need its room
     return filled(shown, width - 1, names)
+
+
+def _chosen(columns: list[Column[Row]], width: int, wanted: frozenset[str], *, calls: bool) -> list[Column[Row]]:
+    """Return the wanted columns that have room: those of the narrowest tables, and all that they leave room for."""
+    shown = [each for each in columns if each in _ALWAYS]
+    room = width - 1 - _LEAST_NAME - sum(each.width + 1 for each in shown)
+    for column in sorted(columns, key=lambda each: each.needs(calls=calls)):
+        if column.title.strip() in wanted and column.width < room:
+            shown.append(column)
+            room -= column.width + 1
+    return sorted(shown, key=columns.index)
 
 
 class TopicsTable(SortedTable[Row]):
@@ -299,14 +317,24 @@ class TopicsTable(SortedTable[Row]):
 
     @property
     def columns(self) -> Layout[Row]:
+        return self._layout(self.width)
+
+    def _layout(self, width: int) -> Layout[Row]:
         return layout(
-            self.width,
+            width,
             peers=self._peers,
             grouped=self.grouped,
             calls=self._calls,
             wanted=self.wanted_columns,
             names=self._names,
         )
+
+    def why_not_shown(self, title: str) -> str:
+        """Return the reason why a wanted column is not in the table, or an empty string."""
+        if any(column.title.strip() == title for column, _ in self.columns):
+            return ""
+        anywhere = any(column.title.strip() == title for column, _ in self._layout(_ENDLESS))
+        return "no room" if anywhere else "nothing to show"
 
 
 def _searched(row: Row) -> dict[str, str]:
