@@ -65,6 +65,7 @@ class FleetApp(TerminalApp["Robot"]):
     def pull(self) -> None:
         if self.screen_stack:
             self.main.show()
+            self.entitle("fleet", self.main.fault_count)
 
     def _open(self, robot: Robot) -> None:
         self.exit(robot)

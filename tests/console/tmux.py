@@ -26,6 +26,10 @@ class Tmux:
         """Return the text of the screen."""
         return self("capture-pane", "-p")
 
+    @property
+    def title(self) -> str:
+        return self("display-message", "-p", "#{pane_title}").rstrip()
+
     def wait_for(self, words: str, seconds: float = 120.0, *, there: bool = True) -> str:
         """Wait until `words` are there, or no more."""
         deadline, pause = time.monotonic() + seconds, 0.05

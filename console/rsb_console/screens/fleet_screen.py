@@ -79,6 +79,12 @@ class FleetScreen(Screen[None]):
     def _show_detail(self) -> None:
         self.detail.show(*self.table.described)
 
+    @property
+    def fault_count(self) -> int:
+        """Robots with something wrong, and sources without data, shown or not."""
+        wrong = sum(row.robot.summary.state.is_wrong for row in self.table.rows.values())
+        return wrong + sum(bool(source.problem) for source in self.fleet.sources)
+
     def _show_title(self) -> None:
         view, shown, rows = self.view, self.table.shown, len(self.table.rows)
         parts = table_title("Robots", view.pattern, faults_only=view.faults_only, shown=shown, rows=rows)
