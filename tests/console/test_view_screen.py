@@ -231,8 +231,8 @@ async def test_the_reason_stands_in_an_empty_pane(app: ConsoleApp, pilot: Pilot[
     await comes(pilot, viewed())
     await shown(pilot, "the picture")
     assert "unheard" not in "".join(drawn(app))
-    await comes(pilot, waiting)  # the other side draws anew
-    await until(pilot, lambda: "1 publisher" in title(app), "the reason, beside the last picture")
+    await comes(pilot, waiting)  # the other side draws again
+    await until(pilot, lambda: "1 publisher" in title(app), "the reason, with the last picture")
     assert "the picture" in "".join(drawn(app))
 
 
@@ -716,6 +716,16 @@ async def test_a_problem_instead_of_a_picture(app: ConsoleApp, pilot: Pilot[None
     await comes(pilot, viewed(None, problem="numpy is not installed there"))
     await shown(pilot, "numpy is not installed there")
     assert "the picture" in text(app), "the last picture stays next to the problem"
+
+
+@looking((80, 24), (120, 36))
+async def test_a_title_leaves_out_what_has_no_room(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    notes = ("a first note of the picture", "a second note")
+    await comes(pilot, viewed(notes=notes, type_name="a_package/msg/WithALongName"))
+    await shown(pilot, "a second note")
+    assert all(part in title(app) for part in (SCAN, *notes))
+    assert "WithALongName" not in title(app)
+    assert title(app).strip() in text(app).splitlines()[0]
 
 
 @looking()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
+from rich.cells import cell_len
 from rich.segment import Segment
 from rich.style import Style
 from textual import work
@@ -51,6 +52,8 @@ from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from textual.app import ComposeResult
     from textual.events import Click
 
@@ -96,6 +99,14 @@ class ViewText(Wording):
     GOAL_HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: ←→ turn it, ⏎ publishes, esc leaves"
     NOT_DRIVEN = "no topic can be driven: that needs a Twist that goes to the robot of the picture, with arm: true"
     SEVERAL_DRIVEN = "several topics can be driven: choose one in the list of topics, and press its key there"
+
+
+def _joined(parts: Sequence[str], width: int) -> str:
+    """Join as many parts as have room in so many cells, at least the first two."""
+    shown = list(parts)
+    while cell_len(text := " · ".join(shown)) > width and len(shown) > 2:
+        shown.pop()
+    return text
 
 
 def _is_points(type_name: str) -> bool:
@@ -268,10 +279,7 @@ class ViewScreen(FullScreen[bool]):
         if not self.console.readonly:
             keys += ["g goal"] if is_map(type_name) else []
             keys += ["d drive"] if self._driven else []
-        keys += _KEYS
-        while len(text := " · ".join(keys)) > width and len(keys) > 1:
-            keys.pop()
-        return text
+        return _joined([*keys, *_KEYS], width)
 
     def _fit(self) -> None:
         size = self.pane.scrollable_content_region.size
@@ -348,34 +356,36 @@ class ViewScreen(FullScreen[bool]):
 
     def _entitle(self) -> None:
         """Show what the picture is of, and how old it is."""
-        topics = "" if self._goal is not None else f"{escape_text(', '.join(self._topics))} · "
-        title = f" {topics}{self._status()} "
-        self.pane.entitle(title)
+        topics = () if self._goal is not None else (", ".join(self._topics),)
+        parts = [escape_text(part) for part in (*topics, *self._status()) if part]
+        self.pane.entitle(f" {_joined(parts, self.pane.size.width - _FRAME)} ")
 
-    def _status(self) -> str:
+    def _status(self) -> Iterable[str]:
+        """Return the facts about the picture, the most important first."""
         if (goal := self._goal) is not None:
             degrees = math.degrees(goal.heading)
             text = ViewText.GOAL_HEADING if self._turns_goal else ViewText.GOAL_PLACE
-            return escape_text(text(x=goal.x, y=goal.y, frame=goal.frame, degrees=degrees))
+            return (text(x=goal.x, y=goal.y, frame=goal.frame, degrees=degrees),)
         if not self._goes_on.is_set():
-            return ViewText.HELD()
+            return (ViewText.HELD(),)
         if self._viewed is None:
             waited = time.monotonic() - self._came
-            return escape_text(self._problem) or ViewText.WAITING(waited=formats.age(waited))
+            return (self._problem or ViewText.WAITING(waited=formats.age(waited)),)
         where = self._viewed.where
         side = other_side(self.console.snapshot().role, where) if where else "this side"
         picture, parts = self._viewed.picture, [self._problem or self._viewed.picture.problem]
         if self._viewed.age is not None:
             age = self._viewed.age + time.monotonic() - self._came
             parts.append(ViewText.OLD(age=formats.age(age)))
-        parts += [
-            " · ".join(picture.notes),
+        size = ViewText.SIZE(size=formats.byte_count(self._viewed.encoded))
+        return [
+            *parts,
+            *picture.notes,
             ViewText.SIDE(side=side),
-            ViewText.SIZE(size=formats.byte_count(self._viewed.encoded)),
+            size,
             f"at most {self._wish.rate:g} Hz",
             picture.type_name,
         ]
-        return escape_text(" · ".join(part for part in parts if part))
 
     # -- keys ---------------------------------------------------------------------------------------------------------
 
