@@ -265,7 +265,7 @@ async def test_commands_go_out_while_a_key_counts_and_zeros_after_it(
 
 @driven()
 async def test_while_the_robot_stands_nothing_is_sent(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
-    await shown(pilot, DriveText.STANDS)
+    await shown(pilot, DriveText.NO_KEY)
     await pressed(pilot, clock, "space", "k", "plus", "minus")
     assert await rests(app, pilot, clock) == 0
 

@@ -92,7 +92,7 @@ _WAYS_SHOWN, _KEYS = "↑↓←→ uiojlm,.", "space stop · +- speed · A arm �
 class DriveText(Wording):
     """Texts of the screen."""
 
-    STANDS = "stands"
+    NO_KEY = "no key is held"
     LIMITED = "at most {limits}: {lines}"
     DISARMED = "disarmed: press A to arm it{reason}"
     ARMED = "armed{left}"
@@ -470,7 +470,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         elif route is None or route.arming is None or not route.arming.armed:
             moves = DriveText.NOT_WHILE_DISARMED()
         else:
-            moves = f"forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s" if forward or turn else DriveText.STANDS()
+            moves = f"forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s" if forward or turn else DriveText.NO_KEY()
         self._forget_refusal(route)
         speed = f"keys: {self._steering.speed:.2f} m/s, {self._steering.turn:.2f} rad/s"
         problem = "keys came late, all at once: they are ignored" if self._steering.came_late(now) else self._problem
