@@ -134,7 +134,7 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """If no test uses Hypothesis, its plugin would import it at the end, only to have nothing to say."""
+    """Remove Hypothesis's plugin if no test uses it: at the end it would import Hypothesis and report nothing."""
     if "hypothesis" not in sys.modules:
         session.config.pluginmanager.unregister(name="hypothesispytest")
 

@@ -32,7 +32,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.repeat", description=__doc__)
     parser.add_argument("times", type=int, metavar="N")
     parser.add_argument("--core", type=int, help="run on this core alone")
-    parser.add_argument("--busy", action="store_true", help="beside a busy loop on each core")
+    parser.add_argument("--busy", action="store_true", help="with a busy loop on each core")
     parser.add_argument("--only", metavar="ARGUMENTS", help="what to run, as pytest's arguments: 'tests/route -k rest'")
     arguments = parser.parse_args()
     if arguments.core is not None:

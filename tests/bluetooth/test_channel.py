@@ -215,7 +215,7 @@ def test_topics_share_one_connection(topics: tuple[Topic, ...], tmp_path: Path) 
 
 @pytest.mark.parametrize("topics", [_TOPICS, _TOPICS[::-1]], ids=["in order", "reversed"])
 def test_a_channel_of_the_servers_ports_number(topics: tuple[Topic, ...], tmp_path: Path) -> None:
-    """Channels and ports are numbered each for themselves, whichever connection comes first."""
+    """Channels and ports have numbers of their own, in any order of the connections."""
     host = "127.0.0.11"
     try:
         socket.create_server((host, _CHANNEL)).close()

@@ -1,4 +1,4 @@
-"""Compares both sides' counts of a service's calls with those of its callers and servers."""
+"""Compares both sides' counts of a service's calls with its callers' and servers' counts."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def test_a_thousand_calls_of_two_callers_are_answered_in_any_order(
 
 
 def test_burst_to_a_node_that_keeps_ten(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
-    """As after a gap of the link: more than its depth come at once, while it is busy for 20 ms a call."""
+    """More calls than its depth come at once, as after a gap of the link. It is busy for 20 ms a call."""
     far.serve(service, depth=10, busy=0.02)
     engines = server, client = bridge.both(called(service))
     with balanced(*engines):

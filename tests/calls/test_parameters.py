@@ -81,7 +81,7 @@ def events_of(domain: Domain) -> Listener:
 
 
 def subscriptions(domain: Domain) -> int:
-    """Return the bridges' subscriptions to events, without those of rclpy's nodes."""
+    """Return the bridges' subscriptions to events, without the subscriptions of rclpy's nodes."""
     found = domain.node.get_subscriptions_info_by_topic("/parameter_events")
     return sum(each.node_name.startswith("_rsb_robot1") for each in found)
 

@@ -1,4 +1,4 @@
-"""Datagrams over a simulated radio, beside the data streams of `tests.channel.sides`."""
+"""Datagrams over a simulated radio that also carries the data streams of `tests.channel.sides`."""
 
 from __future__ import annotations
 

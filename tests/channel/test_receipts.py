@@ -13,7 +13,7 @@ _SMALL = 200_000
 
 
 async def test_a_link_with_room_has_few_receipts() -> None:
-    """One asked for every 0.25 s, and one a second for what came since, however many routes there are."""
+    """One asked for every 0.25 s, and one a second for all later messages, however many routes there are."""
     routes = [Route(number, outgoing=True) for number in range(1, 8)]
     radio = Radio(1e8, delay=0.001)
     numbers = range(1, 8)

@@ -76,7 +76,7 @@ async def test_a_late_comer_does_not_make_up_for_its_silence() -> None:
 
 @pytest.mark.parametrize("two", [False, True])
 async def test_what_was_sent_while_nothing_waited_is_not_paid_for_later(two: bool) -> None:
-    """A topic that has flowed for minutes goes on beside a new one that floods the link."""
+    """A topic that has flowed for minutes goes on while a new one floods the link."""
     early, late = Route(1, outgoing=True), Route(2, outgoing=True)
 
     async def talk(near: Side, far: Side, seconds: int) -> None:
@@ -149,7 +149,7 @@ async def test_a_queue_that_never_empties_is_told_from_one_that_does(every: floa
 
 
 class Holding(StreamHandler):
-    """Keeps what comes on a data stream, until `release`."""
+    """Keeps the frames of a data stream until `release`."""
 
     def __init__(self, stream: DataStream) -> None:
         self._stream = stream
@@ -220,7 +220,7 @@ async def test_without_receipts_little_is_in_transit() -> None:
 
 
 async def test_rare_receipts_are_no_full_link() -> None:
-    """Where a topic becomes rarer, its receipts come once a second, with those of another stream."""
+    """The receipts of a topic that becomes rarer come once a second, with another stream's."""
     small, large = Route(1, outgoing=True), Route(2, outgoing=True)
     async with connected(small, large, open_streams=Radio(1e9, kernel=1 << 20, delay=0.001).open) as (near, far):
         windows = []

@@ -1,4 +1,4 @@
-"""Forked processes are like those that are started: input, output, environment, terminal, exit code and end."""
+"""Forked processes are like started ones: input, output, environment, terminal, exit code and end."""
 
 from __future__ import annotations
 

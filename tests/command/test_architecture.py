@@ -1,6 +1,6 @@
 """Names in docs/architecture.md exist in the program, and the page has every package, in the order of its layers.
 
-A name of a module or of a public class says which one is meant: no other one has it.
+No two modules, and no two public classes, have the same name.
 """
 
 from __future__ import annotations

@@ -611,7 +611,7 @@ class Terminal:
 
 
 class Keys(Terminal):
-    """Stands for the terminal of `arm`, whose operator presses Enter all the time until somebody asks.
+    """A terminal of `arm` whose operator presses Enter all the time until somebody asks.
 
     Attributes:
         keeps: whether the operator answers.
@@ -658,7 +658,7 @@ def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
 
 
 class Holding(Terminal):
-    """Stands for the terminal of `arm`, while another operator takes the topic and holds it."""
+    """A terminal of `arm`, while another operator takes the topic and holds it."""
 
     def wait(self, seconds: float) -> bool:
         time.sleep(seconds)
@@ -682,7 +682,7 @@ def test_arm_ends_once_another_operator_holds_the_topic(
 
 
 class StandsStill(Terminal):
-    """Stands for the terminal of `arm`, whose bridge stands still and then shows for a moment what was before."""
+    """A terminal of `arm` whose bridge hangs, and then shows the earlier state for a moment."""
 
     def __init__(self, *_: object) -> None:
         self._waits = 0

@@ -92,7 +92,7 @@ def is_shown(app: App[Any], words: str | Wording, **parameters: object) -> bool:
     if isinstance(words, str):
         return words in text(app)
     lines = text(app).splitlines()
-    boxes = [dialog.region for dialog in app.screen.query(".dialog")]  # what is below stays in sight beside them
+    boxes = [dialog.region for dialog in app.screen.query(".dialog")]  # the screen below stays in sight around them
     parts = [lines, *([line[box.x : box.right] for line in lines[box.y : box.bottom]] for box in boxes)]
     unwrapped = (" ".join(line.strip(_BORDERS) for line in part) for part in parts)
     return any(says(each, words, **parameters) for each in (*lines, *unwrapped))
@@ -261,7 +261,7 @@ Opening = Callable[[Pilot[None]], Awaitable[dict[str, Any] | None]]
 
 
 def as_test(test: Test, steps: Callable[..., Awaitable[None]], *makes: str, sizes: tuple[Any, ...] = ()) -> Test:
-    """Return a test that is named as its steps are, with their parameters but those that it makes."""
+    """Return a test with the name of its steps and their parameters, without the parameters that it makes."""
     signature = inspect.signature(steps)
     parameters = [each for name, each in signature.parameters.items() if name not in makes]
     if len(sizes) > 1:

@@ -111,9 +111,9 @@ async def test_the_key_that_armed_a_topic_disarms_it_wherever_it_and_the_cursor_
 ) -> None:
     camera = route("/camera")
     put(app, DISARMED, camera)
-    await shown(pilot, "A arm")  # DISARMED stands on top
+    await shown(pilot, "A arm")  # DISARMED comes first
     await arm(app, pilot)
-    put(app, ARMED, camera)  # and goes below
+    put(app, ARMED, camera)  # and goes down
     await shown(pilot, "◆ ARMED    /cmd_vel")
     assert app.main.topics.selected == ARMED
     for keys in (["A"], ["k", "A"]):

@@ -132,7 +132,7 @@ ROWS = (
 _RELAYED = "127.0.0.2"
 """Where the client finds the server: relays listen there."""
 _FINE_FOR = 20
-"""Messages, in 1 s. On one core beside a busy loop a node publishes a tenth of that, and 100 took over a minute."""
+"""Messages, in 1 s. On one core with a busy loop a node publishes a tenth of that, and 100 took over a minute."""
 _RATE_IS_KNOWN = re.compile(r" [\d.]+/\d")  # a busy machine publishes less often than it should
 
 

@@ -410,7 +410,7 @@ def test_a_question_that_opens_by_itself_waits_until_the_operator_has_stopped_ty
 
 @pytest.mark.parametrize("environ", [{"TMUX": "1"}, {}], ids=["tmux", "no answers"])
 def test_a_late_answer_behind_a_multiplexer_does_nothing(environ: dict[str, str]) -> None:
-    """Nothing tells its age, but the question stands for long."""
+    """Nothing tells its age, but the question has been open for long."""
     clock = Time()
     gate, screen = gate_of(clock, environ, answers=bool(environ)), ConfirmScreen("Arm?", "", "Arm", Effect.MOVES)
     clock.now += ANSWERS_WITHIN + 0.1

@@ -128,7 +128,7 @@ def test_a_mistake_is_named_with_its_field(key: str, typed: str, words: str) -> 
 
 @on_main()
 async def test_a_mistake_is_said_beside_its_field_and_nothing_is_added(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    """Those of a field that is unfolded, of one that is not, and of the first one."""
+    """Texts of an unfolded field, of a folded one, and of the first one."""
     await pilot.press("a")
     await shown(pilot, "Add a topic")
     await fill(pilot, topic="/scan")

@@ -1,6 +1,6 @@
 """The control socket: every command arrives whole, however it is cut, and a console has the state of the engine.
 
-Whatever else a socket may bring is in tests/fuzz.
+Malformed input of a socket is in tests/fuzz.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ sys.stdin.read()
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """How soon a bridge on a busy machine answers is not what is tested."""
+    """A bridge on a busy machine may answer late."""
     constants.BRIDGES_ASKED_FOR.set(monkeypatch, 60.0)
 
 

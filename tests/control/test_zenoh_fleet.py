@@ -79,7 +79,7 @@ def test_how_long_it_has_been_so_is_by_the_engines_own_clock(fleet: Fleet) -> No
     found = robot(seen, "robot1")
     assert found is not None
     assert found.seen is not None
-    assert began <= found.seen <= time.time()  # by this clock, whatever the engine's is
+    assert began <= found.seen <= time.time()  # by this clock, not by the engine's
     assert found.seen - found.since == pytest.approx(own.seen - own.since, abs=1e-3)
 
 

@@ -44,7 +44,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def long_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is armed stays armed, and tickets stay valid, while a busy machine stands still for more than a second."""
+    """Topics stay armed, and tickets valid, while a busy machine stands still for more than a second."""
     for name, seconds in TIMES.items():
         monkeypatch.setattr(lease, name, seconds)
     constants.PUBLISHING_TICKET_LIFE.set(monkeypatch, 60.0)

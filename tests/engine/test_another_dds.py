@@ -1,4 +1,4 @@
-"""Programs with another DDS in both domains, Cyclone DDS, beside stock nodes: the bridge treats them alike."""
+"""The bridge treats programs with another DDS, Cyclone DDS, in both domains as it treats stock nodes."""
 
 from __future__ import annotations
 

@@ -217,12 +217,12 @@ def test_half_a_pair_of_streams_holds_no_descriptor(
 def test_topics_that_begin_at_one_moment_share_what_descriptors_there_are(
     bridge: Bridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """If all take their first one before any takes its second one, none has both, however often they try."""
+    """Pairs that all take their first one before any takes its second never have both, however often they try."""
     ports = {free_port() for _ in range(8)} - {bridge.port}
     topics = [Topic(f"/topic{port}", "transmit", type="std_msgs/msg/String", qos=1, port=port) for port in ports]
 
     def left() -> int:
-        """Six, of which those that are being opened count, too."""
+        """Six; sockets that are being opened count, too."""
         links = inside(client).links()
         return 6 - sum(len(each.carriers()) - 1 for each in links if each.linked) - opening
 
@@ -248,7 +248,7 @@ def test_topics_that_begin_at_one_moment_share_what_descriptors_there_are(
     eventually(lambda: sum(event.code == EventCode.ROUTE_CONNECTED for event in server.events()) >= 3)
     eventually(lambda: [len(each.carriers()) for each in inside(client).links()] == [7])
     eventually(lambda: any("none is left" in route.reason for route in now(client).routes))
-    assert in_vain == [], "whoever begins gets both"
+    assert in_vain == [], "the first to begin gets both"
 
 
 def test_a_client_opens_no_socket_for_datagrams_from_the_reserve(

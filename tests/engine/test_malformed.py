@@ -93,7 +93,7 @@ class Victim:
         self._before = self._peak()
 
     def says(self, word: str) -> None:
-        """Wait until it has said a word: ``matched`` after it has found a publisher, ``report`` for each message."""
+        """Wait for a word of its output: ``matched`` after it has found a publisher, ``report`` for each message."""
         eventually(lambda: word in self._lines, what=word)
 
     def _read(self) -> None:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 TOPICS = 200
 STREAMS = 2
-"""Of a link, beside its control connection."""
+"""Of a link, besides its control connection."""
 
 
 @pytest.fixture(autouse=True)

@@ -61,7 +61,7 @@ class Noting:
         self.at: list[int] = []
 
     def publish(self, message: bytes = b"") -> None:
-        """Publish the next number, whatever the message."""
+        """Publish the next number, for any message."""
         self._publisher.publish(text(str(len(self.at))))
         self.at.append(time.time_ns())
 

@@ -339,7 +339,7 @@ def driven(
 def test_no_motion_begins_that_no_rest_can_follow(
     bridge: Bridge, robot: Domain, consoles: Consoles, on_end: dict[str, Any], moves: bool
 ) -> None:
-    """An operator drives beside the robot: no publisher on the other side has shown the type when the route opened."""
+    """An operator drives on the robot's side, so no publisher has shown the type when the route opened."""
     motors = robot.listener("/cmd", Twist)
     server, client = bridge.both(replace(DRIVEN, on_end=on_end))
     eventually(lambda: is_accepted(client, "/cmd") and is_accepted(server, "/cmd"))

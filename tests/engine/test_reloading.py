@@ -313,7 +313,7 @@ def test_other_changes_wait_for_a_reload_that_runs(
 def test_a_disk_that_hangs_holds_up_other_changes_for_a_while_only(
     bridge: Bridge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What would resume is not done so late."""
+    """A late answer resumes nothing."""
     constants.ENGINE_READ_WITHIN.set(monkeypatch, 0.5)
     constants.BRIDGE_OLD_AFTER.set(monkeypatch, 0.1)
     client = bridge.client(Topic("/kept", "transmit"), Topic("/held", "transmit", paused=True))

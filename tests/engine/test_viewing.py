@@ -92,7 +92,7 @@ class Talker:
 
 def looked_while(talker: Talker, engine: Engine, topic: str, wish: Wish = WISH, **about: str) -> Viewed:
     """Return a picture while a talker talks."""
-    eventually(talker.is_known)  # else it is said to be nowhere
+    eventually(talker.is_known)  # otherwise the bridge reports that nobody publishes it
     future = engine.next_picture(about.get("viewer", "me"), (topic,), wish, about.get("link", ""))
     deadline = time.monotonic() + 180
 

@@ -29,7 +29,7 @@ KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 
 
 def lived() -> World:
-    """Play ten minutes of one of each kind, with an outage of the service, and two calls of the action a second."""
+    """Play ten minutes of a route of each kind: the service has an outage, the action two calls a second."""
     world = World()
     for kind in KINDS:
         calls = None if kind == "topic" else CallsSnapshot()

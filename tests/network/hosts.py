@@ -75,7 +75,7 @@ class Host:
         self.run("nft", rules)
 
     def wall(self, *rules: str) -> None:
-        """Filter what comes to it, until its table ``inet wall`` is deleted."""
+        """Filter its incoming packets, until its table ``inet wall`` is deleted."""
         chain = "add table inet wall; add chain inet wall in { type filter hook input priority 0; };"
         self.nft(chain + ";".join(f"add rule inet wall in {rule}" for rule in rules))
 

@@ -1,4 +1,4 @@
-"""What a subscriber hears of latched topics whose link is cut: ``python -m tests.route.latched_cuts``.
+"""Counts what a subscriber hears of latched topics whose link is cut: ``python -m tests.route.latched_cuts``.
 
 Nine topics, of 2, 10 and 25 Hz and depths of 1, 10 and 100, cross to a subscriber that is there all the time. A line
 has the messages that the sender's ledger counts as delivered, those that the subscriber heard, those that came after a
@@ -60,7 +60,7 @@ def main() -> None:
     parser.add_argument("--cuts", type=int, default=14)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--hogs", type=int, default=0, help="processes that only compute")
-    parser.add_argument("--niceness", type=int, default=0, help="of all of it, beside what else runs")
+    parser.add_argument("--niceness", type=int, default=0, help="of the whole run, against other programs")
     parser.add_argument("--protocol", default="tcp")
     parser.add_argument("--keep", type=Path, help="folder for logs and all that was heard")
     options = parser.parse_args()

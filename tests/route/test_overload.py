@@ -1,4 +1,4 @@
-"""What waits for a link: of a reliable topic what a stall would lose, or what is new; of best effort what is young."""
+"""Messages that wait for a link: reliable ones that a stall would lose, or new ones; young best-effort ones."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class FullChannel(Channel):
 def flood(
     box: Outbox, seconds: int, free: bool, qos: Qos = AUTO, *, turn_every: int = 0, behind: bool = False
 ) -> tuple[QueueLimits, list[bytes]]:
-    """Queue 10 messages a second, each of which says its number; the limits at the end, and what was sent."""
+    """Queue 10 numbered messages a second. Return the limits at the end, and the sent messages."""
     limits, channel = box.limits(qos, 0, free, 0.0), FullChannel()
     for tick in range(10 * seconds):
         limits = box.limits(qos, 0, free, tick / 10, behind=behind and tick > 10)
@@ -146,7 +146,7 @@ def test_overload_ends_with_the_queue() -> None:
 
 
 def test_what_drops_again_in_spite_of_turns_is_overloaded() -> None:
-    """As where a tunnel's window opens each few seconds, and lets through all that waits."""
+    """A tunnel's window opens each few seconds, and lets through all that waits."""
     for turns in (False, True):
         overload = Overload()
         overload.turn()

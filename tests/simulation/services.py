@@ -95,7 +95,7 @@ class Services:
 
 
 class Taker(Generic[T]):
-    """What a node takes from in batches: a subscription, or its end of a service.
+    """A subscription, or a node's end of a service, from which it takes in batches.
 
     Attributes:
         stalled: whether the taking thread is stopped; what arrives is kept as usual.

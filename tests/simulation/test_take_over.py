@@ -1,7 +1,7 @@
 """Three operators at consoles of both sides want to drive one robot, while consoles, bridges and the network stall.
 
-The robot's motors are the judge: between the messages of one driver and those of another, they hear a rest. So nobody
-drives beside another, and what goes over passes through a rest.
+The robot's motors are the judge: between the messages of one driver and another's they hear a rest. So two never drive
+at once, and an arming goes over through a rest.
 """
 
 from __future__ import annotations

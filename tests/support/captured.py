@@ -8,6 +8,6 @@ from typing import Any
 
 
 def captured(*command: str | Path, check: bool = False, **options: Any) -> subprocess.CompletedProcess[str]:
-    """Run a program, and return its exit code and its output as text; `options` are those of `subprocess.run`."""
+    """Run a program, and return its exit code and its output as text; `options` go to `subprocess.run`."""
     options = {"timeout": 120, **options}
     return subprocess.run(command, check=check, capture_output=True, text=True, **options)

@@ -58,7 +58,7 @@ _HEADLESS = Path(__file__).parents[2] / "docs" / "headless.md"
 
 
 def documented_keys(command: str) -> set[str]:
-    """Return the keys of a command's object of JSON, and the codes that stand in its rows beside them."""
+    """Return the keys of a command's object of JSON, and the codes in the same rows."""
     return set[str]().union(*(keys for names, keys in _documented() if command in names or "any" in names))
 
 

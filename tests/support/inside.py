@@ -125,7 +125,7 @@ def kept_answers(answers: KeptAnswers) -> dict[Any, Any]:
 
 
 def numbers_of(thing: ProvidingRoute | KeptAnswers) -> dict[Any, Any]:
-    """Return what is known by the number of a call."""
+    """Return the entries by the number of a call."""
     return thing._by_number
 
 

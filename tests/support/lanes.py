@@ -46,7 +46,7 @@ def lane_of(nodeid: str) -> str:
 
 
 def sort_by_lane(items: list[pytest.Item]) -> None:
-    """Bring the longest lanes to the front, and spread those of each other folder evenly over the rest.
+    """Bring the longest lanes to the front, and spread each other folder's lanes evenly over the rest.
 
     Tests of the engine wait for DDS, and tests of the console compute. One folder after the other, the cores were idle
     for four fifths of the first one's time, and too few for the second.

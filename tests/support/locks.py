@@ -25,7 +25,7 @@ def two_domains() -> int:
 
 @functools.cache
 def domains_of(use: str) -> int:
-    """Return the first of two domains that this process has for one use: those of two uses do not meet.
+    """Return the first of two domains that this process has for one use: domains of two uses do not meet.
 
     Args:
         use: ``engines`` (nodes outlive a test), or ``nodes`` or ``programs`` (they end with it). More uses would be

@@ -162,7 +162,7 @@ class Stranger:
         self.send(self.console.send(encode(message)))
 
     def answer(self) -> ToConsole:
-        """The next message of the control protocol; those that came together with it are kept."""
+        """The next message of the control protocol; it keeps the messages that came together with it."""
         while not self._heard:
             for event in self.hear():
                 assert isinstance(event, OperatorOpened)

@@ -107,7 +107,7 @@ class Watched:
 
 @asynccontextmanager
 async def watched(host: str = "127.0.0.1") -> AsyncIterator[tuple[Any, UdpSocket, list[bytes]]]:
-    """Return a watched socket that is connected to a server, the transport's socket that uses it, and what comes."""
+    """Return a watched socket connected to a server, the transport's socket on it, and the received datagrams."""
     async with server_on(host) as (server, came):
         calls: Any = Watched(socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM))
         calls.connect(address_of(host, server.port))

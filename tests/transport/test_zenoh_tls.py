@@ -31,7 +31,7 @@ EXPIRED = datetime.timedelta(days=-1)
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """How soon a router on a busy machine answers is not what is tested."""
+    """A router on a busy machine may answer late."""
     constants.ZENOH_LOOK_WITHIN.set(monkeypatch, 60.0)
 
 

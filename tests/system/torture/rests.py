@@ -171,7 +171,7 @@ def run(nodes: Nodes, name: str, transport: Transport, driver: Driver) -> Rested
             within = CUT_WITHIN if name == _KILLED and transport.startswith("zenoh") else ending.within
             time.sleep(within + 0.5)
             if ending.released:
-                time.sleep(4.0)  # until the arming has ended for good: what comes from now on is late
+                time.sleep(4.0)  # until the arming has ended for good: later messages are late
                 stage.relay.release()
                 bridge.command.signal(signal.SIGCONT)
                 if stage.router is not None:
