@@ -114,7 +114,7 @@ class Called(NamedTuple):
 
     @property
     def rows(self) -> Sequence[str]:
-        """What is measured of it."""
+        """The measured topics or calls."""
         return (GOAL + self.name, RESULT + self.name) if self.kind == "action" else (self.name,)
 
     @property

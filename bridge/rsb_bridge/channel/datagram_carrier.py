@@ -45,7 +45,7 @@ _ENOUGH = 20
 
 _SLOWER = 0.9
 """Datagrams that arrive at less than this part of the rate at which they were sent show the path's rate; at more, only
-that it carries as much. A round figure: probing and draining are a quarter beside the pace."""
+that it carries as much. A round figure: probing and draining differ from the pace by a quarter."""
 
 
 class PathRate:

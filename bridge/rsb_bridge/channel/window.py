@@ -296,7 +296,7 @@ class ReceiptBook:
         self._soon()
 
     def give_up(self, stream: int) -> None:
-        """Tell the other side that a stream is over here: of one that passes nothing, its end passes neither."""
+        """Tell the other side that a stream is over here. A stream that passes nothing does not pass its end."""
         self._given_up.append(stream)
         self._soon()
 

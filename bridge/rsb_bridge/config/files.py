@@ -84,8 +84,8 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
 
     Args:
         path: of the file. It may be new. A symbolic link is followed, and stays one.
-        like: a file whose mode, owner and group the new one gets. None: the mode is 0600, owner and group are those of
-            the file that is replaced. Both are as far as this user may give them.
+        like: a file whose mode, owner and group the new one gets. Without it, the mode is 0600, and the
+            owner and group of the replaced file stay. Both as far as this user may give them.
 
     Raises:
         OSError: the file cannot be written, or the path leads to something else (a device, a FIFO, a folder), or it is

@@ -61,7 +61,7 @@ class KeyFileProblem(Wording):
     )
     NOT_GIVEN = "no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
     SHARED = (
-        "{owners}: whoever has it can connect under any of these names, with its rights. Give each its own key "
+        "{owners}: its holder can connect under any of these names, with its rights. Give each its own key "
         "(`rsb-console client rekey NAME SESSION`), or set `shared_keys: true` in the server's session file"
     )
     ONE_KEY = "{names} have the same key"

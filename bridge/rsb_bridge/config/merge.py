@@ -370,7 +370,7 @@ class _Merger:
 def _matched(before: Sequence[Entry], after: Sequence[Entry]) -> dict[int, int]:
     """Return the entries that stay, by their indices before and after.
 
-    An entry is known by its `identity`. Where that changed, it is known by its place between its neighbours.
+    The `identity` of an entry tells which one it is. Where that changed, its place between its neighbours does.
     """
     places = {identity(each): to for to, each in enumerate(after)}
     matched = {at: places[identity(each)] for at, each in enumerate(before) if identity(each) in places}

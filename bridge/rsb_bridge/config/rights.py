@@ -269,7 +269,7 @@ class Rights:
         peer: the client's name; on a client ``the server``.
         owner: the side with the session file: ``the server``, or the client's name.
         place: the part of the session file that has `allow` and `deny`: ``of client robot1 in the session file of pc``.
-        allow: the uses that it permits. If empty, all are permitted; on a client, those of `listed`.
+        allow: the uses that it permits. If empty, it permits all; on a client, `listed`.
         deny: the uses that it forbids. It is stronger than `allow`.
         prefix: a client's name, which the names of its topics may have before them here.
         listed: on a client, the identities of its own topics (`Topic.identity`), which say what the server may publish,

@@ -57,7 +57,7 @@ class RequestRefused(Wording):
 
     READ_ONLY = "{reason}: nothing can be changed"
     ASKS_FIRST = "{reason}: ask the holder"
-    LATE = "the command came too late: its way to the bridge, or this program, was held up; give it again"
+    LATE = "the command came too late: its connection, or this program, was held up; give it again"
     TOO_MANY_WAITING = "{count} requests already wait for an answer: try again later"
 
 

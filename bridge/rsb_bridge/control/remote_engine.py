@@ -319,7 +319,7 @@ class RemoteEngine(EngineApi):
             except TimeoutError:
                 reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=AttachProblem.SILENT())
             except OSError as error:
-                # Where a bridge has said goodbye, its machine refuses the next connection, which says less.
+                # After a bridge's goodbye its machine refuses the next connection: the goodbye gives the better reason.
                 reason = self._goodbye or AttachProblem.ON_SOCKET(where=self._way.text, problem=error.strerror or error)
             except Exception as error:  # the last resort: a console would show the last state for ever
                 reason = f"internal error, please report it: {error}"

@@ -81,7 +81,7 @@ class MachineText(Wording):
         "no message of them"
     )
     SEVERAL_USERS_REMEDY = (
-        "start all nodes of this machine as one user, or set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 for those of the others"
+        "start all nodes of this machine as one user, or set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 for the others' nodes"
     )
     BUFFERS_SMALL = "only {given:,} bytes may wait in a UDP socket: large messages over UDP come late or get lost"
     BUFFERS_REMEDY = (

@@ -75,7 +75,7 @@ figure."""
 _LONG = 4_096
 """Characters of fields that take 20 ms to read. Such messages are read one at a time, while short ones go on."""
 _REST_CROSSES = 0.1
-"""s in which the message that ends a motion gets on its way, before its topic is disarmed or the bridge stops.
+"""s in which the message that ends a motion is sent, before its topic is disarmed or the bridge stops.
 A round figure: if it gets lost, the robot's side publishes a rest by itself."""
 _EVERY_TOPIC = ""
 _STAMP = {"sec", "nanosec"}

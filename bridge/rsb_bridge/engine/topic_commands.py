@@ -312,7 +312,7 @@ class ArmingCommands:
         await self._take(command, route.id)
 
     async def _take(self, command: AskHolder | TakeArming, opening: int) -> None:
-        """Disarm a route if it is still held in an opening, and arm it: the robot stands in between."""
+        """Disarm a route if it is still held in an opening, and arm it. The robot stops in between."""
         link, route = self._find(command.key)
         with link.table.arming.waiting(route, console()):
             # The holder of a later opening was not asked.

@@ -79,7 +79,7 @@ class Viewing:
         self.handlers: Handlers = {EndLook: self.end, LookAtTopics: self.next_picture}
 
     async def next_picture(self, command: LookAtTopics) -> Viewed | None:
-        """Return a console's next picture, or None if there is none for some time.
+        """Return a console's next picture, or None if none comes for some time.
 
         Raises:
             LinkError: there is no picture of the topic.

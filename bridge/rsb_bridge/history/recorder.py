@@ -194,7 +194,7 @@ class Recorder:
         Raises:
             ValueError: it contradicts itself, or the clock is days behind it.
         """
-        self.record()  # an axis that begins anew does not notice that the clock was set until now
+        self.record()  # a new axis does not notice that the clock was set before it began
         wall = self._clock.time_ns() / 1e9
         if is_from_the_future(saved, wall):
             raise ValueError(FROM_THE_FUTURE)

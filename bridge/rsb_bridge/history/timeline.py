@@ -118,7 +118,7 @@ class Saved(msgspec.Struct, frozen=True):
 
 
 def is_from_the_future(saved: Saved, wall: float) -> bool:
-    """Whether a clock (s since the epoch) is days behind what was saved, so that one of the two was wrong."""
+    """Whether a clock (s since the epoch) is days behind the saved time, so that one of the two is wrong."""
     return saved.time - wall > KEPT_FOR
 
 

@@ -233,7 +233,7 @@ class DataChannels:
             self._taken = {each for each in self._taken if each > self._newest - _OUT_OF_ORDER}
         pair = self._pair(transport, port)
         if (old := pair.large if name.large else pair.small) is not None:
-            pair.cut(old, "the other side opened it anew")
+            pair.cut(old, "the other side opened it again")
             pair = self._pair(transport, port)  # maybe another one: a pair without routes ends with its streams
         pair.kept = not name.port  # the link's own, which stay while no route uses them (PROTOCOL.md, 1.5)
         both = transport.multiplexed

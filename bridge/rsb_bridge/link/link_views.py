@@ -209,7 +209,7 @@ class LinkViews(Extension):
         return view
 
     async def next_picture(self, view: PeerView, topics: tuple[str, ...], wish: Wish, seconds: float) -> Viewed | None:
-        """Return the next picture, or None if there is none within so many seconds.
+        """Return the next picture, or None if none comes within so many seconds.
 
         Args:
             topics: names on the peer's side.

@@ -115,7 +115,7 @@ def _values_of(proposal: Propose) -> dict[str, Any]:
 
 
 def _known(names: Mapping[str, T], name: str) -> T:
-    """Return what a name in a peer's proposal stands for.
+    """Return the meaning of a name in a peer's proposal.
 
     Raises:
         LinkError: only newer versions know it.

@@ -162,7 +162,7 @@ def agreed_end(receiving: str, sending: str, *, drives: bool) -> str:
 
     Args:
         receiving: the end that the session on the robot's side wants, or empty if it says nothing.
-        sending: likewise, of the other side.
+        sending: the same of the other side.
         drives: whether the topic's type drives robots. Zeros of another type may be a command.
     """
     if not drives or is_end_message(receiving):

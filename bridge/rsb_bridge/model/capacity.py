@@ -1,4 +1,4 @@
-"""What a link carries, and the rates of a full one."""
+"""Traffic of a link, and the rates of a full one."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class Right(enum.Enum):
     CHANGE = enum.auto()
     """A console lacks it if its operator has read-only access, or if the console is attached read-only."""
     TAKE = enum.auto()
-    """To take an arming from its holder at once: whoever has `CHANGE`, but of operators over a network only those with
+    """To take an arming from its holder at once. A console with `CHANGE` has it; an operator over a network also needs
     `may: take`."""
 
 
@@ -61,7 +61,7 @@ class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_d
 
     Attributes:
         right: needed to give the command.
-        always: the effect, whatever the fields say. Each command that needs a right to change states it.
+        always: the effect for any value of the fields. Each command that needs a right to change states it.
         one_at_a_time: whether the command waits for the earlier ones of its kind, because it changes the session.
         refreshes: whether the next snapshot is made at once, to show the effect.
         cancellable: whether the engine stops working on the command when nobody waits for the result any more.

@@ -42,7 +42,7 @@ _MULTICAST = (0, 1)
 """Offsets of the ports that all nodes of a domain share for discovery and for data (section 9.6.1.1: d0 0, d2 1)."""
 _UNICAST = Range(10, 75)
 """Offsets of the ports of a domain's first 33 participants, two each (d1 10, d3 11, PG 2). Nodes that discover
-each other without multicast look for so many at most: 4 with Fast DDS's defaults, 10 with those of Cyclone DDS, some
+each other without multicast look for so many at most: 4 with Fast DDS's defaults, 10 with Cyclone DDS's, some
 dozens where a user raises that. Later participants take what is free."""
 CHANNEL = Range(1, 30)
 """RFCOMM server channels (Bluetooth RFCOMM 1.2, section 5.4)."""

@@ -153,7 +153,7 @@ def expand_type_name(name: str) -> str:
         ``pkg/msg/Name``. Whether it is installed is not looked up.
 
     Raises:
-        ValueError: no such short name, or none of these forms; the message suggests what was meant.
+        ValueError: no such short name, or none of these forms; the message suggests a name.
     """
     if "/" not in name:
         if name in SHORT_NAMES:

@@ -179,7 +179,7 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
         type_name: of the first topic.
         notes: lines about the picture (``1920×1080 rgb8``).
         problem: the reason why there is no picture, or why it is incomplete, and what to do.
-        waiting: before the first message: what is known of the topic's publishers, and what to do.
+        waiting: before the first message: facts about the topic's publishers, and what to do.
     """
 
     content: Pixels | Cells | Series | None = None

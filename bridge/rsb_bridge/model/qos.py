@@ -207,8 +207,8 @@ def auto_depth(rate: float | None, mean_size: float) -> int:
     """The depth that ``auto`` means on a volatile topic: as many messages as it brings in `AUTO_SECONDS`.
 
     Args:
-        rate: Hz; None: not known yet.
-        mean_size: bytes of a message; 0: not known yet.
+        rate: Hz, or None if it is not yet measured.
+        mean_size: bytes of a message, or 0 if it is not yet measured.
 
     Returns:
         At least 10, at most 10,000 messages, and no more than 32 MiB where that is more than 10.

@@ -510,7 +510,7 @@ class Reloaded:
         changed: changes that the bridge has made, or would make if it was only asked.
         left: changes that need a restart, with the remedy.
         failed: changes that failed, with the reason.
-        digest: stands for `changed`, which may be cut on the way to a console; empty if that is.
+        digest: identifies `changed`, which may be cut on the way to a console; empty if `changed` is.
     """
 
     changed: tuple[str, ...] = ()

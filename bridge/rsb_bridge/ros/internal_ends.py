@@ -1,7 +1,7 @@
 """The ends of internal routes: sources of their messages, and drains where they arrive. They never reach DDS.
 
-A route asks the `InternalEnds` of its purpose for its endpoints, as it asks `rsb_bridge.ros.ros_interface.RosInterface`
-for those of a topic.
+A route gets its endpoints from the `InternalEnds` of its purpose, as a topic's route gets them from
+`rsb_bridge.ros.ros_interface.RosInterface`.
 """
 
 from __future__ import annotations

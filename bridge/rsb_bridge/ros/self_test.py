@@ -83,7 +83,7 @@ class Shortfall(Wording):
     )
     NO_CALLS = "calls of types that are not installed need rmw_fastrtps_cpp, and ROS uses {middleware} here"
     NO_NUMBERS = (
-        "{middleware} does not number messages: those that DDS loses are not counted, and a publisher of a latched "
+        "{middleware} does not number messages: messages lost in DDS are not counted, and a publisher of a latched "
         "topic counts as keeping 10, unless the route's qos has a depth"
     )
     MESSAGES = "{distribution} does not carry messages of types that are not installed ({error})"

@@ -11,8 +11,8 @@ The behaviour of rmw_fastrtps_cpp with calls, and its consequences here:
 - A server that responds to a reader that it has had a request of waits for that reader, 100 ms, if it is not matched,
   be it that it was not discovered yet or that it has gone; and the waiting thread keeps the GIL. So an answer to one
   that the graph does not show is kept, and tried again.
-- A server that is to respond to a reader that it has had no request of stays silent, and so does not answer what was
-  asked of an earlier server. To a writer it responds unseen. A client's writer is created right after its reader, while
+- A server that is to respond to a reader that it has had no request of stays silent, and so does not answer requests
+  to an earlier server. To a writer it responds unseen. A client's writer is created right after its reader, while
   its participant creates nothing else, so that its number is the next.
 """
 

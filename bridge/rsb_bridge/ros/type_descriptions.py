@@ -91,7 +91,7 @@ class TypeDescriptions:
             return None
 
     def _is_settled(self, type_hash: str) -> bool:
-        """Whether a type's description is known, or is known to be with nobody."""
+        """Whether the question for a type's description is settled: it is here, or nobody has it."""
         return self.known(type_hash) is not None or self._now() < self._unknown.get(type_hash, (0.0, 0.0))[0]
 
     def _installed(self, type_name: str, type_hash: str) -> str | None:

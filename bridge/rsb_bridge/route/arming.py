@@ -92,7 +92,7 @@ class Question:
 
     Attributes:
         who: asks, in words.
-        number: among those of the asker's side.
+        number: among the questions of the asker's side.
         until: s, when it goes over without an answer.
         answered: takes the answer, or None once the arming has ended otherwise.
         from_peer: whether an operator of the other side asks.

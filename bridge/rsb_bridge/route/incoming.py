@@ -166,7 +166,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def open(self, route_id: int) -> None:
         """Begin a new opening, without a report of the sender yet."""
         self._is_reported = False
-        # Nobody here hears the type of the last one's publishers, and this participant could publish no other beside.
+        # Nobody here hears the type of the last one's publishers, and a participant can publish no second type.
         if self._hint[0] not in ("", self.type_name):
             self.outputs.close()
         super().open(route_id)
@@ -255,7 +255,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return self._before[1]
 
     def _agrees(self, description: Describe) -> bool:
-        """Whether the described type may be published here; otherwise refuse the route, now or once it is known why."""
+        """Whether the described type may be published here; otherwise refuse it, now or once the reason is clear."""
         agreed = full_type(self.proposal.type)
         if agreed and description.type != agreed:  # arming may depend on the type
             self._refuse_type(TypeClash.NOT_AGREED(there=description.type, agreed=agreed))

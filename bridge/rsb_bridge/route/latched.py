@@ -46,7 +46,7 @@ _GIVEN_UP_AFTER = 30.0
 _LOOKS_AGAIN_AFTER = 0.02  # s until DDS is asked again who has discovered what: a round figure
 _AT_ONCE, _GOES_ON_AFTER = 100, 0.005
 """Messages that waited are published so many at once, and the next ones after so many s: 20,000 a second, which an
-rclpy subscriber can take. All at once they overran the depth of one that keeps 500."""
+rclpy subscriber can take. All at once they overran a subscriber that keeps 500."""
 _MANY = 5000
 """Messages that may wait; what is more than these goes at once, so that they come to an end at any rate."""
 _ACKNOWLEDGED_WITHIN = 0.5

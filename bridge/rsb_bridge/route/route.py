@@ -206,7 +206,7 @@ class Route:
 
     @property
     def on_end(self) -> str:
-        """The message that the receiving side publishes once an arming ends, or an empty string before it has said."""
+        """The message that the receiving side publishes once an arming ends, or an empty string until it names one."""
         return ""
 
     @property

@@ -249,7 +249,7 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     @property
     def on_end(self) -> str:
-        """The message that the receiving side publishes once an arming ends, or an empty string before it has said."""
+        """The message that the receiving side publishes once an arming ends, or an empty string until it names one."""
         return self.on_end_of(self.type_name)
 
     def on_end_of(self, type_name: str) -> str:

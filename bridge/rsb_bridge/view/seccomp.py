@@ -33,7 +33,7 @@ class _Machine(NamedTuple):
     audit: int
     """AUDIT_ARCH_ of the machine (linux/audit.h)."""
     column: int
-    """Its numbers among those of a call."""
+    """Index of its number in each call's numbers."""
 
 
 _MACHINES = {"x86_64": _Machine(0xC000003E, 0), "aarch64": _Machine(0xC00000B7, 1)}

@@ -131,7 +131,7 @@ DATA = 1
 MOVED = 2
 """The last frame of a route on the stream of small messages: its next one is on that of large messages."""
 RESUMED = 3
-"""The first frame of a route on a stream in place of one that was lost, with an unknown part of its frames."""
+"""The first frame of a route on a new stream, after a stream was lost with an unknown part of the route's frames."""
 ZSTD = 1
 MORE = 2
 HISTORY = 4

@@ -380,7 +380,7 @@ class TypeText(ControlMessageBase, frozen=True):
     """The answer to `AskType`.
 
     Attributes:
-        text: the descriptions (`rsb_bridge.cdr.description`), one a line, zstd-compressed, or empty if none is known.
+        text: the descriptions (`rsb_bridge.cdr.description`), one a line, zstd-compressed, or empty if there are none.
     """
 
     route: RouteId

@@ -42,7 +42,7 @@ _LEAST_DEPTH = 4  # messages, however large. A round figure
 _QUIET = 0.7
 """Seconds without a message after which the wait ends."""
 _LOOK_EVERY = 0.05  # s. A round figure, far below `_QUIET`
-_READY_WITHIN = 60.0  # s for a start and for DDS to find its nodes: 20 were too few on one core beside other programs
+_READY_WITHIN = 60.0  # s for a start and for DDS to find its nodes: 20 were too few on one core with other programs
 _ANSWERS_WITHIN = 5.0  # s, as `control.remote_engine.ANSWERS_WITHIN`
 _OPENED_WITHIN = 60.0  # s; 500 topics take 0.6 to 1.2 s on a quiet machine (bench/README.md, Opening 500 topics)
 _WATCHED_FOR = 3.0  # s, for three messages of each topic

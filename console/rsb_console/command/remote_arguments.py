@@ -217,8 +217,8 @@ def add_remote_commands(
     ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
     arm = remote("arm", "arm a topic, a service or an action while this command runs", _EXIT_ARM, about_topic=True)
     held = arm.add_mutually_exclusive_group()
-    held.add_argument("--ask", action="store_true", help="ask whoever holds it; without an answer it goes over in 10 s")
-    held.add_argument("--take", action="store_true", help="take it at once from whoever holds it")
+    held.add_argument("--ask", action="store_true", help="ask its holder; without an answer it goes over in 10 s")
+    held.add_argument("--take", action="store_true", help="take it from its holder at once")
     route_arguments(arm, complete)
     route_arguments(
         remote("disarm", "disarm all routes of a name, also if others armed them", about_topic=True), complete

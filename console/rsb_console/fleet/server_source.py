@@ -117,7 +117,7 @@ class RobotEngine(RemoteEngine):
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         if what := _CONCERNS_ALL.get(type(command)):
             return self._concerns_all(what)
-        # Without a link, Retry would mean all robots, and AddTopic would not say which one.
+        # Without a link, Retry would mean all robots, and AddTopic would name none.
         if isinstance(command, AddTopic | Retry) and not command.link:
             command = cast("Command[R]", msgspec.structs.replace(command, link=self._robot))
         future = super().do(command, step)

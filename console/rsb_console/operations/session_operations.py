@@ -50,7 +50,7 @@ class SessionOperations:
 
         Args:
             yes: the label of the button that ends the session.
-            then: the effect of what comes after; usually another session runs.
+            then: the effect of the next step; usually another session runs.
             means: the effect on the bridge in words, if it does not just stop, or an empty string.
         """
         from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short

@@ -180,7 +180,7 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
 
 
 async def is_meant(console: ConsoleShell, app: App[Any], title: str, message: str, yes: str) -> bool:
-    """Whether the operator means a key that lets messages cross: it is young, or they say so."""
+    """Whether the operator means a key that lets messages cross: it is young, or they confirm it."""
     if InputGate.of(app).is_young:
         return True
     return await console.ask(ConfirmScreen(title, message, yes, Effect.MOVES)) is True

@@ -29,7 +29,7 @@ class HandOverText(Wording):
     HELD = "{topic} is armed by somebody else"
     MEANS = (
         "{holder} holds it, and drives alone.\n"
-        "y asks for it: without an answer it goes over after {seconds:.0f} s, and the robot stands in between.\n"
+        "y asks for it: without an answer it goes over after {seconds:.0f} s, and the robot stops in between.\n"
         "{takes}A disarms it at once."
     )
     ASK, TAKE, DISARM = "Ask", "Take", "Disarm"
@@ -38,7 +38,7 @@ class HandOverText(Wording):
     GIVE = "Give {topic} of {link} to somebody else?"
     ASKS = (
         "{who} asks for it, to drive instead.\n"
-        "Without an answer it goes over in {seconds:.0f} s; the robot stands in between."
+        "Without an answer it goes over in {seconds:.0f} s; the robot stops in between."
     )
 
 

@@ -258,10 +258,10 @@ class InputGate:
         return self.pulse is None or self._was_seen(screen, self._clock(), self.pulse.heard_now)
 
     def waits_for_key(self, screen: GuardedScreen) -> bool:
-        """Whether a question has to be shown anew, at any key, before it can be answered.
+        """Whether a question has to be shown again, at any key, before it can be answered.
 
-        Nothing proves that an answer behind a multiplexer is young. But once a question stands for long, an answer may
-        be from long before, too.
+        Nothing proves that an answer behind a multiplexer is young. But once a question has been open for long, an
+        answer may be from long before, too.
         """
         return screen.drawn_at is not None and self._is_open_too_long(screen, screen.drawn_at, self._clock())
 

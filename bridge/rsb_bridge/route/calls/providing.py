@@ -68,7 +68,7 @@ class PeersCall(PendingCall):
 
 @dataclass(slots=True)
 class _Pace:
-    """The calls of one lane that its node has, and those that wait until it has answered.
+    """The calls of one lane that its node has, and the calls that wait for its answers.
 
     Attributes:
         most: calls that the node may have.
@@ -308,7 +308,7 @@ class ProvidingRoute(CallsRoute):
         return sum(len(pace.waiting) for pace in self._paces.values())
 
     def _have_more(self) -> None:
-        """Give a node more calls that has answered none for a while, and expire those that have waited too long."""
+        """Give more calls to a node that has answered none for a while, and expire calls that have waited too long."""
         self._unanswered = None
         now = self.context.now()
         for lane, pace in self._paces.items():

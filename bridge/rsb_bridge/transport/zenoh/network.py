@@ -500,7 +500,7 @@ def _close_all() -> None:
 def _close_now(session: zenoh.Session) -> None:
     """Close it, and have its watchers end: a thread that is in Zenoh when the interpreter ends aborts the process.
 
-    So does a callback on one of Zenoh's own threads, which tells of its links after the session is closed, too. Hence
+    So does a callback on one of Zenoh's own threads, which tells of its links after the session is closed, too. So
     events wait for threads of ours.
     """
     import zenoh  # noqa: PLC0415 (an extra)

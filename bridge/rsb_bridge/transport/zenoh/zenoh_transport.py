@@ -345,7 +345,7 @@ def _several(fleet: str, servers: Iterable[Seen], *, own: bool = False) -> str:
 
 
 def _names(servers: Iterable[Seen]) -> str:
-    """Return what the servers call themselves, or the address of one that does not say."""
+    """Return the servers' names, and the addresses of servers without a name."""
     return join_first(sorted(seen.label or f"endpoint {seen.address}" for seen in servers), _NAMED)
 
 
