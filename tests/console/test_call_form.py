@@ -207,6 +207,14 @@ def test_requests_go_to_where_somebody_answers(is_server: bool) -> None:
     assert arrows == {"/map_server/load_map": "←", "/set_mode": "←", "/there": "→"}
 
 
+@pytest.mark.parametrize("here", [True, False])
+def test_services_of_a_bridged_node_are_not_offered(here: bool) -> None:
+    called = [replace(LOAD, topic="/node/get_parameters"), replace(LOAD, topic="/node/load")]
+    bridged = call_route("parameters", "/node")
+    offers = suggestions_for(ENDS, called if here else [], [] if here else called, [bridged])
+    assert [offer.value for offer in offers] == ["/node/load"]
+
+
 def test_topics_stand_first_and_one_name_may_be_of_two_kinds() -> None:
     topic = TopicInfo("/set_mode", "std_msgs/msg/Bool", "", None, 1, 0)
     offers = suggestions_for(ENDS, [topic], [CONTROLLER, NAVIGATE, MODE], [])

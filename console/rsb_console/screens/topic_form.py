@@ -15,6 +15,7 @@ from textual.widgets import Button
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model import transports
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import CHANNEL, NO_PORT
 from rsb_bridge.model.link_budget import LoadSource, cost_of, describe_cost
 from rsb_bridge.model.qos import AUTO
@@ -384,12 +385,16 @@ def suggestions_for(
     If a name has both, one on each side, the publisher decides. So it is with the servers and clients of a service.
 
     Args:
-        bridged: the link's routes; neither end of one is offered the same way again.
+        bridged: the link's routes; neither end of one is offered the same way again, nor its services.
     """
     taken = {route.spec.identity for route in bridged}
     crossing = {
-        (route.spec.kind, is_here, route.topic if is_here else route.remote_topic, _from_here(route))
+        (kind, is_here, f"{route.topic if is_here else route.remote_topic}{suffix}", _from_here(route))
         for route in bridged
+        for kind, suffix in (
+            (route.spec.kind, ""),
+            *(("service", lane.suffix) for lane in LANES[route.spec.kind] if lane.suffix and not lane.is_topic),
+        )
         for is_here in (True, False)
     }
     infos = [(info, is_here) for graph, is_here in ((here, True), (there, False)) for info in graph]
