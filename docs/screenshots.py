@@ -8,21 +8,26 @@ from __future__ import annotations
 import argparse
 import asyncio
 import os
+import tempfile
 import threading
 import time
 from collections.abc import Awaitable
+from html import unescape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rsb_bridge import __version__
 from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.route import lease
 from rsb_console.app import ConsoleApp
 from rsb_console.command.demo import seen, simulated, trouble
 from rsb_console.fleet_app import FleetApp
+from rsb_console.look.glyphs import STATE_SIGN
 from rsb_console.screens.dialog import ArmScreen
-from rsb_console.screens.drive_screen import DriveScreen
+from rsb_console.screens.drive_screen import DriveScreen, DriveText
 from rsb_console.screens.view_screen import ViewScreen
 from rsb_console.session.demo_session import running_demo
 from rsb_console.widgets.fleet_table import FleetView
@@ -38,24 +43,41 @@ FOLDER = Path(__file__).parent / "pictures"
 TERMINAL = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
 FLOWING = 6  # topics of the demo, its service, and its robot's parameters
 HISTORY = 60  # s: long enough for a curve to be worth a picture
+FAULTS_OF_BUSY_MACHINES = {STATE_SIGN[state] for state in (State.SLOW, State.LATE, State.STALE, State.DOWN)}
 WIDE, NARROW, LOW = (120, 36), (80, 24), (120, 24)
 ROBOTS = 8
 
 
 class Album:
-    """The folder of the pictures."""
+    """The folder of the pictures.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    Args:
+        config: a folder for the settings that the console writes.
+    """
 
-    async def take(self, pilot: Pilot[Any], name: str, *keys: str) -> None:
-        """Press `keys`, and keep what the screen shows then."""
+    def __init__(self, folder: Path, config: Path) -> None:
+        self.folder, self.config = folder, config
+
+    async def take(self, pilot: Pilot[Any], name: str, *keys: str, when: Callable[[str], bool]) -> None:
+        """Press `keys`, and keep the picture once its words are as they should be."""
         await pilot.press(*keys)
+        picture = ""
+
+        def as_meant() -> bool:
+            nonlocal picture
+            picture = pilot.app.export_screenshot()
+            return when(words_of(picture))
+
         await pilot.pause(1.0)
-        self.keep(name, pilot.app.export_screenshot())
+        await until(as_meant, pilot)
+        self.keep(name, picture)
 
     def keep(self, name: str, picture: str) -> None:
         (self.folder / f"{name}.svg").write_text(picture, encoding="utf-8")
+
+
+def words_of(picture: str) -> str:
+    return unescape(picture).replace("\xa0", " ")
 
 
 async def until(condition: Callable[[], bool | Awaitable[bool]], pilot: Pilot[Any], seconds: float = 180.0) -> None:
@@ -72,10 +94,22 @@ def states(app: ConsoleApp) -> list[str]:
     return [route.state.value for route in app.snapshot().routes]
 
 
+async def leave(app: ConsoleApp, pilot: Pilot[Any]) -> None:
+    """Close the dialog; the next key is not for it."""
+    await pilot.press("escape")
+    await until(lambda: app.screen is app.main, pilot)
+
+
 async def of_a_robot(album: Album) -> None:
     """Those of the demo."""
     with running_demo() as demo:
-        app = ConsoleApp(demo.session, demo.path, theme="dark", config=album.folder)
+        app = ConsoleApp(demo.session, demo.path, theme="dark", config=album.config)
+
+        def shows(*texts: str) -> Callable[[str], bool]:
+            return lambda words: (
+                all(text in words for text in texts) and not FAULTS_OF_BUSY_MACHINES.intersection(words)
+            )
+
         try:
             async with app.run_test(size=WIDE) as pilot:
                 await until(lambda: states(app).count("ok") == FLOWING, pilot)
@@ -83,20 +117,25 @@ async def of_a_robot(album: Album) -> None:
                 demo.robot.mute("/scan")  # the one fault of the pictures, which the lines at the top explain
                 await until(lambda: "stopped" in states(app), pilot)
                 await pilot.pause(1.0)  # the table puts the fault on top, and the cursor stays on its topic
-                await album.take(pilot, "main", "g")
-                await album.take(pilot, "add-topic", "a")
-                await album.take(pilot, "help", "escape", "question_mark")
-                await pilot.press("escape", "slash", *"set_light", "enter", "C")
+                # The version is in the log's line about the link, which a busy machine's warnings push out.
+                await album.take(pilot, "main", "g", when=shows("STOPPED", "drops 0", f"rsb-console {__version__}"))
+                await album.take(pilot, "add-topic", "a", when=shows("/battery_state"))
+                await leave(app, pilot)
+                await album.take(pilot, "help", "question_mark", when=shows("Next line"))
+                await leave(app, pilot)
+                await pilot.press("slash", *"set_light", "enter", "C")
                 await until(lambda: "data" in app.screen.form.values.get("request", ""), pilot)  # type: ignore[attr-defined]
                 await pilot.press("f9", "y")
-                await album.take(pilot, "call")
-                await album.take(pilot, "service", "escape")
-                await pilot.press("escape", "g", "t", "t")
-                await album.take(pilot, "light")
-                await pilot.press("t", "t")
+                await album.take(pilot, "call", when=shows("success: true"))
+                await leave(app, pilot)
+                await album.take(pilot, "service", when=shows("1 of 7"))
+                await pilot.press("escape", "g")
+                app.theme = "light"
+                await album.take(pilot, "light", when=shows("STOPPED"))
+                app.theme = "dark"
                 await pilot.resize_terminal(*NARROW)
-                await album.take(pilot, "narrow")
-                await album.take(pilot, "detail", "enter")
+                await album.take(pilot, "narrow", when=shows("STOPPED"))
+                await album.take(pilot, "detail", "enter", when=shows("Ledger"))
         finally:
             await asyncio.to_thread(app.stop)
 
@@ -104,7 +143,7 @@ async def of_a_robot(album: Album) -> None:
 async def of_pictures(album: Album) -> None:
     """Those of the robot's camera and map."""
     with running_demo() as demo:
-        app = ConsoleApp(demo.session, demo.path, theme="dark", config=album.folder)
+        app = ConsoleApp(demo.session, demo.path, theme="dark", config=album.config)
         try:
             async with app.run_test(size=NARROW) as pilot:
                 await until(lambda: states(app).count("ok") == FLOWING, pilot)
@@ -112,14 +151,14 @@ async def of_pictures(album: Album) -> None:
                 await pilot.pause(2.0)
                 await pilot.press(*"camera", "enter")
                 await until(lambda: drawn(app), pilot)
-                await album.take(pilot, "look-camera", "greater_than_sign")
+                await album.take(pilot, "look-camera", "greater_than_sign", when=lambda words: "rgb8" in words)
                 await pilot.press(*["less_than_sign"] * 3, "d")  # drawing takes the time that driving needs here
                 album.keep("drive", await driving(app, pilot))
                 await pilot.press("escape", "escape", "slash", *"map", "enter", "v")
                 await until(lambda: drawn(app), pilot)
                 await pilot.pause(3.0)
-                await album.take(pilot, "look-map")
-                await album.take(pilot, "goal", "g", *["right"] * 8, *["up"] * 3)
+                await album.take(pilot, "look-map", when=lambda words: "5 m" in words)
+                await album.take(pilot, "goal", "g", *["right"] * 8, *["up"] * 3, when=lambda words: "GOAL" in words)
         finally:
             await asyncio.to_thread(app.stop)
 
@@ -141,10 +180,11 @@ async def driving(app: ConsoleApp, pilot: Pilot[Any]) -> str:
         elif isinstance(app.screen, DriveScreen) and not armed:
             await pilot.press("A")
         else:
-            await pilot.press(*"iu")  # ahead, and to the left
+            await pilot.press("u")  # ahead, and to the left
             if any(arming.velocity and arming.velocity[0] for arming in armed):
                 picture = app.export_screenshot()
-        return "moving" in picture and "stood" not in picture
+        words = words_of(picture)
+        return "turning" in words and DriveText.NO_KEY() not in words
 
     await until(drives, pilot)
     return picture
@@ -155,7 +195,7 @@ async def of_a_fleet(album: Album) -> None:
     over = threading.Event()
     with simulated(ROBOTS) as running, seen(running) as fleet:
         _of_no_machine(fleet.sources[0])
-        app = FleetApp(fleet, FleetView(), theme="dark", config=album.folder)
+        app = FleetApp(fleet, FleetView(), theme="dark", config=album.config)
         async with app.run_test(size=LOW) as pilot:
             await until(lambda: all(robot.summary.battery for robot in robots(fleet)), pilot)
             troubling = threading.Thread(target=trouble, args=(running, over.is_set))
@@ -163,7 +203,8 @@ async def of_a_fleet(album: Album) -> None:
             try:
                 await until(lambda: {RobotState.MISSING, RobotState.FAULT} <= states_of(fleet), pilot)
                 await pilot.pause(1.0)
-                await album.take(pilot, "fleet", "g", "j")  # on the robot with the fault
+                # On the robot with the fault.
+                await album.take(pilot, "fleet", "g", "j", when=lambda words: "STALE" in words)
             finally:
                 over.set()
                 await asyncio.to_thread(troubling.join)
@@ -200,7 +241,8 @@ def main() -> None:
     lease.LASTS = lease.SLOW = 5.0
     arguments.folder.mkdir(exist_ok=True)
     for part in arguments.parts or PARTS:
-        asyncio.run(PARTS[part](Album(arguments.folder)))
+        with tempfile.TemporaryDirectory() as config:
+            asyncio.run(PARTS[part](Album(arguments.folder, Path(config))))
 
 
 if __name__ == "__main__":

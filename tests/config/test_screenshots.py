@@ -1,13 +1,19 @@
-"""The script that takes the pictures of the documentation: they are its own, and it still takes them."""
+"""The pictures of the documentation show the present console, and the script that takes them still does."""
 
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+from html import unescape
 from pathlib import Path
 
 import pytest
+import yaml
+
+from rsb_console.actions import ACTIONS, Group
+from rsb_console.screens.drive_screen import DriveText
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs/screenshots.py"
@@ -25,6 +31,39 @@ def taken() -> set[str]:
 
 def test_each_picture_is_taken_by_the_script() -> None:
     assert taken() == {picture.stem for picture in (ROOT / "docs/pictures").glob("*.svg")}
+
+
+def words_of(name: str) -> str:
+    picture = (ROOT / f"docs/pictures/{name}.svg").read_text(encoding="utf-8")
+    return unescape(picture).replace("\xa0", " ")
+
+
+def test_the_picture_of_the_help_has_the_present_keys() -> None:
+    words = words_of("help")
+    missing = [each.id for each in ACTIONS if each.group in (Group.MOVE, Group.VIEW) and each.help not in words]
+    assert not missing, "make screenshots"
+
+
+def test_the_picture_of_driving_shows_a_key_and_its_motion() -> None:
+    words = words_of("drive")
+    assert re.search(r"forward \+0\.\d\d m/s", words), "make screenshots"
+    assert "moving" in words
+    assert "turning" in words
+    assert DriveText.NO_KEY() not in words
+
+
+@pytest.mark.parametrize("name", ["main", "service", "light", "narrow", "detail"])
+def test_pictures_of_the_demo_have_one_fault(name: str) -> None:
+    words = words_of(name)
+    assert re.search(r"■ ?1\b", words), "make screenshots"
+    assert not re.search(r"[≈◔▲✗◇] ?1\b", words), "make screenshots"
+
+
+@pytest.mark.parametrize("picture", sorted((ROOT / "docs/pictures").glob("*.svg")), ids=lambda picture: picture.stem)
+def test_pictures_have_the_colours_of_their_theme(picture: Path) -> None:
+    theme = "light" if picture.stem == "light" else "dark"
+    primary = yaml.safe_load((ROOT / f"themes/{theme}.yaml").read_text(encoding="utf-8"))["primary"]
+    assert f"fill: {primary}" in picture.read_text(encoding="utf-8"), "make screenshots"
 
 
 def test_it_starts_and_names_its_parts() -> None:
