@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any
 
+from tests.support import constants
 from tests.support.bridge import happened, linked
 from tests.support.inside import break_waiting, role_of
 from tests.support.offline import loop, make_context
@@ -89,3 +90,16 @@ def test_the_engine_stops_when_its_ros_side_has_failed(
     break_waiting(node, monkeypatch)
     eventually(lambda: not client.snapshot().running)
     assert happened(client, EventCode.ENGINE_ROS_FAILED, "the wait set is broken: the engine stops")
+
+
+def test_the_engine_stops_when_dds_hears_no_node(
+    bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.BRIDGE_LISTENS_EVERY.set(monkeypatch, 0.1)
+    node = RosNode(robot.id, "robot1")
+    heard = iter(("replaced", "", "replaced", "replaced"))  # it may follow its senders a moment later
+    monkeypatch.setattr(node, "deafness", lambda: next(heard))
+    client = bridge.start(bridge.client_session(), node)
+    eventually(lambda: not client.snapshot().running)
+    assert happened(client, EventCode.ENGINE_ROS_FAILED, "replaced: the engine stops")
+    assert not list(heard)

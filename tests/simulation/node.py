@@ -72,6 +72,9 @@ class Node:
 
         return take
 
+    def deafness(self) -> str:
+        return ""
+
     def stop(self) -> None:
         self._domain.unwatch(self)
         self._stopped = True

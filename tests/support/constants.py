@@ -25,6 +25,7 @@ LITTLE_SHARED_MEMORY = Place("rsb_bridge.doctor.machine", "_LITTLE_SHARED_MEMORY
 DOCTOR_LOCKED_WITHIN = Place("rsb_bridge.doctor.machine", "_LOCKED_WITHIN")
 ROS_SETUP_WITHIN = Place("rsb_bridge.doctor.ros_setup", "_WITHIN")
 BRIDGE_OLD_AFTER = Place("rsb_bridge.engine.bridge", "OLD_AFTER")
+BRIDGE_LISTENS_EVERY = Place("rsb_bridge.engine.bridge", "_LISTENS_EVERY")
 ENGINE_READ_WITHIN = Place("rsb_bridge.engine.engine", "_READ_WITHIN")
 EXPORTERS_ENDS_WITHIN = Place("rsb_bridge.engine.exporters", "_ENDS_WITHIN")
 EXPORTERS_RETRIED_EVERY = Place("rsb_bridge.engine.exporters", "_RETRIED_EVERY")

@@ -63,7 +63,7 @@ class CycloneProgram:
         return reader
 
     def close(self) -> None:
-        """Take them out of the domain. The last reference does that, and a failed test's traceback holds more."""
+        """Take them out of the domain. The last reference to one does so, and a failed test's traceback holds more."""
         for each in self._endpoints:
             each.entity = None
         self._endpoints.clear()

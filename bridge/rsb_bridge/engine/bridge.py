@@ -71,6 +71,9 @@ write a traceback for each of them."""
 _TICK, _LONGEST_PAUSE = 1.0, 10.0
 """s between two ticks, in which links, routes and exporters count; s at most until regular work that has failed starts
 again."""
+_LISTENS_EVERY = 10.0
+"""Seconds between two looks whether DDS hears all nodes here. It has this time to follow senders to a new port. A
+look costs 3 ms on a busy machine. A round figure."""
 
 _logger = logging.getLogger(__name__)
 
@@ -176,6 +179,7 @@ class Bridge:
     async def _tick(self) -> None:
         """Do the regular work once a second, for ever."""
         now = self.context.now
+        listened, was_deaf = now(), False
         due = now()
         while True:
             due += _TICK
@@ -191,9 +195,14 @@ class Bridge:
             self._viewing.tick()
             self._publishing.tick()
             self._exporters.publish(self._snapshots.latest)
+            if now() - listened >= _LISTENS_EVERY:
+                deafness = self.context.ros.deafness()
+                if deafness and was_deaf:
+                    self._ros_failed(deafness)
+                listened, was_deaf = now(), bool(deafness)
 
     def _ros_failed(self, reason: str) -> None:
-        """End because the ROS side is gone, so that a supervisor starts the process again."""
+        """End because the ROS side is gone or deaf, so that a supervisor starts the process again."""
         self.context.events.add(Level.ERROR, EventCode.ENGINE_ROS_FAILED, f"{reason}: the engine stops; start it again")
         self.stop()
 

@@ -16,6 +16,7 @@ from weakref import WeakSet
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.distribution import check_middleware
 from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
+from rsb_bridge.ros.native.shared_memory import lost_port
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
 from rsb_bridge.ros.ros_interface import BATCH, RawMessage, Request, Response, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
@@ -131,6 +132,10 @@ class RosNode:
         # The thread may have failed before anybody watched it.
         if self._failure:
             on_failure(self._failure)
+
+    def deafness(self) -> str:
+        port = lost_port()
+        return RosProblem.DEAF(port=port) if port else ""
 
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice, and from a sink.

@@ -34,6 +34,7 @@ class RosProblem(Wording):
     NOT_RUNNING = "the ROS node is not running"
     TOO_MANY_ANSWERS_WAIT = "{count:,} answers already wait for callers that DDS does not show: too many"
     THREAD_FAILED = "the thread that serves ROS failed: {error}"
+    DEAF = "DDS does not hear all nodes of this machine: it has lost {port}"
     NO_SUCH_DOMAIN = "ROS domain {domain} cannot be joined: domains are {domains}"
     GRAPH_UNREADABLE = "the ROS graph cannot be read: {reason}"
     INVALID_NAME = (
@@ -296,6 +297,9 @@ class RosInterface(RouteEnds, Protocol):
                 be called thousands of times a second, so it must be quick.
             on_failure: called with the reason if the thread ends by itself; nothing works from then on.
         """
+
+    def deafness(self) -> str:
+        """Return why DDS does not hear all nodes of this machine, or an empty string. Takes some ms."""
 
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice."""

@@ -66,6 +66,9 @@ class NoRos:
     def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
         pass
 
+    def deafness(self) -> str:
+        return ""
+
     def stop(self) -> None:
         pass
 

@@ -1,0 +1,39 @@
+"""Ports of Fast DDS in shared memory, in whose place senders put another file."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from tests.ros.domains import DOMAIN
+
+from rsb_bridge.ros.ros_interface import RosProblem
+
+_LOSES_A_PORT = """
+import mmap, os, sys
+from pathlib import Path
+from rsb_bridge.ros.node import RosNode
+
+node = RosNode(int(sys.argv[1]), "robot1")
+node.start()
+opened = [os.readlink(each) for each in Path("/proc/self/fd").iterdir() if each.is_symlink()]
+port = Path(min(each for each in opened if each.endswith("_el") and "_port" in each).removesuffix("_el"))
+print(port, node.deafness(), sep="\\n")
+content = port.read_bytes()
+port.unlink()  # as a sender does that does not see its reader alive
+print(node.deafness())
+port.write_bytes(content)
+print(node.deafness())
+with port.open("r+b") as file, mmap.mmap(file.fileno(), 0):
+    print(node.deafness())
+node.stop()
+print(node.deafness())
+"""
+
+
+def test_node_is_deaf_at_a_replaced_port_until_it_opens_the_new_one() -> None:
+    command = (sys.executable, "-c", _LOSES_A_PORT, str(DOMAIN))
+    said = subprocess.run(command, capture_output=True, text=True, timeout=150, check=True)
+    port, *answers = said.stdout.splitlines()
+    deaf = RosProblem.DEAF(port=port)
+    assert answers == ["", deaf, deaf, "", ""]
