@@ -32,6 +32,7 @@ from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from rsb_bridge.model.reason import Reason
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import DatagramSocket
     from rsb_bridge.wire.framing import Message
@@ -67,8 +68,8 @@ class Route:
         if self.queue and self.sender is not None:
             self.sender.ask()
 
-    def channel_lost(self, reason: str) -> None:
-        raise SystemExit(reason)
+    def channel_lost(self, reason: Reason) -> None:
+        raise SystemExit(reason.text)
 
 
 def main() -> None:

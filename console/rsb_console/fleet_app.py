@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import Robot, RobotFleet
     from rsb_console.widgets.fleet_table import FleetView
 
-BRIDGES_GO_ON = "All bridges go on; only this console ends."
+_BRIDGES_GO_ON = "All bridges go on; only this console ends."
 _OPENS_ANOTHER = frozenset({"sessions", "new_session", "import_session", "demo", "welcome"})
 
 
@@ -33,7 +33,7 @@ class FleetApp(TerminalApp["Robot"]):
         fleet: a started fleet, which outlives the app.
         theme: name of the theme, or None for one that suits the terminal.
         config: the user's configuration folder, or None for the platform's.
-        after_quit: text about the bridges when the operator quits.
+        after_quit: text about the bridges when the operator quits, or empty if they go on.
     """
 
     actions = FLEET_ACTIONS
@@ -47,7 +47,7 @@ class FleetApp(TerminalApp["Robot"]):
         ascii_only: bool = False,
         theme: str | None = None,
         config: Path | None = None,
-        after_quit: str = BRIDGES_GO_ON,
+        after_quit: str = "",
     ) -> None:
         super().__init__(readonly=readonly, ascii_only=ascii_only, theme=theme, config=config)
         self._after_quit = after_quit
@@ -74,8 +74,8 @@ class FleetApp(TerminalApp["Robot"]):
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
         from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
-        effect = Effect.HARMLESS if self._after_quit == BRIDGES_GO_ON else Effect.LOSES
-        if await self.ask(ConfirmScreen("Quit?", self._after_quit, "Quit", effect)):
+        effect = Effect.LOSES if self._after_quit else Effect.HARMLESS
+        if await self.ask(ConfirmScreen("Quit?", self._after_quit or _BRIDGES_GO_ON, "Quit", effect)):
             self.shut_down(ShutdownReason.QUIT)
 
     def stop(self) -> None:

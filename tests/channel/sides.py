@@ -23,6 +23,7 @@ from rsb_bridge.wire.sealing import CipherSuite
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable
 
+    from rsb_bridge.model.reason import Reason
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.messages import Receipts
     from rsb_bridge.wire.sealing import Role
@@ -63,9 +64,9 @@ class Route:
         now = asyncio.get_running_loop().time()
         self.arrived += [(payload, now) for payload, _, _ in messages]
 
-    def channel_lost(self, reason: str) -> None:
-        self.lost.append(reason)
-        self.channel.close(reason)
+    def channel_lost(self, reason: Reason) -> None:
+        self.lost.append(reason.text)
+        self.channel.close(reason.text)
 
     @property
     def payloads(self) -> list[bytes]:

@@ -14,6 +14,7 @@ from tests.support.frames import write_frame
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_stream import LARGE
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.wire.framing import DataWriter
 from rsb_bridge.wire.sealing import CipherSuite
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.data_stream import DataStream
     from rsb_bridge.wire.sealing import Role
 
+CUT = Reason("cut", EndCode.BROKE)
 _NUMBERS = count(3)
 
 
@@ -60,7 +62,7 @@ async def reopen(*sides: Side, names: tuple[str, ...] = ("small", "large")) -> N
     for name in names:
         number, ends = next(_NUMBERS), await by_sockets()
         for side, stream in zip(sides, ends, strict=True):
-            side.pair.cut(stream_of(side, name), "replaced")
+            side.pair.cut(stream_of(side, name), Reason("replaced", EndCode.BROKE))
             stream.handler = side.pair.add(stream, number, small=name == "small", large=name == "large")
             side.pair.go_on()
 
@@ -192,11 +194,11 @@ async def test_a_new_large_stream_that_is_lost_takes_no_route_along_that_waits_f
     async with connected(Route(1, outgoing=True), Route(3, outgoing=True)) as (near, far):
         near.routes[3].send(bytes(LARGE))
         await far.acknowledges_all()
-        far.pair.cut(stream_of(far, "small"), "cut")
+        far.pair.cut(stream_of(far, "small"), CUT)
         await reopen(near, far, names=("large",))
-        far.pair.cut(stream_of(far, "large"), "cut")
+        far.pair.cut(stream_of(far, "large"), CUT)
         await until(lambda: near.pair.lacks()[1])
-        near.pair.cut(stream_of(near, "small"), "cut")
+        near.pair.cut(stream_of(near, "small"), CUT)
         await reopen(near, far)
         assert not any(route.lost for side in (near, far) for route in side.routes.values())
 
@@ -213,7 +215,7 @@ async def test_what_waits_is_not_given_to_a_stream_that_ends_with_the_lost_one()
             route.flush()
         large = stream_of(near, "large")
         before = large.sent
-        near.pair.cut(stream_of(near, "small"), "cut")
+        near.pair.cut(stream_of(near, "small"), CUT)
         assert large.sent == before
 
 

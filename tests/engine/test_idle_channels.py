@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from typing import TYPE_CHECKING
 
 from std_srvs.srv import SetBool
@@ -12,6 +10,7 @@ from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
 
-TIMED_OUT = os.strerror(errno.ETIMEDOUT)
+TIMED_OUT = Reason("it has timed out", EndCode.TIMED_OUT)
 
 
 def lose_channel(engine: Engine) -> None:

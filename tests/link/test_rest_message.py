@@ -16,6 +16,7 @@ from rsb_bridge.cdr.known_types import resting, stamped, velocity_of
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import ArmedName, Topic
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
@@ -221,7 +222,7 @@ def by_reloading(driven: Driven, at: int) -> None:
 
 
 def by_reopening(driven: Driven, at: int) -> None:
-    route(driven.pair[at]).channel_lost("cut")
+    route(driven.pair[at]).channel_lost(Reason("cut", EndCode.BROKE))
 
 
 def by_the_links_end(driven: Driven, at: int) -> None:
@@ -526,7 +527,7 @@ def test_a_message_that_does_not_fit_is_refused_before_anything_moves(
     kind: str, on_end: str | dict[str, Any], make_driven: Callable[..., Driven]
 ) -> None:
     driven = make_driven(kind, on_end)
-    assert "on_end" in driven.half.life.refusal
+    assert "on_end" in driven.half.life.refusal.text
     assert not any(voice.is_open for voice in driven.robot.voices), "a refused topic has no publisher"
 
 

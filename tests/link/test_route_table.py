@@ -21,6 +21,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.purposes import BENCH, VIEW, Purpose
 from rsb_bridge.model.purposes import TOPIC as ORDINARY
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.route import route_key
 from rsb_bridge.wire.messages import Close
@@ -116,7 +117,7 @@ class Side(FakePeer):
 
     def lose(self) -> None:
         for route in self.routes.values():
-            route.channel_lost("cut")
+            route.channel_lost(Reason("cut", EndCode.BROKE))
 
     def hear(self) -> None:
         if self.inbox:

@@ -33,8 +33,8 @@ class Channel:
     def datagrams(self, size: int) -> int:
         return 0
 
-    def trouble(self) -> str:
-        return ""
+    def trouble(self) -> None:
+        return None
 
 
 class World:

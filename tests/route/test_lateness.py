@@ -6,6 +6,7 @@ import pytest
 from tests.route.test_topic_verdict import NOW, RECEIVER, SENDER, verdict_on
 
 from rsb_bridge.model.capacity import Fullness
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.lateness import (
@@ -149,9 +150,9 @@ def test_a_connection_over_which_messages_came_says_nothing_of_the_path() -> Non
 
     losses = ChannelLosses()
     losses.arrived()
-    losses.add("Connection timed out", Loop(), lambda: None, owing=True)  # type: ignore[arg-type]
+    losses.add(Reason("cut", EndCode.TIMED_OUT), Loop(), lambda: None, owing=True)  # type: ignore[arg-type]
     assert not losses.repeated
-    losses.add("Connection timed out", Loop(), lambda: None, owing=True)  # type: ignore[arg-type]
+    losses.add(Reason("cut", EndCode.TIMED_OUT), Loop(), lambda: None, owing=True)  # type: ignore[arg-type]
     assert losses.repeated, "nothing has come over this one"
 
 

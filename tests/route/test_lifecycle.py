@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rsb_bridge.model.reason import Reason
 from rsb_bridge.route.lifecycle import TRANSITIONS, Lifecycle, RouteEvent, RoutePhase
 
 THERE = (RouteEvent.OPEN, RouteEvent.ACCEPT, RouteEvent.DESCRIBE, RouteEvent.READY)
@@ -24,8 +25,8 @@ def in_phase(phase: RoutePhase) -> Lifecycle:
 @pytest.mark.parametrize("phase", RoutePhase)
 def test_every_phase_can_be_reached_refused_and_closed(phase: RoutePhase) -> None:
     life = in_phase(phase)
-    assert life.handle(RouteEvent.REFUSE, "no such type")
-    assert (life.phase, life.refusal, life.accepted) == (RoutePhase.CLOSED, "no such type", False)
+    assert life.handle(RouteEvent.REFUSE, Reason("no such type"))
+    assert (life.phase, life.refusal, life.accepted) == (RoutePhase.CLOSED, Reason("no such type"), False)
     life = in_phase(phase)
     assert life.handle(RouteEvent.CLOSE)
     assert life.phase is RoutePhase.CLOSED

@@ -12,6 +12,7 @@ from tests.support.offline import FakePeer, half_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import hop
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
@@ -117,8 +118,8 @@ class Channel:
     def close(self, reason: str) -> None:
         pass
 
-    def trouble(self) -> str:
-        return ""
+    def trouble(self) -> None:
+        return None
 
 
 class Peer(FakePeer):
@@ -308,7 +309,7 @@ def test_a_loop_that_comes_again_is_said_again(world: World) -> None:
 
 
 def test_a_removed_route_says_nothing_of_its_channel(world: World) -> None:
-    world.route.channel_lost("reset")
+    world.route.channel_lost(Reason("reset", EndCode.BROKE))
     world.route.destroy()
     world.wait(10.0)
     assert EventCode.ROUTE_CHANNEL_LOST not in [event.code for event in world.context.events.after(0)]

@@ -9,6 +9,7 @@ from tests.route.test_loop_filter import FIRST, SCAN, Graph, Peer, World
 from tests.support.offline import half_of
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.outgoing import OutgoingRoute
 
@@ -69,14 +70,14 @@ def test_the_estimate_grows_while_the_route_is_down_and_stays_when_it_is_back(wo
 
 
 def test_a_data_connection_that_breaks_before_the_link_does_refuses_nothing(world: World) -> None:
-    world.route.channel_lost("Broken pipe")
+    world.route.channel_lost(Reason("Broken pipe", EndCode.BROKE))
     world.route.close("link lost")
     passes(world, 5)
     assert missed(world) == 100
 
 
 def test_nothing_is_missed_of_a_topic_that_is_refused(world: World) -> None:
-    world.route.refuse(EventCode.ROUTE_REFUSED, "not allowed")
+    world.route.refuse(EventCode.ROUTE_REFUSED, Reason("not allowed"))
     passes(world, 5)
     assert missed(world) == 0
 

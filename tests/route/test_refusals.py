@@ -8,6 +8,7 @@ import pytest
 from tests.support.offline import half_of
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
@@ -31,7 +32,7 @@ def test_a_route_is_asked_for_again_after_any_number_of_refusals(
     pauses = []
     for number in range(3_000):
         route.open(2 * number + 1)
-        route.refuse(EventCode.ROUTE_REFUSED, "denied")
+        route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
         pauses.append(route.reopening.retry_at - context.now())
         loop.jump(pauses[-1])
     assert pauses[:6] == [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
@@ -46,7 +47,7 @@ def test_where_nobody_looks_for_publishers_it_is_not_said_that_there_are_none(
     route = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit", paused=state == "paused"))
     route.open(1)
     if state == "refused":
-        route.refuse(EventCode.ROUTE_REFUSED, "denied")
+        route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
     (seen,) = [stage for stage in route.snapshot().stages if stage.name == "publisher seen"]
     assert seen.done is None
 
@@ -59,7 +60,7 @@ def test_a_refusal_stands_while_the_route_is_tried_again(
     context = make_context()
     route = half_of(OutgoingRoute, context, SCAN)
     route.open(1)
-    route.refuse(code, "denied")
+    route.refuse(code, Reason("denied"))
     events = len(context.events.after(0))
     shown = set()
     for number in range(1, 8):
@@ -76,7 +77,7 @@ def test_a_refusal_stands_while_the_route_is_tried_again(
             route.tick()
             shown.add((route.snapshot().state, route.snapshot().cause, route.snapshot().reason))
         assert route.snapshot().since == since
-        route.refuse(code, "denied")
+        route.refuse(code, Reason("denied"))
     assert shown == {(State.DOWN, Cause.REFUSED, "denied")}
     assert len(context.events.after(0)) == events
 
@@ -87,7 +88,7 @@ def test_a_refusal_is_over_once_a_later_opening_goes_on(
     context = make_context()
     route = half_of(OutgoingRoute, context, SCAN)
     route.open(1)
-    route.refuse(EventCode.ROUTE_REFUSED, "denied")
+    route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
     loop.jump(1.0)
     route.open(3)
     route.on_accepted()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.route.test_missed_while_down import passes, reopen, world
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from tests.route.test_loop_filter import World
 
 __all__ = ["world"]
-TIMED_OUT = os.strerror(errno.ETIMEDOUT)
+TIMED_OUT = Reason("it has timed out", EndCode.TIMED_OUT)
 WAITS, NO_PATH = (State.WAITING, Cause.AWAITS_LINK), (State.DOWN, Cause.NO_PATH)
 
 
@@ -51,7 +50,7 @@ def test_attempts_that_time_out_do_not_begin_the_wait_anew(world: World) -> None
 
 
 def test_the_other_side_shows_the_same(world: World) -> None:
-    world.route.refuse(EventCode.ROUTE_CLOSED, f"closed by the other side: data connection: {TIMED_OUT}")
+    world.route.refuse(EventCode.ROUTE_CLOSED, TIMED_OUT)
     assert shown(world) == WAITS
 
 
@@ -59,5 +58,5 @@ def test_the_other_side_shows_the_same(world: World) -> None:
 def test_a_data_connection_that_cannot_be_opened_is_a_fault_at_once(world: World, reason: str) -> None:
     world.route.close("link lost")
     world.route.open(1)
-    world.route.channel_lost(reason)
+    world.route.channel_lost(Reason(reason, EndCode.BROKE))
     assert shown(world) == NO_PATH

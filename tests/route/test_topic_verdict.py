@@ -14,6 +14,7 @@ from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, LinkCause, Verdict, about, worse
 from rsb_bridge.ros.ros_interface import Endpoint
@@ -69,9 +70,9 @@ LARGE, SILENT = PathFault(LinkCause.LARGE_PACKETS, "lower the MTU"), PathFault(L
 LATE = Late(1.4, 0.2, "", None, NOW)
 LOST, FULL = Loss(9, 10, "lost on the way", NOW - 2.0), Fullness(5e3, 14e3)
 HALF, EXPIRED = Loss(50, 100, "incomplete", NOW - 12.0), Expired(Cause.LINK_SLOW, 325, 333, 0.3, 0.0)
-OUT, DATA = "Connection timed out", "data connection: "
-DATA_OUT = f"{DATA}{OUT}"
-CLOSED_THERE = f"closed by the other side: {DATA_OUT}"
+OUT = "Connection timed out"
+DATA_OUT, PIPE = Reason(OUT, EndCode.TIMED_OUT), Reason("Broken pipe", EndCode.BROKE)
+DENIED, STUCK = Reason("denied"), Verdict(State.DOWN, Cause.NO_PATH, "stuck")
 MAPPER, ODD = endpoint("/map", LATCHED), endpoint("/odd", type_name=INT)
 BOTH, OFFERED = [TALKER, endpoint("/b")], ["/a ", "best_effort", "reliable"]
 NEVER: dict[str, Any] = {"came": False}
@@ -102,27 +103,27 @@ def test_a_route_that_flows_is_fine() -> None:
 @pytest.mark.parametrize(
     ("facts", "changes", "state", "cause", "words"),
     [
-        (SENDER, {"link_down": "gone", "refusal": "denied"}, State.DOWN, Cause.LINK_DOWN, ["gone"]),
-        (SENDER, {"refusal": "denied", "paused": True}, State.DOWN, Cause.REFUSED, ["denied"]),
+        (SENDER, {"link_down": "gone", "refusal": DENIED}, State.DOWN, Cause.LINK_DOWN, ["gone"]),
+        (SENDER, {"refusal": DENIED, "paused": True}, State.DOWN, Cause.REFUSED, ["denied"]),
         (SENDER, {"breaking": OUT, "refusal": DATA_OUT}, State.DOWN, Cause.NO_PATH, [f"({OUT})", "firewalls"]),
-        (SENDER, {"refusal": f"{DATA}Broken pipe"}, State.DOWN, Cause.NO_PATH, ["Broken pipe"]),
-        (RECEIVER, {"refusal": CLOSED_THERE, "reopens": True}, State.WAITING, Cause.AWAITS_LINK, [f"({OUT})"]),
-        (SENDER, {"refusal": f"{DATA}x", "reopens": True, "path": LOSSY}, State.DOWN, Cause.LOSSY, [LOSSY.text]),
-        (SENDER, {"refusal": "denied", "reopens": True}, State.DOWN, Cause.REFUSED, ["denied"]),
+        (SENDER, {"refusal": PIPE}, State.DOWN, Cause.NO_PATH, ["Broken pipe"]),
+        (RECEIVER, {"refusal": DATA_OUT, "reopens": True}, State.WAITING, Cause.AWAITS_LINK, [f"({OUT})"]),
+        (SENDER, {"refusal": PIPE, "reopens": True, "path": LOSSY}, State.DOWN, Cause.LOSSY, [LOSSY.text]),
+        (SENDER, {"refusal": DENIED, "reopens": True}, State.DOWN, Cause.REFUSED, ["denied"]),
         (SENDER, {"path": LOSSY, "late": LATE}, State.LATE, Cause.LOSSY, [LOSSY.text]),
         (SENDER, {"path": LOSSY, "loss": LOST}, State.SLOW, Cause.LOSSY, [LOSSY.text]),
-        (SENDER, {"path": LOSSY, "no_path": "stuck"}, State.DOWN, Cause.LOSSY, [LOSSY.text]),
+        (SENDER, {"path": LOSSY, "no_path": STUCK}, State.DOWN, Cause.LOSSY, [LOSSY.text]),
         (RECEIVER, STALE | {"path": LOSSY}, State.STALE, Cause.LOSSY, [LOSSY.text]),
         (SENDER, {"path": LARGE, "loss": LOST}, State.SLOW, Cause.NO_PATH, ["MTU"]),
         (SENDER, {"path": LARGE, "late": LATE}, State.LATE, Cause.LATE, []),
-        (SENDER, {"path": SILENT, "no_path": "stuck"}, State.WAITING, Cause.AWAITS_LINK, [SILENT.text]),
+        (SENDER, {"path": SILENT, "no_path": STUCK}, State.WAITING, Cause.AWAITS_LINK, [SILENT.text]),
         (SENDER, {"path": SILENT, "refusal": DATA_OUT, "reopens": True}, State.WAITING, Cause.AWAITS_LINK,
          [SILENT.text]),
         (RECEIVER, STALE | {"path": SILENT}, State.WAITING, Cause.AWAITS_LINK, [SILENT.text]),
         (SENDER, {"path": SILENT, "late": LATE}, State.WAITING, Cause.AWAITS_LINK, [SILENT.text]),
         (SENDER, {"loop": "round"}, State.DOWN, Cause.LOOP, ["round"]),
         (SENDER, STALE | {"paused": True}, State.PAUSED, Cause.PAUSED, ["operator"]),
-        (RECEIVER, {"no_path": "no answer"}, State.DOWN, Cause.NO_PATH, ["no answer"]),
+        (RECEIVER, {"no_path": STUCK}, State.DOWN, Cause.NO_PATH, ["stuck"]),
         (SENDER, {"subscribe_failed": "rcl"}, State.DOWN, Cause.SUBSCRIBE_FAILED, ["rcl"]),
         (SENDER, STALE | NEVER | LOOSE, State.DOWN, Cause.QOS_INCOMPATIBLE, [*OFFERED, "qos: auto"]),
         (SENDER, {"endpoints": [TALKER, *LOOSE["endpoints"]]}, State.UNHEARD, Cause.QOS_INCOMPATIBLE, OFFERED),
@@ -274,6 +275,8 @@ losses = st.none() | st.builds(
     st.sampled_from(["queue full", "incomplete", "anything"]),
 )
 texts = st.sampled_from(["", "words"])
+WAITS = Verdict(State.WAITING, Cause.AWAITS_LINK, "words")
+NO_PATH = Verdict(State.DOWN, Cause.NO_PATH, "words")
 numbers = st.sampled_from([None, 0, 2])
 facts = st.builds(
     Facts,
@@ -283,11 +286,11 @@ facts = st.builds(
         topic=st.just("/chat"),
         link_down=st.sampled_from([None, "", "words"]),
         accepted=st.sampled_from([None, True, False]),
-        refusal=texts,
+        refusal=st.builds(Reason, texts, st.sampled_from(EndCode)),
         loop=texts,
         paused=st.booleans(),
         disarmed=texts,
-        no_path=texts,
+        no_path=st.sampled_from([None, WAITS, NO_PATH]),
         awaits_full_link=st.booleans(),
         flowing=st.booleans(),
         came=st.booleans(),
@@ -337,7 +340,9 @@ def test_the_stages_follow_from_the_same_facts_as_the_verdict(known: Facts) -> N
     if known.status.link_down is not None:
         assert {name for name, each in stages.items() if each.done is not None} == {"link up"}
         return
-    assert (stages["link up"].done, stages["link up"].detail) == (not known.status.no_path, known.status.no_path)
+    no_path = known.status.no_path
+    assert stages["link up"].detail == (no_path.text if no_path else "")
+    assert stages["link up"].done is {None: True, WAITS: None, NO_PATH: False}[no_path]
     assert stages["peer accepted"].done is known.status.accepted
     if known.status.loop or known.progress.subscribe_failed:
         assert stages["subscribed"].done is False

@@ -13,6 +13,7 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from aiohappyeyeballs import start_connection
@@ -26,6 +27,9 @@ from rsb_bridge.transport.listening import LookUpProblem, bind
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
 from rsb_bridge.transport.tcp import Tcp, TcpStream, congestion_control, prefer_bbr
 from rsb_bridge.transport.transport import ListenError
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.reason import Reason
 
 _LIVE, _ALSO_LIVE, _SILENT, _REFUSING = (f"127.0.2.{n}" for n in range(1, 5))
 _UNREACHABLE = "255.255.255.255"  # connect(2) refuses a broadcast address at once
@@ -223,7 +227,7 @@ class Kept(StreamHandler):
     def received(self, data: bytes) -> None:
         self.came += data
 
-    def closed(self, reason: str) -> None:
+    def closed(self, reason: Reason) -> None:
         self.over.set()
 
 
@@ -316,8 +320,8 @@ async def test_stream_may_end_as_writing_resumes(kind: type[Stream], end: str) -
             else:
                 getattr(stream, end)("the reason")
 
-        def closed(self, reason: str) -> None:
-            assert end == "write" or reason == "the reason"
+        def closed(self, reason: Reason) -> None:
+            assert end == "write" or reason.text == "the reason"
             over.set()
 
     with socket.create_server((_LIVE, 0)) as server:

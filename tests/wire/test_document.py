@@ -13,6 +13,7 @@ from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import LANES, MOST_LANES, Refused
 from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.session import Kind
 from rsb_bridge.model.topic_keys import STALE_AFTER
 from rsb_bridge.wire import events, headers, messages, preamble, records
@@ -75,9 +76,10 @@ def test_every_refusal_code_is_documented(code: events.RefusalCode) -> None:
     assert f"| {code.value} | {code.name.replace('_', ' ').lower()} |" in DOCUMENT
 
 
-def test_every_code_of_a_refused_route_is_documented_and_no_other() -> None:
-    (row,) = re.findall(r"^\| \| code \| (.*?) \|", DOCUMENT, re.MULTILINE)
-    assert set(re.findall(r'"(\w+)"', row)) == set(typing.get_args(RefuseCode))
+def test_every_code_of_a_refused_or_closed_route_is_documented_and_no_other() -> None:
+    rows = re.findall(r"^\| \| code \| (.*?) \|", DOCUMENT, re.MULTILINE)
+    refused, closed = (set(re.findall(r'"(\w+)"', row)) for row in rows)
+    assert (refused, closed) == (set(typing.get_args(RefuseCode)), set(EndCode))
 
 
 def test_the_limits_are_documented() -> None:

@@ -37,6 +37,8 @@ def filled(kind: msgspec.inspect.Type, default: object = None, *, all_fields: bo
             return inner(next(each for each in kind.types if not isinstance(each, inspect.NoneType)), default)
         case inspect.LiteralType():
             return next(each for each in kind.values if each != default)
+        case inspect.EnumType():
+            return next(each.value for each in kind.cls if each != default)
         case inspect.IntType() | inspect.FloatType():
             return min(3, 3 if kind.le is None else kind.le)
         case inspect.BytesType():

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from rsb_bridge.model.reason import Reason
+    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.wire.framing import Message
-
 REOPENS = "the link opens its data connection again"
-"""The trouble of a channel that goes on by itself."""
 
 
 class RouteSink(Protocol):
@@ -42,7 +42,7 @@ class RouteSink(Protocol):
     def flush(self) -> None:
         """Send from the queue: the channel takes messages again."""
 
-    def channel_lost(self, reason: str) -> None:
+    def channel_lost(self, reason: Reason) -> None:
         """Handle the failure of the channel, which is closed already."""
 
 
@@ -69,8 +69,8 @@ class DataChannel(Protocol):
     def ready(self) -> bool:
         """Whether messages get through."""
 
-    def trouble(self) -> str:
-        """Return a problem in an operator's words, or an empty string."""
+    def trouble(self) -> Verdict | None:
+        """Return the verdict on a channel over which nothing gets through now, or None."""
 
     def close(self, reason: str) -> None:
         """Free it. The route hears no more of it."""

@@ -22,6 +22,9 @@ from typing import TYPE_CHECKING, Protocol
 from rsb_bridge.channel.channel import REOPENS, Counts
 from rsb_bridge.channel.scheduler import SendingEnd
 from rsb_bridge.channel.window import ReceiptBook, ReceiptCounter
+from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, MOVED, RESUMED, FrameReader
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
@@ -121,12 +124,12 @@ class DataStream(StreamHandler):
     def writable(self) -> None:
         self._pair.scheduler.run()
 
-    def closed(self, reason: str) -> None:
+    def closed(self, reason: Reason) -> None:
         self._pair.cut(self, reason)
 
     def given_up(self) -> None:
         """End, as the other side has given it up."""
-        self._pair.cut(self, "given up by the other side")
+        self._pair.cut(self, Reason("given up by the other side", EndCode.BROKE))
 
     def end(self, reason: str) -> None:
         """Close it; nothing more is heard of it."""
@@ -146,7 +149,7 @@ class DataStream(StreamHandler):
             else:
                 self.receive(frames)
         except (ProtocolError, SealError) as error:
-            self._pair.lost(self, str(error))
+            self._pair.lost(self, Reason(str(error), EndCode.BROKE))
 
     def receive(self, frames: Sequence[memoryview]) -> None:
         """Hand frames to their routes, and hold frames that have to wait for another stream, or for their route.
@@ -183,7 +186,7 @@ class DataStream(StreamHandler):
         try:
             self.receive(held)
         except (ProtocolError, SealError) as error:
-            self._pair.lost(self, str(error))
+            self._pair.lost(self, Reason(str(error), EndCode.BROKE))
             return
         if not self._held:
             self.stream.resume_reading()
@@ -278,7 +281,7 @@ class StreamPair:
         self._reopen = reopen
         self._lost_at = self._asked_at = float("-inf")
         self._unheard_at = float("-inf")  # when the control connection was silent last
-        self._lost_for = ""
+        self._lost_for = NO_REASON
         self._pause = _SHORTEST_PAUSE
         self._cuts: deque[float] = deque(maxlen=_MOST_CUTS)  # the times (s)
         self.ends: dict[int, StreamSender | StreamReceiver] = {}
@@ -339,7 +342,7 @@ class StreamPair:
         for stream in self.streams():
             stream.resume()
 
-    def cut(self, stream: DataStream, reason: str) -> None:
+    def cut(self, stream: DataStream, reason: Reason) -> None:
         """Handle the end of a stream: routes go on on the next one, if they may, or are closed."""
         if self.over or stream.over:
             return
@@ -357,7 +360,7 @@ class StreamPair:
             self._pause = _SHORTEST_PAUSE
             self._reopen()
 
-    def lost(self, stream: DataStream, reason: str, *, resumes: bool = False) -> None:
+    def lost(self, stream: DataStream, reason: Reason, *, resumes: bool = False) -> None:
         """End a stream, and close its routes: without `cut`, the peer has broken the format on it.
 
         Args:
@@ -370,7 +373,7 @@ class StreamPair:
         for each in ended:  # all before the first ends, which gives its room in the window to the others
             each.over = True
         for each in ended:
-            self._end(each, reason)
+            self._end(each, reason.text)
         for end in tuple(self.ends.values()):  # each one that is lost leaves
             if end.uses(stream):
                 if resumes and end.route.resumes:
@@ -385,14 +388,14 @@ class StreamPair:
         """Whether routes wait for a stream in place of a lost one."""
         return any(end.is_cut for end in self.ends.values())
 
-    def go_on(self) -> str:
+    def go_on(self) -> Reason:
         """Have the routes whose streams were lost go on, if both are open now.
 
         Returns:
-            Why they were lost, or an empty string if none was.
+            Why they were lost, or an empty reason if none was.
         """
         if not (self.ready and self._waits):
-            return ""
+            return NO_REASON
         for end in tuple(self.ends.values()):
             if end.is_cut:
                 end.go_on()
@@ -400,7 +403,7 @@ class StreamPair:
         self.scheduler.run()
         return self._lost_for
 
-    def give_up(self, reason: str) -> None:
+    def give_up(self, reason: Reason) -> None:
         """Close the routes that wait for a stream in place of a lost one."""
         for end in tuple(self.ends.values()):
             if end.is_cut:
@@ -421,7 +424,7 @@ class StreamPair:
         for each in self.streams():
             if self._unheard_at < since and each.passes_nothing(since):
                 self.book.give_up(each.number)
-                self.cut(each, "nothing got through for 10 s, check firewalls and proxies")
+                self.cut(each, Reason("nothing got through for 10 s, check firewalls and proxies", EndCode.BROKE))
         if not self.ends or self.ready:
             return
         if self._waits and now - self._lost_at > _AWAITED_FOR:
@@ -460,17 +463,18 @@ class _StreamEnd:
         self.route = route
         self._route_id = route.id
 
-    def trouble(self) -> str:
+    def trouble(self) -> Verdict | None:
         if self.is_cut:
-            return REOPENS
+            return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
         if not any(each.stream.stuck for each in self._pair.streams() if self.uses(each)):
-            return ""
-        return "nothing gets through its data connection now: check the network and firewalls between the two sides"
+            return None
+        text = "nothing gets through its data connection now: check the network and firewalls between the two sides"
+        return Verdict(State.DOWN, Cause.NO_PATH, text)
 
     def close(self, reason: str) -> None:
         self._pair.forget(self._route_id)
 
-    def lost(self, reason: str) -> None:
+    def lost(self, reason: Reason) -> None:
         """Report the end of the streams to the route."""
         self.route.channel_lost(reason)
 

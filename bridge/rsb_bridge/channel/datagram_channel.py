@@ -9,6 +9,8 @@ from rsb_bridge.channel.channel import Counts
 from rsb_bridge.channel.datagram_carrier import WINDOW
 from rsb_bridge.channel.scheduler import SendingEnd
 from rsb_bridge.channel.udp_channel import EXPIRE, NEWEST_EXPIRES, TIMES, BufferShortage
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.transport.streams import PacketCounts
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.wire.datagram import Arrived
@@ -43,8 +45,9 @@ class _DatagramChannel:
     def ready(self) -> bool:
         return self.carrier.ready
 
-    def trouble(self) -> str:
-        return self.carrier.trouble
+    def trouble(self) -> Verdict | None:
+        text = self.carrier.trouble
+        return Verdict(State.DOWN, Cause.NO_PATH, text) if text else None
 
     def close(self, reason: str) -> None:
         self.carrier.remove(self._route_id)

@@ -21,7 +21,7 @@ from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks
-from rsb_bridge.transport.streams import CLOSED_BY_PEER, Stream
+from rsb_bridge.transport.streams import Stream
 from rsb_bridge.wire.codec import decode_urgent, encode
 from rsb_bridge.wire.messages import Ping, Pong, Receipts
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -134,10 +134,6 @@ class RouteIds:
         return 0 < route_id <= newest and route_id not in self._by_id
 
 
-_NO_GOODBYE = (
-    "the other side closed the connection without a goodbye: check whether its process or machine has died, "
-    "or hears nothing from this side"
-)
 _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCause.SHUT_DOWN}
 """Causes by the code of a connection's end; with any other code, `LinkCause.CLOSED`."""
 
@@ -357,13 +353,11 @@ class BaseLink(ABC):
         # Before the extensions end: what they still send goes nowhere, and they find no link.
         self.control = self.keys = None
         cause = _CAUSES.get(code, LinkCause.CLOSED)
-        # The most telling first: without its router a link is silent, too. A killed process ends its streams in order.
+        # The most telling first: without its router a link is silent, too.
         if cause is LinkCause.LOST and self.transport.problem:
             cause, reason = LinkCause.ROUTER_LOST, self.transport.problem
         elif cause is LinkCause.LOST and self._is_silent:
             cause = LinkCause.SILENT
-        elif cause is LinkCause.LOST and reason == CLOSED_BY_PEER:
-            reason = _NO_GOODBYE
         self.status.down(cause, reason)
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.clock.steady()

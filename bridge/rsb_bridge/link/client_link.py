@@ -17,6 +17,7 @@ from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, server_refusal, with_remedy
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
@@ -375,8 +376,9 @@ class ClientLink(Link):
         if failure is None:
             self.route_channels.streams_opened(transport.name, port)
         else:
-            self.route_channels.streams_failed(transport.name, port, failure.reason)
-            self.channels.give_up(transport.name, port, failure.reason)
+            reason = Reason(failure.reason, EndCode.BROKE)
+            self.route_channels.streams_failed(transport.name, port, reason)
+            self.channels.give_up(transport.name, port, reason)
         # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
         self.channels.end_unused(transport.name, port)
 

@@ -15,6 +15,7 @@ from rsb_bridge.wire.events import Accepted, Established, Event, Failed, StreamR
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
+    from rsb_bridge.model.reason import Reason
     from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.connection import ClientConnection, DataConnection
     from rsb_bridge.wire.events import RefusalCode
@@ -113,8 +114,8 @@ class ConnectAttempt(StreamHandler):
                 case _:
                     pass
 
-    def closed(self, reason: str) -> None:
-        text = f"{self._address}: {reason} before the handshake finished"
+    def closed(self, reason: Reason) -> None:
+        text = f"{self._address}: {reason.text} before the handshake finished"
         if not self._heard:
             text = f"{text}: check that rsb-console runs there, and any tunnel to it"
         self._finish(Failure(text))
@@ -295,8 +296,8 @@ class _Try(StreamHandler):
         self._over = True
         self._finish(ProvenServer(stream, connection, events, refusal))
 
-    def closed(self, reason: str) -> None:
-        self._end(self._refusal or Failure(f"{self._address}: {reason} before the handshake finished"))
+    def closed(self, reason: Reason) -> None:
+        self._end(self._refusal or Failure(f"{self._address}: {reason.text} before the handshake finished"))
 
     def _end(self, failure: Failure) -> None:
         if not self._over:

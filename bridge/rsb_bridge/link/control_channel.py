@@ -11,6 +11,7 @@ import msgspec
 from rsb_bridge.channel.data_stream import frame_size
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.transport.streams import Stream, StreamHandler
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping
 
     from rsb_bridge.channel.data_stream import DataStream
+    from rsb_bridge.model.reason import Reason
     from rsb_bridge.wire.codec import ReportParts
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.messages import ControlMessage, UrgentMessage
@@ -78,6 +80,12 @@ def entries_in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], No
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise invalid(error) from None
     return count
+
+
+_NO_GOODBYE = (
+    "the other side closed the connection without a goodbye: check whether its process or machine has died, "
+    "or hears nothing from this side"
+)
 
 
 class ControlChannel(StreamHandler):
@@ -264,8 +272,10 @@ class ControlChannel(StreamHandler):
         if self.data is not None:
             self.data.writable()
 
-    def closed(self, reason: str) -> None:
-        self._end(self._goodbye or reason)
+    def closed(self, reason: Reason) -> None:
+        # A killed process ends its streams in order, too.
+        left = reason.code is EndCode.LEFT and self._code is EventCode.LINK_LOST
+        self._end(self._goodbye or (_NO_GOODBYE if left else reason.text))
 
     def _end(self, reason: str) -> None:
         if not self.over:  # the end of the stream follows each end that begins here

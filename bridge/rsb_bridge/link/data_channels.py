@@ -11,6 +11,7 @@ from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.channel.window import ReceiptBook, Window
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.wire.events import StreamName
@@ -233,19 +234,19 @@ class DataChannels:
             self._taken = {each for each in self._taken if each > self._newest - _OUT_OF_ORDER}
         pair = self._pair(transport, port)
         if (old := pair.large if name.large else pair.small) is not None:
-            pair.cut(old, "the other side opened it again")
+            pair.cut(old, Reason("the other side opened it again", EndCode.BROKE))
             pair = self._pair(transport, port)  # maybe another one: a pair without routes ends with its streams
         pair.kept = not name.port  # the link's own, which stay while no route uses them (PROTOCOL.md, 1.5)
         both = transport.multiplexed
         added = pair.add(stream, name.number, large=name.large or both, small=both or not name.large)
         stream.handler = added
         if reason := pair.go_on():
-            text = f"a data connection broke ({reason}) and was opened again; messages that were on it may be lost"
+            text = f"a data connection broke ({reason.text}) and was opened again; messages that were on it may be lost"
             self._log(Level.WARNING, EventCode.LINK_STREAM_REOPENED, text)
         if beginning and not added.over:
             added.received(beginning)
 
-    def give_up(self, transport: str, port: int, reason: str) -> None:
+    def give_up(self, transport: str, port: int, reason: Reason) -> None:
         """Close the routes that wait for streams for that port in place of lost ones."""
         if (pair := self._pairs.get((transport, port))) is not None:
             pair.give_up(reason)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.demands import DemandSource
+    from rsb_bridge.model.reason import Reason
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import TopicInfo
     from rsb_bridge.route.route import Route
@@ -119,7 +120,7 @@ class RouteChannels(Extension):
             self._carriers.carry(route, pair)
             route.advance()
 
-    def streams_failed(self, transport: str, port: int, reason: str) -> None:
+    def streams_failed(self, transport: str, port: int, reason: Reason) -> None:
         """Report to the routes that wait for streams that these cannot be opened."""
         for route in self._take_awaiting(transport, port):
             route.channel_lost(reason)

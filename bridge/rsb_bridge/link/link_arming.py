@@ -359,7 +359,7 @@ class LinkArming:
         if not self._peer.linked:
             return self._peer.down_reason or "the link is down"
         if not route.life.accepted:
-            return route.life.refusal or ArmingProblem.NOT_OPEN()
+            return str(route.life.refusal) or ArmingProblem.NOT_OPEN()
         if not arming.required:
             return "neither session demands arming"
         if route.paused:

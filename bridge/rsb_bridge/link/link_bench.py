@@ -447,8 +447,11 @@ def _check_opening(route: Route, opening: int) -> None:
 def _why_not(route: Route) -> str:
     """Return why no message crosses on a measuring route."""
     if route.life.refusal:
-        return route.life.refusal
-    return f"{STOPPED}: it has removed or paused the route" if not route.flowing else route.trouble()
+        return str(route.life.refusal)
+    if not route.flowing:
+        return f"{STOPPED}: it has removed or paused the route"
+    trouble = route.trouble()
+    return trouble.text if trouble is not None else ""
 
 
 def _usage_in(answer: BenchAnswer) -> Usage:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.server_link import ClientEntry
+    from rsb_bridge.model.reason import Reason
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import DatagramSocket
 
@@ -343,7 +344,7 @@ class _InboundStream(PendingConnection, StreamHandler):
         if not self._arrive(stream.host):
             self.reject(Rejected.TOO_MANY())
 
-    def closed(self, reason: str) -> None:
+    def closed(self, reason: Reason) -> None:
         self._leave()
 
     def _why_overdue(self) -> tuple[Rejected, str]:

@@ -266,7 +266,10 @@ class LinkViews(Extension):
         route = view.route
         sink = self._internal.drain(route) if await self._internal.opened(route) else None
         if sink is None:
-            raise LinkError(route.life.refusal or ViewRefused.NOT_OPENED(reason=route.trouble()))
+            trouble = route.trouble()
+            raise LinkError(
+                str(route.life.refusal) or ViewRefused.NOT_OPENED(reason=trouble.text if trouble is not None else "")
+            )
         if view.sink is not sink:  # each opening has its own
             view.sink, sink.taken = sink, partial(self._arrived, view)
 

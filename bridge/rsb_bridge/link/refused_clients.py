@@ -181,10 +181,11 @@ class Refusals:
     def log_of(self, host: str, who: str, code: EventCode, message: str, name: str = "", cause: str = "") -> None:
         """Log a rejection: repetitions for a host ever more rarely, and few different messages of one host."""
         host = network(host)
-        if (host, _MANY) in self._logged or self._has_many(host, message):
-            message = _MANY
+        if is_one_of_many := (host, "") in self._logged or self._has_many(host, message):
+            message = ""
         if self.is_new(host, message):
-            self._context.events.add(Level.WARNING, code, f"rejected {who}: {message}", link=name, cause=cause)
+            text = f"rejected {who}: {_MANY if is_one_of_many else message}"
+            self._context.events.add(Level.WARNING, code, text, link=name, cause=cause)
 
     def _has_many(self, host: str, message: str) -> bool:
         return (host, message) not in self._logged and sum(1 for one, _ in self._logged if one == host) >= _OF_ONE_HOST

@@ -27,6 +27,7 @@ from rsb_bridge.link.proposals import (
 )
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
@@ -406,7 +407,7 @@ class RouteTable(Extension):
             await self._link.prepare_port(route)
         except ListenError as error:
             if route.id == route_id:
-                route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, str(error))
+                route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, Reason(str(error)))
         if route.id == route_id:  # else it was refused, or opened again while the port was being bound
             pausing = route.pausing
             opening = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
@@ -516,7 +517,7 @@ class RouteTable(Extension):
             await self._link.prepare_port(route)
         except ListenError as error:
             if current():
-                route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, str(error))
+                route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, Reason(str(error)))
                 self._refuse(proposal, "port_taken", str(error))
             return
         if current():  # else it was closed while its port was being bound
@@ -605,11 +606,13 @@ class RouteTable(Extension):
             case Limit():
                 route.limit.allow_there(message.max_rate)
             case Refuse():
-                route.refuse(EventCode.ROUTE_REFUSED, f"refused by the other side: {message.reason}")
+                route.refuse(EventCode.ROUTE_REFUSED, Reason(f"refused by the other side: {message.reason}"))
             case Describe() | Ready() | Publishers() | Provide():
                 _dispatch(message, route)
             case Close():
-                route.refuse(EventCode.ROUTE_CLOSED, f"closed by the other side: {message.reason}")
+                broke = message.code is not EndCode.DECIDED
+                text = message.reason if broke else f"closed by the other side: {message.reason}"
+                route.refuse(EventCode.ROUTE_CLOSED, Reason(text, message.code))
             case ByHand():
                 self._peer_operators.called(route, message)
             case Arm() | Armed() | Disarm():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.cdr.checker import Checker, UncheckableError
 from rsb_bridge.cdr.description import DescriptionError, hash_of_text, read_description
-from rsb_bridge.ros.ros_interface import BARE_DDS, RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -105,7 +105,7 @@ class TypeDescriptions:
         try:
             endpoints = [*ros.publishers(topic), *ros.subscriptions(topic)]
             having = [each.node for each in endpoints if each.type_hash == type_hash]
-            nodes = dict.fromkeys(each for each in having if each and each != BARE_DDS)
+            nodes = dict.fromkeys(each for each in having if each.startswith("/"))
             for node in list(nodes)[:_NODES]:
                 text = ros.ask_description(node, type_name, type_hash, lambda: not self._closed)
                 # Any node may answer anything; the next one may have the right one.

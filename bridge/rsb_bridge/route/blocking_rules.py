@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.channel.channel import REOPENS
+from rsb_bridge.model.reason import NO_REASON, Reason
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import FINE, Cause, LinkCause, Verdict
 
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
 
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
-DATA_CONNECTION = "data connection: "
-"""How a reason begins where a route's own connection broke."""
 _SUFFERS_FOR = 20.0
 """s for which a route counts as suffering from a lossy path after its last trouble: at 30 % loss, good times took up to
 15 s."""
@@ -44,14 +43,14 @@ class RouteStatus(NamedTuple):
         far_topic: its name on the other side.
         link_down: the reason why the link is down, which may be empty, or None if it is up.
         accepted: whether both sides want it, False if it is refused, or None while the peer has not answered.
-        refusal: the reason why the route is refused, or was refused until shortly ago, or empty.
+        refusal: the reason why the route is refused or has ended, now or until shortly ago, or an empty one.
         reopens: whether its data connection broke a short time ago, and has not been open since.
         loop: the reason why its messages or calls would loop, or empty.
         paused_by: the operator, or empty if unknown.
         disarmed: the reason why it is not armed although it must be, or empty.
         disarming: whether the other side may still act on messages from before it was disarmed.
         can_be_armed: whether an operator may arm it; if not, `disarmed` names the step that has to come first.
-        no_path: the reason why its transport does not get through, or empty.
+        no_path: the verdict on its channel, over which nothing gets through, or None.
         awaits_full_link: whether its stream only waits for a full link, so that `no_path` is no fault.
         breaking: the reason why its channel breaks before anything arrives, or empty.
         flowing: whether messages or calls could cross now.
@@ -69,7 +68,7 @@ class RouteStatus(NamedTuple):
     domain_id: int = 0
     link_down: str | None = None
     accepted: bool | None = None
-    refusal: str = ""
+    refusal: Reason = NO_REASON
     reopens: bool = False
     loop: str = ""
     paused: bool = False
@@ -77,7 +76,7 @@ class RouteStatus(NamedTuple):
     disarmed: str = ""
     disarming: bool = False
     can_be_armed: bool = True
-    no_path: str = ""
+    no_path: Verdict | None = None
     awaits_full_link: bool = False
     breaking: str = ""
     flowing: bool = False
@@ -161,12 +160,13 @@ def stage(name: str, passed: bool, reason: str = "", *, failed: bool = False, no
 
 def link_and_acceptance(status: RouteStatus) -> tuple[Stage, Stage]:
     """Return the stages of the link, which needs a working channel, and of the peer's acceptance."""
-    trouble = status.no_path or status.link_down or ""
-    failed = status.no_path not in ("", REOPENS) or status.link_down is not None
+    no_path = status.no_path
+    failed = status.link_down is not None or (no_path is not None and no_path.state is State.DOWN)
+    trouble = no_path.text if no_path is not None else status.link_down or ""
     refused = status.accepted is False
     return (
-        stage(_LINK_STAGE, not (failed or status.no_path), trouble, failed=failed),
-        stage(ACCEPTED, bool(status.accepted), status.refusal if refused else "", failed=refused),
+        stage(_LINK_STAGE, not failed and no_path is None, trouble, failed=failed),
+        stage(ACCEPTED, bool(status.accepted), str(status.refusal) if refused else "", failed=refused),
     )
 
 
@@ -185,11 +185,7 @@ def first_missing(stages: Iterable[Stage]) -> str:
 
 
 def _no_path(status: RouteStatus) -> Verdict | None:
-    if not status.no_path or status.awaits_full_link:
-        return None
-    if status.no_path == REOPENS:
-        return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
-    return Verdict(State.DOWN, Cause.NO_PATH, status.no_path)
+    return None if status.awaits_full_link else status.no_path
 
 
 def _throttled(status: RouteStatus) -> Verdict | None:
@@ -217,13 +213,12 @@ def _breaking(status: RouteStatus) -> Verdict | None:
 def _refused(status: RouteStatus) -> Verdict | None:
     if not status.refusal:
         return None
-    if DATA_CONNECTION not in status.refusal:
-        return Verdict(State.DOWN, Cause.REFUSED, status.refusal)
+    if not status.refusal.broke:
+        return Verdict(State.DOWN, Cause.REFUSED, status.refusal.text)
     # Nobody has refused it. If the path is at fault, the link finds out within seconds, and shows it for all topics.
     if status.reopens and status.path is None:
-        why = status.refusal.partition(DATA_CONNECTION)[2]
-        return Verdict(State.WAITING, Cause.AWAITS_LINK, f"{REOPENS} ({why})")
-    return Verdict(State.DOWN, Cause.NO_PATH, status.refusal)
+        return Verdict(State.WAITING, Cause.AWAITS_LINK, f"{REOPENS} ({status.refusal.text})")
+    return Verdict(State.DOWN, Cause.NO_PATH, str(status.refusal))
 
 
 def _loop(status: RouteStatus) -> Verdict | None:

@@ -18,6 +18,7 @@ from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.qos import AUTO_DEPTH, match_subscriptions, parts_of_lease
+from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
@@ -277,7 +278,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _refuse_type(self, reason: str) -> None:
         # `refuse` ends the opening, and its id with it.
         route_id = self.id
-        self.refuse(EventCode.ROUTE_TYPE_DIFFERS, reason)
+        self.refuse(EventCode.ROUTE_TYPE_DIFFERS, Reason(reason))
         self.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:

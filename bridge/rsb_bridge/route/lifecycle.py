@@ -10,6 +10,7 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.budgets import Backoff
+from rsb_bridge.model.reason import NO_REASON, Reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,15 +66,15 @@ class Lifecycle:
         accepted: whether both sides want the route.
         described: whether the sender has described its messages.
         ready: whether both sides agree that messages may be sent.
-        refusal: reason of the last refusal, for an operator, or an empty string if it opened again since.
+        refusal: reason of the last refusal or end, empty if it opened again since.
     """
 
     def __init__(self) -> None:
         self.phase = RoutePhase.CLOSED
         self.accepted = self.described = self.ready = False
-        self.refusal = ""
+        self.refusal = NO_REASON
 
-    def handle(self, event: RouteEvent, reason: str = "") -> bool:
+    def handle(self, event: RouteEvent, reason: Reason = NO_REASON) -> bool:
         """Move to the next phase.
 
         Returns:
@@ -90,7 +91,7 @@ class Lifecycle:
         if event is RouteEvent.REFUSE:
             self.refusal = reason
         elif event is RouteEvent.OPEN:
-            self.refusal = ""
+            self.refusal = NO_REASON
         return True
 
 
@@ -110,13 +111,13 @@ class Reopening:
     """The attempts to open one route again.
 
     Attributes:
-        refused: the last refusal, until a later opening succeeds, or an empty string.
+        refused: the last refusal, empty once a later opening has succeeded.
         retry_at: time (s) of the next attempt of the side that proposed it.
         closed_at: time (s) when its last opening ended, or 0 before that.
     """
 
     def __init__(self) -> None:
-        self.refused = ""
+        self.refused = NO_REASON
         self.retry_at = self.closed_at = 0.0
         self._broke_at: float | None = None  # the data connection, if it has not been open since
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
@@ -139,14 +140,14 @@ class Reopening:
         """Whether its data connection broke so lately that the next one is due at `now` (s) at the earliest."""
         return self._broke_at is not None and now - self._broke_at < _REOPENS_WITHIN
 
-    def shown_refusal(self, life: Lifecycle, open_for: float) -> str:
+    def shown_refusal(self, life: Lifecycle, open_for: float) -> Reason:
         """Return the refusal to show to operators: the last one, until a retry succeeds.
 
         Args:
             open_for: seconds for which the route has been open, or 0 if it is closed.
         """
         if life.ready or open_for >= _REFUSED_WITHIN:
-            self.refused = ""
+            self.refused = NO_REASON
         return life.refusal or self.refused
 
     def awaited_until(self, linked_at: float) -> float:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from collections import deque
 from typing import TYPE_CHECKING
 
@@ -14,13 +12,14 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
+    from rsb_bridge.model.reason import Reason
+
 _LINK_OUTLIVES = 1.0
 """s by which a link has to outlive a channel before the channel's loss is reported. A link that ends (with a goodbye, a
 crash or a cut) takes its channels with it, and they may be seen to end first."""
 _AGAIN_AND_AGAIN = 2
 """Channels that end before a message arrives. One may be bad luck, unless the kernel has tried for long. A channel over
 which messages have arrived does not count: its link may be full, or the network was down."""
-_TIMED_OUT = os.strerror(errno.ETIMEDOUT)
 _IDLE_FOR = 5.0
 """s that a channel must be open and owe nothing before the losses of earlier ones are no fault any more. A round
 figure: nothing was measured."""
@@ -102,11 +101,6 @@ class Notices:
         self.loop = self.warning = self.undelivered = ""
 
 
-def timed_out(reason: str) -> bool:
-    """Whether the kernel has tried for long to get something through before it gave a channel up."""
-    return _TIMED_OUT in reason
-
-
 class ChannelLosses:
     """Losses of a route's channel while its link stays up, since a message was last known to have arrived.
 
@@ -114,12 +108,12 @@ class ChannelLosses:
     """
 
     def __init__(self) -> None:
-        self._reasons: deque[str] = deque(maxlen=_AGAIN_AND_AGAIN)
+        self._reasons: deque[Reason] = deque(maxlen=_AGAIN_AND_AGAIN)
         self._idle_since: float | None = None
         self._worked = False  # messages have arrived over the present channel
         self._report: asyncio.TimerHandle | None = None
 
-    def add(self, reason: str, loop: asyncio.AbstractEventLoop, report: Callable[[], None], *, owing: bool) -> None:
+    def add(self, reason: Reason, loop: asyncio.AbstractEventLoop, report: Callable[[], None], *, owing: bool) -> None:
         """Record the loss of the channel, and call `report` later, by when a link that was lost with it has ended.
 
         Args:
@@ -153,6 +147,6 @@ class ChannelLosses:
     @property
     def repeated(self) -> str:
         """The reason why channels repeatedly end before a message arrives, or empty."""
-        if len(self._reasons) == _AGAIN_AND_AGAIN or any(map(timed_out, self._reasons)):
-            return self._reasons[-1]
+        if len(self._reasons) == _AGAIN_AND_AGAIN or any(each.timed_out for each in self._reasons):
+            return self._reasons[-1].text
         return ""

@@ -16,15 +16,16 @@ import msgspec
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.purposes import PURPOSES
+from rsb_bridge.model.reason import NO_REASON, Reason
 from rsb_bridge.model.session import HIGHEST, weight_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
-from rsb_bridge.route.blocking_rules import DATA_CONNECTION, LossyPath, RouteStatus
+from rsb_bridge.route.blocking_rules import LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEvent
-from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
+from rsb_bridge.route.notices import ChannelLosses, Notices
 from rsb_bridge.route.peer import Peer
 from rsb_bridge.route.rate_limit import RateLimit, limits_changed
 from rsb_bridge.telemetry.meters import RateMeter
@@ -257,18 +258,18 @@ class Route:
         self.close("removed")
         self.losses.forget_report()
 
-    def refuse(self, code: EventCode, reason: str) -> None:
+    def refuse(self, code: EventCode, reason: Reason) -> None:
         """Refuse the route; this side tries again later if it proposed it."""
-        self.notices.error(code, reason)
+        self.notices.error(code, str(reason))
         self._end(reason)
         # A Close is no refusal: the route opens again, which usually solves the problem.
-        self.reopening.refused = "" if code == EventCode.ROUTE_CLOSED else reason
+        self.reopening.refused = NO_REASON if code == EventCode.ROUTE_CLOSED else reason
 
-    def _end(self, reason: str) -> None:
+    def _end(self, reason: Reason) -> None:
         """End the present opening and show the reason; this side opens it again later if it proposed it."""
         # One that another program refuses, or that lacks a descriptor, has a cause of its own.
-        broke = DATA_CONNECTION in reason and (self.connected or timed_out(reason))
-        self.close(reason)
+        broke = reason.broke and (self.connected or reason.timed_out)
+        self.close(str(reason))
         self.life.handle(RouteEvent.REFUSE, reason)
         self.reopening.failed(self.context.now(), broke=broke)
 
@@ -280,22 +281,22 @@ class Route:
         """
         return False
 
-    def channel_lost(self, reason: str) -> None:
+    def channel_lost(self, reason: Reason) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""
         if self.id:
             # Asked first: a closed opening owes nothing.
-            text, connection, owing = f"{DATA_CONNECTION}{reason}", self.peer.connections, self.owing
+            connection, owing = self.peer.connections, self.owing
             # A side that disarms closes the channel; the closed channel may be noticed before the message about it.
-            ends_with_arming = self.arming.required and not timed_out(reason)
+            ends_with_arming = self.arming.required and not reason.timed_out
             if self.arming.held:
                 self.disarm(Disarmed.CHANNEL_LOST)
-            self._end_on_both_sides(text)
+            self._end_on_both_sides(reason)
             if ends_with_arming:
                 return
 
             def report() -> None:
                 if self.peer.linked and self.peer.connections == connection:
-                    self.notices.error(EventCode.ROUTE_CHANNEL_LOST, text)
+                    self.notices.error(EventCode.ROUTE_CHANNEL_LOST, str(reason))
 
             self.losses.add(reason, self.context.loop, report, owing=owing)
 
@@ -303,12 +304,12 @@ class Route:
         """Close the route on both sides; its proposer opens it again, which usually solves the problem."""
         if self.id:
             self.notices.error(code, reason, level)
-            self._end_on_both_sides(reason)
+            self._end_on_both_sides(Reason(reason))
 
-    def _end_on_both_sides(self, reason: str) -> None:
+    def _end_on_both_sides(self, reason: Reason) -> None:
         route_id = self.id
         self._end(reason)
-        self.peer.send(Close(route=route_id, reason=sanitize_text(reason)))
+        self.peer.send(Close(route=route_id, reason=sanitize_text(reason.text), code=reason.code))
 
     @property
     def paused(self) -> bool:
@@ -404,9 +405,9 @@ class Route:
 
     # --- how it is
 
-    def trouble(self) -> str:
-        """Return the reason why its channel does not get through, or an empty string."""
-        return self.channel.trouble() if self.channel is not None else ""
+    def trouble(self) -> Verdict | None:
+        """Return the verdict on its channel if nothing gets through it now, or None."""
+        return self.channel.trouble() if self.channel is not None else None
 
     @property
     def connected(self) -> bool:

@@ -10,6 +10,7 @@ import socket
 import struct
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
+from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 Address: TypeAlias = tuple[Any, ...]
 """As the socket module has it: host and port (TCP and UDP over IPv6: with flow and scope behind them)."""
 
-CLOSED_BY_PEER = "closed by the other side"
+CLOSED_BY_PEER = Reason("closed by the other side", EndCode.LEFT)
 """The reason where a stream ended in order, which also happens when the other process is killed."""
 
 _STRANGER_READS = 4096
@@ -97,7 +98,7 @@ class StreamHandler:
     def writable(self) -> None:
         """Continue to write: the stream takes more again."""
 
-    def closed(self, reason: str) -> None:
+    def closed(self, reason: Reason) -> None:
         """Take the end of the stream, for any reason; called once."""
 
 
@@ -130,7 +131,7 @@ class Stream(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._now: Callable[[], float] = float  # until it is connected
         self._when_gone: Callable[[], None] = _nothing
-        self._reason = ""
+        self._reason = NO_REASON
         self._given_up_after = 0.0
         self._retried_after = RETRIED_AFTER
         self._closing = False
@@ -153,7 +154,7 @@ class Stream(asyncio.Protocol):
         # While reading is paused, the peer's end would not show. Not later: a stream that closes is not resumed.
         self.resume_reading()
         self._closing = True
-        self._reason = self._reason or reason
+        self._reason = self._reason or Reason(reason)
         # A peer that takes nothing would hold the descriptor. Not the transport's own abort: on one that has ended, it
         # would end it a second time.
         self._lingering = asyncio.get_running_loop().call_later(_LINGER, self.abort, reason)
@@ -167,7 +168,7 @@ class Stream(asyncio.Protocol):
     def abort(self, reason: str) -> None:
         """Close now; what waits is lost."""
         if self._transport is not None:
-            self._reason = self._reason or reason
+            self._reason = self._reason or Reason(reason)
             self._transport.abort()
 
     def pause_reading(self) -> None:
@@ -309,7 +310,7 @@ class Stream(asyncio.Protocol):
         self._when_gone()
         # Nothing comes after this event, and nothing leads back to the link, which would be freed late.
         handler, self.handler = self.handler, StreamHandler()
-        handler.closed(self._reason or (os_error_message(error) if error else "closed"))
+        handler.closed(self._reason or (broken(error) if error else Reason("closed", EndCode.BROKE)))
 
 
 def _read_at_a_time(transport: asyncio.BaseTransport | None, size: int) -> None:
@@ -332,6 +333,12 @@ def format_address(address: Address) -> str:
     """Return a socket address as ``host:port``, ``[host]:port`` for IPv6."""
     host, port = address[0], address[1]
     return f"[{host}]:{port}" if ":" in str(host) else f"{host}:{port}"
+
+
+def broken(error: BaseException) -> Reason:
+    """Return the reason of a connection that an OS error has ended."""
+    gave_up = isinstance(error, OSError) and error.errno == errno.ETIMEDOUT
+    return Reason(os_error_message(error), EndCode.TIMED_OUT if gave_up else EndCode.BROKE)
 
 
 def os_error_message(error: BaseException) -> str:

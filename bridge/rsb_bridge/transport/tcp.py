@@ -9,6 +9,7 @@ import os
 import re
 import socket
 import struct
+from typing import TYPE_CHECKING
 
 from aiohappyeyeballs import start_connection
 
@@ -25,6 +26,9 @@ from rsb_bridge.transport.streams import (
 )
 from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.reason import Reason
 
 CONNECT_TIMEOUT = 5.0
 """s. On a path with 2 s each way, the first packet's answer takes 4 s. Linux before 6.5 sends the next ones after 1, 3
@@ -64,7 +68,7 @@ class _Discarding(StreamHandler):
         if self._discarded > _MOST_DISCARDED:
             self._stream.abort("the peer does not stop sending")
 
-    def closed(self, reason: str) -> None:
+    def closed(self, reason: Reason) -> None:
         self._former.closed(reason)
 
 

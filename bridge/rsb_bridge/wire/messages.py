@@ -14,6 +14,7 @@ from rsb_bridge.model.names import MOST_SOURCES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.transports import Compression, Protocol
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.headers import LeaseNumber
@@ -266,6 +267,7 @@ class Close(ControlMessageBase, frozen=True):
     """Either side: the route ends.
 
     Attributes:
+        code: whether its data connection has ended, and how.
         removed: whether it ends for good; else its proposer opens it again.
         who: the operator who has removed it, or empty if unknown.
         edited: whether its sender proposes another one in its place, and has the receiver keep its own entry of it; if
@@ -274,6 +276,7 @@ class Close(ControlMessageBase, frozen=True):
 
     route: RouteId
     reason: Reason
+    code: EndCode = EndCode.DECIDED
     removed: bool = False
     who: Name = ""
     edited: bool = False

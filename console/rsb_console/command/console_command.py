@@ -141,10 +141,9 @@ def run_fleet(
     Returns:
         The exit code: 0, 1 after a crash, or 129 if the terminal has gone.
     """
-    from rsb_console.fleet_app import BRIDGES_GO_ON, FleetApp, RobotApp  # noqa: PLC0415 -- keeps the start short
+    from rsb_console.fleet_app import FleetApp, RobotApp  # noqa: PLC0415 -- keeps the start short
     from rsb_console.widgets.fleet_table import FleetView  # noqa: PLC0415 -- keeps the start short
 
-    after_quit = after_quit or BRIDGES_GO_ON
     view, ascii_only = FleetView(), ascii_only or prefers_ascii(os.environ)
     while True:
         app = FleetApp(fleet, view, readonly=readonly, ascii_only=ascii_only, theme=theme, after_quit=after_quit)

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.wording import pattern
@@ -18,6 +19,9 @@ from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.transport import Acceptor, ListenError
 
 from .conftest import holding
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.reason import Reason
 
 _DEADLINE = 20.0
 
@@ -47,8 +51,8 @@ class Recorder(StreamHandler):
     def writable(self) -> None:
         self._changed.set()
 
-    def closed(self, reason: str) -> None:
-        self.reason = reason
+    def closed(self, reason: Reason) -> None:
+        self.reason = reason.text
         self._changed.set()
 
     async def until(self, condition: Callable[[Recorder], object]) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.faults import PathFault
+from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
 from rsb_bridge.route.blocking_rules import RouteStatus
@@ -50,11 +51,11 @@ def stages_on(**changes: Any) -> dict[str, Stage]:
         ({}, State.OK, Cause.NONE),
         ({"link_down": "cut", "unavailable": NOBODY}, State.DOWN, Cause.LINK_DOWN),
         ({"breaking": "reset"}, State.DOWN, Cause.NO_PATH),
-        ({"refusal": "denied"}, State.DOWN, Cause.REFUSED),
+        ({"refusal": Reason("denied")}, State.DOWN, Cause.REFUSED),
         ({"loop": "a circle"}, State.DOWN, Cause.LOOP),
         ({"paused": True, "unavailable": NOBODY}, State.PAUSED, Cause.PAUSED),
         ({"disarmed": "unarmed"}, State.DISARMED, Cause.DISARMED),
-        ({"no_path": "stuck"}, State.DOWN, Cause.NO_PATH),
+        ({"no_path": Verdict(State.DOWN, Cause.NO_PATH, "stuck")}, State.DOWN, Cause.NO_PATH),
         ({"unavailable": NOBODY, "offered": False}, State.WAITING, Cause.NO_SERVER),
         ({"unavailable": GONE, "offered": False}, State.DOWN, Cause.SERVER_GONE),
         ({"unavailable": GONE, "expired": 3, "failing_since": 1.0}, State.DOWN, Cause.SERVER_GONE),
@@ -79,8 +80,8 @@ def test_what_counts(changes: dict[str, Any], state: State, cause: Cause) -> Non
     ("changes", "name", "done", "detail"),
     [
         ({"accepted": None}, "peer accepted", None, ""),
-        ({"accepted": False, "refusal": "denied"}, "peer accepted", False, "denied"),
-        ({"no_path": "stuck"}, "link up", False, "stuck"),
+        ({"accepted": False, "refusal": Reason("denied")}, "peer accepted", False, "denied"),
+        ({"no_path": Verdict(State.DOWN, Cause.NO_PATH, "stuck")}, "link up", False, "stuck"),
         ({"link_down": "cut"}, "link up", False, "cut"),
         ({"link_down": "cut"}, "server seen", None, ""),
         ({}, "server seen", True, "/teller"),

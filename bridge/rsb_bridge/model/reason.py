@@ -1,0 +1,49 @@
+"""Why a connection, or an opening of a route, has ended: a code to decide by, and words for people."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+
+class EndCode(StrEnum):
+    """What ended it. Both sides decide by it; it crosses the link in a `Close`."""
+
+    DECIDED = "decided"
+    """One of the sides ended or refused it; the words say why."""
+    LEFT = "left"
+    """The other end closed the connection."""
+    TIMED_OUT = "timed_out"
+    """The kernel tried for long to get something through (ETIMEDOUT)."""
+    BROKE = "broke"
+    """The connection failed in another way."""
+
+
+class Reason(NamedTuple):
+    """A reason with its code. One without words is none, and false.
+
+    Attributes:
+        text: for an operator.
+    """
+
+    text: str
+    code: EndCode = EndCode.DECIDED
+
+    def __bool__(self) -> bool:
+        return bool(self.text)
+
+    def __str__(self) -> str:
+        return f"data connection: {self.text}" if self.broke else self.text
+
+    @property
+    def broke(self) -> bool:
+        """Whether a connection ended that nobody wanted to end."""
+        return self.code is not EndCode.DECIDED
+
+    @property
+    def timed_out(self) -> bool:
+        """Whether the kernel gave the connection up."""
+        return self.code is EndCode.TIMED_OUT
+
+
+NO_REASON: Final = Reason("")
