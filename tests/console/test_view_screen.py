@@ -746,7 +746,7 @@ WILD = (
 )  # fmt: skip
 
 
-@looking()
+@looking((160, 36))
 async def test_no_text_of_a_picture_is_markup(app: ConsoleApp, pilot: Pilot[None]) -> None:
     for wild in WILD:
         await comes(pilot, viewed(None, problem=f"{wild} first"))
