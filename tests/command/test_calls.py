@@ -156,6 +156,11 @@ def test_status_and_topics_tell_of_calls(ran: Any, engine: ScriptedEngine) -> No
     assert "← action /navigate ARMED (anna): 0.0 calls/s" in lines
     assert "← parameters /controller DOWN: no server of /controller/get_parameters" in lines
     assert ran("topics").out.splitlines()[0] in lines
+    crowded = replace(DOCK, calls=CallsSnapshot(asked=12, in_flight=12, waiting=4))
+    engine.now = replace(engine.now, routes=(crowded,))
+    assert "12 under way, 4 of them wait for the node" in ran("status").out
+    assert "4 of those under way wait until the node has taken earlier ones" in ran("info", "/dock").out
+    engine.now = replace(engine.now, routes=(DOCK, armed, refused))
     down = replace(engine.now.links[0], state=State.DOWN, reason="no answer")
     engine.now = replace(engine.now, links=(down,))
     assert (

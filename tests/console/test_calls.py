@@ -193,6 +193,9 @@ def test_the_ledger_of_calls_adds_up_and_late_answers_stand_apart(outgoing: bool
     assert "the way     p50 800 µs  p99 2.1 ms, there and back" in words
     assert f"given up    {DetailText.GIVEN_UP(timeout=30)}" in words
     assert "the call of 02:31:07: no answer within 30 s" in words
+    assert "wait for the node" not in words
+    waiting = said(call_route("service", "/set_mode", calls=replace(CALLS, waiting=7)))
+    assert ["wait", "for", "the", "node", "7"] in [line.split() for line in waiting.splitlines()]
 
 
 def test_without_calls_there_are_no_figures() -> None:

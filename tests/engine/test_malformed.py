@@ -164,7 +164,9 @@ def test_eight_bytes_of_a_request_do_not_reach_a_node(bridge: Bridge, victim: Vi
     for engine in (server, client):
         eventually(lambda engine=engine: refused(engine, SET) == {"malformed": 2})
     assert len(answers) == 1
-    assert happened(server, EventCode.ROUTE_MALFORMED, "rcl_interfaces/srv/SetParameters_Request from robot1: param")
+    request = "rcl_interfaces/srv/SetParameters_Request"
+    assert happened(server, EventCode.ROUTE_MALFORMED, f"{request} from robot1: param")
+    eventually(lambda: happened(client, EventCode.ROUTE_MALFORMED, f"{request} to robot1: param"))
 
 
 def test_a_hostile_peer_cannot_send_them_either(
@@ -221,12 +223,14 @@ def test_eight_bytes_of_a_response_do_not_reach_a_caller(
             made[0].answer(each.caller, next(responses))
 
     made.append(far.serve("/set", PARAMETERS, hash_, answer))
-    _, client = bridge.both(Topic("/set", "transmit", kind="service", timeout=20.0))
+    server, client = bridge.both(Topic("/set", "transmit", kind="service", timeout=20.0))
     right = EIGHT[:4] + bytes(4)
     answers = calls_raw(caller, "/set", PARAMETERS, right)
     eventually(lambda: refused(client, "/set") == {"malformed": 1})
     assert not answers
-    assert happened(client, EventCode.ROUTE_MALFORMED, "rcl_interfaces/srv/SetParameters_Response")
+    response = "rcl_interfaces/srv/SetParameters_Response"
+    assert happened(client, EventCode.ROUTE_MALFORMED, f"{response} from robot1: results")
+    eventually(lambda: happened(server, EventCode.ROUTE_MALFORMED, f"{response} to robot1: results"))
     answers = calls_raw(caller, "/set", PARAMETERS, right)
     eventually(lambda: len(answers) == 1)
 

@@ -178,7 +178,6 @@ def offered(run: Run, flow: ActionFlow | ServiceFlow) -> bool:
 
 def in_flight(route: CallsRoute) -> int:
     waiting = len(route.action.waiting) if isinstance(route, CallingActionRoute) else 0
-    waiting += route.waiting_calls if isinstance(route, ProvidingRoute) else 0
     return len(pending_calls(route)) + waiting
 
 

@@ -53,6 +53,11 @@ class ScriptedServer:
         for request in waiting:
             self.endpoint.answer(request.caller, answer_to(request.payload, self.node))
 
+    def answer_one(self) -> None:
+        """Answer the request that came first."""
+        request = self._waiting.pop(0)
+        self.endpoint.answer(request.caller, answer_to(request.payload, self.node))
+
     def die(self) -> None:
         """Kill its process: it stays visible for a while, and answers nothing."""
         self.endpoint.close(killed=True)

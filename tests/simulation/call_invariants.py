@@ -10,7 +10,6 @@ from tests.support.inside import pending_calls
 
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calls_route import CallsRoute
-from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.wire.headers import CALL_HEADER_LENGTH
 
 if TYPE_CHECKING:
@@ -49,7 +48,6 @@ class CallInvariants:
             for route in link.routes.values():
                 if isinstance(route, CallsRoute):
                     calls, held = route.calls, len(pending_calls(route))
-                    held += route.waiting_calls if isinstance(route, ProvidingRoute) else 0
                     if calls.in_flight != in_flight(route):
                         self._world.wrong(
                             f"{run.host.name}: {route.key} counts {calls.in_flight} calls in flight, and has "

@@ -10,9 +10,10 @@ import pytest
 from tests.simulation.beds import until
 from tests.support import constants
 from tests.support.goals import cancel_request, goal, goal_request
-from tests.support.inside import clients_of, offers_of, waiting_frames
+from tests.support.inside import clients_of, offers_of, paced, waiting_frames
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, LANES, STATUS, Refused
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
@@ -68,7 +69,7 @@ async def test_endpoints_that_fail_are_replaced_while_goals_run(harness: CallHar
     near, far = harness.halves()
     assert isinstance(near, CallingRoute)
     assert isinstance(far, ProvidingRoute)
-    clients_of(far).clients[CANCEL_GOAL].fail()
+    paced(clients_of(far).clients[CANCEL_GOAL]).fail()
     await until(lambda: not harness.counted()[1].in_flight and clients_of(far).ready, 15.0)
     await harness.ready(client)
     offers_of(near).servers[GET_RESULT].fail()
@@ -121,14 +122,42 @@ async def test_calls_that_expire_while_nothing_gets_through_hold_nothing(
             assert not waiting_frames(half)
 
 
+@pytest.mark.bed(timeout=3.0)
+async def test_calls_that_wait_expire_on_both_sides(harness: CallHarness) -> None:
+    """The node takes 0.2 s for each; none reaches it once its caller has given up."""
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    loop = asyncio.get_running_loop()
+    for _ in range(100):
+        client.ask()
+    given_up_at = loop.time() + 3.0
+    while loop.time() < given_up_at:
+        await asyncio.sleep(0.2)
+        near, far = harness.counted()
+        if far.waiting:
+            server.answer_one()
+    assert 10 < len(server.asked) < 30
+    await until(lambda: not any(each.in_flight for each in harness.counted()), 5.0)
+    asked = len(server.asked)
+    server.answer()
+    await asyncio.sleep(5.0)
+    assert len(server.asked) == asked
+    near, far = harness.counted()
+    assert (near.answered + near.expired, far.answered + far.expired) == (100, 100)
+    assert near.answered == client.right
+    assert 8 <= asked - near.answered <= 9, "an answer may come late"
+    assert {each.cause for each in (half.verdict() for half in harness.halves())} == {Cause.CALLS_WAIT}
+
+
 @pytest.mark.bed(kind="action")
 async def test_more_goals_run_than_answers_are_kept(harness: CallHarness, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.ANSWERS_KEPT.set(monkeypatch, 8)
     servers, client = _action(harness), _client_of(harness, GET_RESULT)
     await harness.ready(client)
-    for number in range(20):
+    for number in range(1, 21):
         client.endpoint.call(goal_request(goal(number)))
-    await until(lambda: len(servers[GET_RESULT].asked) == 20, 2.0)
+    asked = servers[GET_RESULT].asked
+    await until(lambda: len(set(asked)) == 21, 10.0)  # with the probe
     servers[GET_RESULT].answer()
     await until(lambda: len(client.answers) == 20, 2.0)
 

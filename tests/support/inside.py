@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.participant import Participant
     from rsb_bridge.route.calls.calls_route import CallsRoute
     from rsb_bridge.route.calls.kept_calls import KeptAnswers
+    from rsb_bridge.route.calls.paced_client import PacedClient
     from rsb_bridge.route.calls.pending_calls import PendingCalls
     from rsb_bridge.route.calls.providing import ProvidingRoute
     from rsb_bridge.route.incoming import IncomingRoute
@@ -147,6 +148,11 @@ def offers_of(route: CallsRoute) -> Any:
 def clients_of(route: CallsRoute) -> Any:
     """Return the endpoints of the provider's half."""
     return route._clients  # type: ignore[attr-defined]
+
+
+def paced(client: PacedClient) -> Any:
+    """Return the client that sends what its turn has come for."""
+    return client._client
 
 
 def attached_to(server: ControlServer) -> set[AttachedConsole]:

@@ -36,7 +36,7 @@ CALLS = route(
     outgoing=True,
     spec=Topic("/dock", "receive", kind="service"),
     ledger=Ledger(),
-    calls=CallsSnapshot(9, 5, 1, {"paused": 2}, 1, 0, 3, 0.1, 0.2, 0.3, 0.4),
+    calls=CallsSnapshot(9, 5, 1, {"paused": 2}, 1, 0, 0, 3, 0.1, 0.2, 0.3, 0.4),
 )
 
 

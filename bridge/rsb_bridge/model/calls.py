@@ -104,6 +104,7 @@ class CallsSnapshot:
         refused: calls not carried, by cause: ``calls under way``, ``bytes under way``, ``calls a second``, ``paused``,
             ``disarmed``, ``provider gone``, ``too large``, ``not sent``, ``not arrived``, ``other``.
         lost: pending calls given up because the link or the provider went away.
+        waiting: pending calls that wait on the providing side until their node has read earlier ones.
         late: replies that came after their call was given up. Not a part of `asked`.
         node_p50: median time in seconds that the far node took to reply, or None if there is no figure.
         node_p99: 99th percentile of that time.
@@ -118,6 +119,7 @@ class CallsSnapshot:
     refused: dict[str, int] = field(default_factory=dict)
     lost: int = 0
     in_flight: int = 0
+    waiting: int = 0
     late: int = 0
     node_p50: float | None = None
     node_p99: float | None = None

@@ -141,6 +141,7 @@ FIGURES = (
     Figure(_CALLS, "lost", "lost_total", "Calls under way when the link or the provider went."),
     Figure(_CALLS, "late", "late_total", "Answers to calls that had been given up."),
     Figure(_CALLS, "in_flight", "in_flight", "Calls under way."),
+    Figure(_CALLS, "waiting", "waiting", "Calls under way that wait until their node has taken earlier ones."),
     Figure(_MESSAGES, "offered", "offered_total", "Messages taken from ROS on the sending side."),
     Figure(_MESSAGES, "delivered", "delivered_total", "Messages published on the receiving side."),
     Figure(_MESSAGES, "throttled", "throttled_total", "Messages left out because an operator allows no more."),

@@ -82,6 +82,8 @@ class Cause(StrEnum):
     """It can be called, and has not been yet."""
     UNANSWERED = "unanswered"
     """Calls have no answer in time."""
+    CALLS_WAIT = "calls_wait"
+    """More calls come than their node takes, so that some expire before it gets them."""
     CALLS_REFUSED = "calls_refused"
     """More is called than the link or an operator allows, or calls are malformed."""
 

@@ -22,9 +22,14 @@ if TYPE_CHECKING:
 _SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.AWAITS_LINK, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED})
 """Causes that each side knows for itself."""
 _ENOUGH_SAID_HERE = frozenset(
-    {Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED, Cause.NO_CALL, Cause.UNANSWERED, Cause.CALLS_REFUSED}
-)
+    {
+        Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED, Cause.NO_CALL, Cause.UNANSWERED, Cause.CALLS_WAIT,
+        Cause.CALLS_REFUSED,
+    }
+)  # fmt: skip
 """Causes of which the other side knows no more, if it has the same."""
+_OF_NODE = (Cause.UNANSWERED, Cause.CALLS_WAIT)
+"""Causes that the providing side can tell from a lossy path."""
 _TEXT_LENGTH = 300
 """Characters of a text that is sent: a report has room for a thousand routes."""
 
@@ -110,7 +115,7 @@ class CombinedVerdict:
         sender, receiver = (own, self.peer) if self._sends else (self.peer, own)
         verdict, from_sender = worse(sender, receiver)
         # The calling side cannot tell a lossy path from a node that does not answer; the other side can.
-        if verdict.cause == Cause.LOSSY and (receiver.state, receiver.cause) == (verdict.state, Cause.UNANSWERED):
+        if verdict.cause == Cause.LOSSY and receiver.state is verdict.state and receiver.cause in _OF_NODE:
             verdict, from_sender = receiver, False
         if from_sender == self._sends:
             return Shown(verdict, from_peer=False)

@@ -229,16 +229,21 @@ class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     """A side's report of a route of calls.
 
     Attributes:
-        given: of the providing side, the number of the newest call of this opening that it gave to DDS, or 0 for none.
+        given: of the providing side, the number of the newest call of this opening that it gave to DDS, with all before
+            it, or 0 for none.
+        waiting: of the providing side, calls that wait until their node has read earlier ones.
         offered: whether the callers' side offers it.
         nodes: some of the calling or providing nodes.
+        malformed: type and field of the last malformed request, response or message, and what is wrong, or empty.
     """
 
     route: RouteId
     given: int = 0
+    waiting: int = 0
     offered: bool = False
     verdict: VerdictRecord | None = None
     nodes: NodeNames = ()
+    malformed: Reason = ""
 
 
 class TopicEntry(msgspec.Struct, frozen=True):

@@ -232,7 +232,9 @@ def _how(route: RouteSnapshot, *, why: bool) -> str:
     """Return the rate and what is wrong all the same, or the reason why there is no rate."""
     rate = f"{route.rate:.1f} Hz"
     if route.calls is not None:
-        rate = f"{route.rate:.1f} calls/s" + (f", {route.calls.in_flight} under way" if route.calls.in_flight else "")
+        under_way = f", {route.calls.in_flight} under way" if route.calls.in_flight else ""
+        waiting = f", {route.calls.waiting} of them wait for the node" if route.calls.waiting else ""
+        rate = f"{route.rate:.1f} calls/s{under_way}{waiting}"
     how = rate if route.state is State.OK else route.state.upper()
     if route.state is not State.OK and route.state.flows:
         how += f" {rate}"

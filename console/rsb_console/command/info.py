@@ -198,6 +198,8 @@ def _ledger(route: RouteSnapshot) -> Iterator[str]:
             f"Ledger: {calls.asked} asked = {calls.answered} answered + {calls.expired} expired + {refused} refused"
             f" + {calls.lost} lost + {calls.in_flight} under way"
         )
+        if calls.waiting:
+            yield f"  {calls.waiting} of those under way wait until the node has taken earlier ones"
         dropped = calls.refused
     else:
         ledger = route.ledger

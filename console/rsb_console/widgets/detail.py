@@ -218,6 +218,7 @@ def _calls_ledger(calls: CallsSnapshot) -> Iterator[Line]:
         *((f"  {cause}", count, "down", "") for cause, count in calls.refused.items() if count),
         ("lost", calls.lost, "down", ""),
         ("in flight", calls.in_flight, "", ""),
+        *((("  wait for the node", calls.waiting, "", ""),) if calls.waiting else ()),
     ]
     yield from _ledger("Ledger of calls", rows)
     if calls.late:

@@ -102,6 +102,14 @@ def test_a_lane_keeps_as_many_messages_as_its_depth_and_the_oldest_go(outbox: Ca
     assert [each for each in contents if b"status" in each] == [b"status 24"]
 
 
+def test_link_that_stands_still_keeps_more_messages(outbox: CallsOutbox) -> None:
+    for number in range(25):
+        outbox.put(message(FEEDBACK, b"%d" % number), still=1.0)
+    for number in range(25, 30):
+        outbox.put(message(FEEDBACK, b"%d" % number))
+    assert [each.content for each in flushed(outbox).frames()] == [b"%d" % number for number in range(5, 30)]
+
+
 def test_messages_that_wait_are_bounded_in_bytes(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.OUTBOX_MESSAGE_BYTES.set(monkeypatch, 100)
     for _ in range(10):

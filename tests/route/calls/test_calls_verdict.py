@@ -62,6 +62,7 @@ def stages_on(**changes: Any) -> dict[str, Stage]:
         ({"offered": False, "came": False, "accepted": None}, State.WAITING, Cause.NO_CALL),
         ({"came": False}, State.WAITING, Cause.NO_CALL),
         ({"expired": 3, "failing_since": 1.0}, State.SLOW, Cause.UNANSWERED),
+        ({"expired": 3, "waited": True, "failing_since": 1.0}, State.SLOW, Cause.CALLS_WAIT),
         ({"unanswered": True, "failing_since": 1.0}, State.SLOW, Cause.UNANSWERED),
         ({"came": False, "came_before": True}, State.WAITING, Cause.NO_CALL),
         ({"refused": {Refused.PAUSED: 1}, "failing_since": 1.0}, State.SLOW, Cause.CALLS_REFUSED),
@@ -107,6 +108,11 @@ def test_what_is_refused_most_is_named() -> None:
     text = judge_calls(FINE._replace(refused=refused, failing_since=0.0)).said(20.0)
     assert "31" in text
     assert REMEDIES[Refused.CALLS_UNDER_WAY] in text
+
+
+def test_malformed_calls_are_named_by_their_field() -> None:
+    facts = FINE._replace(refused={Refused.MALFORMED: 1}, malformed="B_Request: name: too long", failing_since=0.0)
+    assert facts.malformed in judge_calls(facts).said(20.0)
 
 
 def test_a_node_that_does_not_answer_is_not_excused_by_a_lossy_path() -> None:

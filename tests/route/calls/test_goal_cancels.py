@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.route.calls.test_held import providing
 from tests.support.goals import cancel_request, cancel_response, goal, goal_response, statuses
-from tests.support.inside import clients_of
+from tests.support.inside import clients_of, paced
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.model.codes import EventCode
@@ -16,7 +16,7 @@ from rsb_bridge.model.session import ArmedName
 from rsb_bridge.ros.ros_interface import RawMessage, Response, RosError
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.kept_calls import CallIdentity
-from rsb_bridge.route.calls.providing_action import GoalCancels
+from rsb_bridge.route.calls.paced_client import PacedClient
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,7 +57,8 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingA
         route = providing(context, arm=True)
         route.arming.own = context.demands.of("action", "/dock") or route.arming.own
         route.arming.peer_on_end = there
-        clients_of(route).clients = {lane: Client() for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)}
+        lanes = SEND_GOAL, CANCEL_GOAL, GET_RESULT
+        clients_of(route).clients = {lane: PacedClient(Client(), context.loop) for lane in lanes}
         action: Any = route.action
         for number in (1, 3):
             action.goals.asked(goal(number))
@@ -78,9 +79,13 @@ def accept(route: ProvidingActionRoute, number: int) -> None:
     respond(route, SEND_GOAL, goal_response(True), number)
 
 
+def client_of(route: ProvidingActionRoute) -> Client:
+    client: Client = paced(clients_of(route).clients[CANCEL_GOAL])
+    return client
+
+
 def cancels(route: ProvidingActionRoute) -> list[bytes]:
-    client: Any = clients_of(route).clients[CANCEL_GOAL]
-    return list(client.calls)
+    return list(client_of(route).calls)
 
 
 def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[..., ProvidingActionRoute]) -> None:
@@ -168,20 +173,40 @@ def test_a_goal_whose_server_does_not_cancel_it_is_reported(
     assert reported(route) == goes_on * len(cancels(route))
 
 
-def test_a_goal_that_cannot_be_cancelled_is_reported() -> None:
-    client = Client()
-    problems: list[str] = []
-    clients: dict[int, Any] = {}
-    made = GoalCancels(lambda: clients, problems.append, lambda: 0.0)
-    made.cancel([goal(1)])
-    clients[CANCEL_GOAL], client.ready = client, False
-    made.cancel([goal(2)])
-    assert len(problems) == 2
-    client.ready = True
-    made.cancel([goal(3)])
-    answers = [Response(cancel_response(goal(3)), number, 0) for number in (1, 2)]
-    assert made.takes(CANCEL_GOAL, answers[0])
-    assert not made.takes(CANCEL_GOAL, answers[0])
-    made.cancel([goal(3)])
-    clients[CANCEL_GOAL] = Client()
-    assert not made.takes(CANCEL_GOAL, answers[1]), "another client's call"
+def test_a_goal_that_cannot_be_cancelled_is_reported(make_route: Callable[..., ProvidingActionRoute]) -> None:
+    for gone in (True, False):
+        route = make_route()
+        if gone:
+            clients_of(route).clients = {}
+        else:
+            client_of(route).ready = False
+        route.disarm(Disarmed.LINK_LOST)
+        assert reported(route) == 2
+
+
+def test_another_clients_answer_is_no_answer_to_a_cancel(make_route: Callable[..., ProvidingActionRoute]) -> None:
+    route = make_route()
+    route.disarm(Disarmed.LINK_LOST)
+    respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)
+    late = route.calls.late
+    respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)
+    clients_of(route).clients[CANCEL_GOAL] = PacedClient(Client(), route.context.loop)
+    respond(route, CANCEL_GOAL, cancel_response(goal(3)), 2)
+    assert route.calls.late == late + 2
+
+
+def test_fifty_goals_are_cancelled_without_overflow(
+    make_route: Callable[..., ProvidingActionRoute], loop: VirtualLoop
+) -> None:
+    """Their node keeps ten cancels that it has not read."""
+    route = make_route()
+    for number in range(4, 52):
+        route.action.goals.asked(goal(number))
+    route.disarm(Disarmed.LINK_LOST)
+    for number in range(1, 51):
+        assert len(cancels(route)) == min(7 + number, 50)
+        respond(route, CANCEL_GOAL, cancel_response(goal(number)), number)
+    for _ in range(10):
+        loop.jump(1.0)
+        route.tick()
+    assert not reported(route)

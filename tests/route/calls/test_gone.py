@@ -106,6 +106,7 @@ def test_a_server_that_dds_does_not_match_is_looked_at_less_and_less_often(
     looks(route)
     ros.client.ready = True
     loop.run_until_complete(asyncio.sleep(0.1))
-    assert route._last_sent is not None
-    assert route._last_sent.lanes, "and the next one soon again"
+    sent = route._last_sent
+    assert sent is not None
+    assert sent.lanes, "and the next one soon again"
     route.close("over")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from tests.route.calls.test_gone import LAMP, Graph, providing
 
 from rsb_bridge.ros.ros_interface import Response
+from rsb_bridge.route.calls.paced_client import PacedClient
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
@@ -83,6 +85,72 @@ def test_waiting_calls_end_with_the_opening(make_context: Callable[..., Context]
     loop.run_until_complete(asyncio.sleep(5.0))
     assert len(lamp.got) == 8
     assert_nothing_held(lamp.route)
+
+
+def test_waiting_call_that_expires_never_reaches_the_node(
+    make_context: Callable[..., Context], loop: VirtualLoop
+) -> None:
+    """The node answers a call in 0.4 s, and the callers wait for 30 s."""
+    lamp = Lamp(make_context, loop)
+    lamp.ask(1, 150)
+    began = loop.time()
+    since: list[float] = []
+    while lamp.route.calls.in_flight:
+        loop.run_until_complete(asyncio.sleep(0.4))
+        since += [loop.time() - began] * (len(lamp.got) - len(since))
+        lamp.answer()
+        shown = lamp.route.snapshot().calls
+        assert shown is not None
+        assert shown.waiting == 150 - lamp.route.calls.waited - len(lamp.got)
+        assert lamp.route.at_node()[0] == len(lamp.got)
+    assert 75 <= len(lamp.got) <= 84
+    assert max(since) <= 30.4
+    assert lamp.route.calls.waited == 150 - len(lamp.got)
+    lamp.route.close("over")
+    assert_nothing_held(lamp.route)
+
+
+class Patrol:
+    """A client of `get_result`, whose node reads nothing until it is told to."""
+
+    ready = True
+
+    def __init__(self) -> None:
+        self.asked: list[bytes] = []
+
+    def call(self, request: bytes) -> int:
+        self.asked.append(request)
+        return len(self.asked)
+
+    def close(self) -> None: ...
+
+
+def test_results_wait_until_the_node_has_read_the_probe(loop: VirtualLoop) -> None:
+    """A result comes when its goal is over, so that it does not show that the node has read anything."""
+    node = Patrol()
+    client = PacedClient(node, loop, b"probe")
+    for number in range(30):
+        client.in_turn(number, partial(client.call, b"%d" % number))
+    read = 0
+    while len(node.asked) > read:
+        assert len(node.asked) - read <= 9
+        read = len(node.asked)
+        is_probe = node.asked[-1] == b"probe"
+        assert client.answered(read) is is_probe
+    assert [each for each in node.asked if each != b"probe"] == [b"%d" % number for number in range(30)]
+
+
+def test_node_that_knows_no_probe_gets_all_results(loop: VirtualLoop) -> None:
+    node = Patrol()
+    client = PacedClient(node, loop, b"probe")
+    for number in range(100):
+        client.in_turn(number, partial(client.call, b"%d" % number))
+    most = before = 0
+    while client.waiting:
+        loop.run_until_complete(asyncio.sleep(0.01))
+        most, before = max(most, len(node.asked) - before), len(node.asked)
+    assert most <= 9
+    assert loop.time() < 10.0
 
 
 def assert_nothing_held(route: Any) -> None:

@@ -9,6 +9,8 @@ from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import BATCH, TopicSpec
 from rsb_bridge.route.calls.calls_verdict import Trouble
+from rsb_bridge.route.calls.kept_calls import result_request
+from rsb_bridge.route.calls.paced_client import PacedClient
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer import TypeUse
 from rsb_bridge.route.source_publishers import VolatileTopic
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
         Request,
         Response,
         RosError,
-        ServiceClient,
         ServiceServer,
     )
     from rsb_bridge.route.lease import LeaseHalf
@@ -268,7 +269,7 @@ class Clients(LaneEndpoints):
         failed: Callable[[RosError], None],
     ) -> None:
         super().__init__(context, peer, members, failed)
-        self.clients: dict[int, ServiceClient] = {}
+        self.clients: dict[int, PacedClient] = {}
         self.node = ""
         self._responded = responded
         self._published = published
@@ -278,11 +279,13 @@ class Clients(LaneEndpoints):
         """Whether a call on every lane would reach a server."""
         return bool(self.clients) and all(client.ready for client in self.clients.values())
 
-    def _open_service(self, lane: int, name: str, kind: LaneType) -> ServiceClient:
+    def _open_service(self, lane: int, name: str, kind: LaneType) -> PacedClient:
         sink, failed = self._sink(lane, self._responded)
         client = self._context.ros.call_service(name, kind.type_name, kind.type_hash, sink.put, failed)
-        self.clients[lane] = client
-        return client
+        # A server answers at once that it knows no such goal.
+        probe = result_request(bytes(16)) if self._members[lane].patient else b""
+        self.clients[lane] = paced = PacedClient(client, self._context.loop, probe)
+        return paced
 
     def _open_topic(self, lane: int, name: str, kind: LaneType) -> Closable:
         qos = self._members[lane].qos

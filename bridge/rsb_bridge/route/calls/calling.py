@@ -521,7 +521,7 @@ class CallingRoute(CallsRoute):
     # --- verdict and snapshot
 
     def facts(self) -> CallsFacts:
-        facts = super().facts()
+        facts = super().facts()._replace(waited=self.judged.peer.cause == Cause.CALLS_WAIT)
         if not self._served_here or self.judged.peer.cause != Cause.NO_SERVER:
             return facts
         text = (

@@ -33,7 +33,7 @@ REMEDIES = {
     Refused.UNHEARD: "it is armed, but the two sides do not hear each other: ask again, or check the link",
     Refused.PROVIDER_GONE: "nobody serves it any more: start its node",
     Refused.TOO_LARGE: "the request or the response is longer than a message may be",
-    Refused.MALFORMED: "the request or the response is malformed; the log of the side that got it says where",
+    Refused.MALFORMED: "the request or the response is malformed: the log names the field",
     Refused.TOO_COMPLEX: "the link's calls have more strings and sequences than are checked: send less",
     Refused.NOT_SENT: "the middleware refused the request; the log of the providing side says why",
     Refused.NOT_ARRIVED: "the link dropped before the goal arrived, so it was not started: send it again",
@@ -58,6 +58,7 @@ class CallsLedger:
     Attributes:
         answered: calls with an answer that went back.
         expired: calls given up after their timeout.
+        waited: calls of these that the node never got, because it had not read earlier ones.
         refused: refused calls, by cause.
         lost: calls given up because the link or the provider was lost.
         late: answers to calls that had been given up; not part of `asked`.
@@ -70,7 +71,7 @@ class CallsLedger:
     def __init__(self) -> None:
         self.asked = 0
         self.answered = 0
-        self.expired = 0
+        self.expired = self.waited = 0
         self.refused: Counter[Refused] = Counter()
         self.lost = 0
         self.late = 0
@@ -81,7 +82,7 @@ class CallsLedger:
         self._timed: deque[tuple[float, float | None]] = deque(maxlen=_TIMED)  # calls since the last tick
         self._before = 0, 0  # answered and expired, a second ago
         # One more than `LATELY`, so that the first one is that old.
-        self._lately: deque[tuple[int, Counter[Refused]]] = deque(maxlen=LATELY + 1)
+        self._lately: deque[tuple[int, int, Counter[Refused]]] = deque(maxlen=LATELY + 1)
 
     @property
     def in_flight(self) -> int:
@@ -106,15 +107,19 @@ class CallsLedger:
         elif self.expired > expired:
             self.unanswered = True
         self._before = self.answered, self.expired
-        self._lately.append((self.expired, self.refused.copy()))
+        self._lately.append((self.expired, self.waited, self.refused.copy()))
 
     def expired_lately(self) -> int:
         """Return the number of calls that expired in the last `LATELY` s."""
         return self.expired - self._lately[0][0] if self._lately else 0
 
+    def waited_lately(self) -> bool:
+        """Whether a call expired in the last `LATELY` s without having reached the node."""
+        return bool(self._lately) and self.waited > self._lately[0][1]
+
     def refused_lately(self) -> Counter[Refused]:
         """Return the calls refused in the last `LATELY` s, by cause."""
-        return self.refused - self._lately[0][1] if self._lately else Counter()
+        return self.refused - self._lately[0][2] if self._lately else Counter()
 
     def forget_lately(self) -> None:
         """Begin a new period: the route was paused or reopened, or its server has gone."""
@@ -132,8 +137,12 @@ class CallsLedger:
         # The meters get all of a second at once, so that a call costs fewer functions.
         self._timed.append((took, total))
 
-    def snapshot(self) -> CallsSnapshot:
-        """Return the counts for user interfaces."""
+    def snapshot(self, waiting: int = 0) -> CallsSnapshot:
+        """Return the counts for user interfaces.
+
+        Args:
+            waiting: calls that wait until their node has read earlier ones.
+        """
         return CallsSnapshot(
             asked=self.asked,
             answered=self.answered,
@@ -141,6 +150,7 @@ class CallsLedger:
             refused={str(why): count for why, count in self.refused.items()},
             lost=self.lost,
             in_flight=self.in_flight,
+            waiting=waiting,
             late=self.late,
             node_p50=self.node.p50,
             node_p99=self.node.p99,

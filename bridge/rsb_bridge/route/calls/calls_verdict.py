@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.route.blocking_rules import as_known, first_missing, link_and_acceptance, stage, worst
@@ -12,7 +13,6 @@ from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from rsb_bridge.model.calls import Refused
     from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.route.blocking_rules import RouteStatus
 
@@ -66,8 +66,10 @@ class CallsFacts(NamedTuple):
         unavailable: the reason why nothing can be called, or None if this side knows of none.
         warning: the trouble that does not keep calls from crossing, or None.
         expired: calls in the last `LATELY` s that had no answer in time.
+        waited: whether calls expired lately that their node never got, because it had not read earlier ones.
         unanswered: whether the last calls that are over had no answer in time, however long ago that was.
         refused: calls refused in the last `LATELY` s, by cause.
+        malformed: type and field of the last malformed request or response, and what is wrong with it, or empty.
         failing_since: s, when calls began to fail, or None if none fails.
         timeout: s, after which a call is given up.
     """
@@ -77,8 +79,10 @@ class CallsFacts(NamedTuple):
     unavailable: Trouble | None = None
     warning: Trouble | None = None
     expired: int = 0
+    waited: bool = False
     unanswered: bool = False
     refused: Mapping[Refused, int] = {}
+    malformed: str = ""
     failing_since: float | None = None
     timeout: float = 0.0
 
@@ -129,6 +133,9 @@ def _unanswered(facts: CallsFacts) -> Verdict | None:
     else:
         return None
     nodes = " and ".join(facts.progress.providers) or "the far node"
+    if facts.waited:
+        text = f"{what}; they waited for {nodes} to take earlier ones: make fewer at once, or set a longer timeout"
+        return Verdict(State.SLOW, Cause.CALLS_WAIT, text, facts.failing_since)
     text = f"{what}; check why {nodes} does not answer within {facts.timeout:g} s, or set a longer timeout"
     return Verdict(State.SLOW, Cause.UNANSWERED, text, facts.failing_since)
 
@@ -139,7 +146,11 @@ def _refused(facts: CallsFacts) -> Verdict | None:
     why = max(facts.refused, key=lambda each: facts.refused[each])
     count = sum(facts.refused.values())
     text = f"calls have been refused for {LASTING}, {count:,} in the last {LATELY} s: "
-    return Verdict(State.SLOW, Cause.CALLS_REFUSED, text + REMEDIES[why], facts.failing_since)
+    if why is Refused.MALFORMED and facts.malformed:
+        text += f"they or their answers are malformed ({facts.malformed}): see the node that sent them"
+    else:
+        text += REMEDIES[why]
+    return Verdict(State.SLOW, Cause.CALLS_REFUSED, text, facts.failing_since)
 
 
 def _warning(facts: CallsFacts) -> Verdict | None:

@@ -245,6 +245,8 @@ class KeptAnswers:
     def asked(self, question: CallIdentity, number: int, servers: AbstractSet[bytes], *calls: int) -> None:
         """Note that the server was asked, under the client's number, and the calls that wait for its answer.
 
+        The number is 0 for a result that is asked for later.
+
         If two goals have the same id, the answer to the first is kept: the server refuses the second.
         """
         kept = self._kept.get(question)
@@ -261,7 +263,8 @@ class KeptAnswers:
             self._kept[question] = Kept(number, servers, [*calls])
             # Once more: `_forget` has dropped the calls of this question.
             self._waiting.update(dict.fromkeys(calls, question))
-        self._by_number[question.lane, number] = question
+        if number:
+            self._by_number[question.lane, number] = question
         if len(self._kept) > MOST_KEPT:
             self._forget_one()
 
@@ -305,6 +308,10 @@ class KeptAnswers:
         kept = self._kept[question]
         if question.lane != GET_RESULT and kept.answer is None and not kept.calls:
             kept.until = now + SENT_KEPT
+
+    def calls_for(self, question: CallIdentity) -> list[int]:
+        """Return the calls that wait for the answer to a question."""
+        return [*self._kept[question].calls]
 
     def results_awaited(self) -> list[tuple[bytes, list[int]]]:
         """Return goals, and the calls that wait for their results."""

@@ -1,18 +1,20 @@
 """The providing half of a route of calls: finds who answers here, tells the peer, and calls them for its callers.
 
-A call comes from the channel to `ProvidingRoute._receive`, and goes to ROS in `_call`. The server's response comes to
-`_responded`, goes to the outbox in `_answer`, and ends the call in `_leaves`, once the channel takes it.
+A call comes from the channel to `ProvidingRoute._receive`, waits its turn (`paced_client`), and goes to ROS in `_call`.
+The server's response comes to `_responded`, goes to the outbox in `_answer`, and ends the call in `_leaves`, once the
+channel takes it.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 
 from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError
@@ -45,10 +47,6 @@ _MATCHED_AGAIN, _LONGEST_MATCHED_AGAIN = 0.05, 1.0
 shows a killed server for up to 40 s."""
 _WAITED_PART = 0.1
 """Part of the wait so far that a look may come later than the match. A round figure."""
-_OPEN, _UNANSWERED = 8, 0.5
-"""Calls of one service that its node has before the next ones wait for an answer, and s without one after which it may
-have twice as many. A node keeps 10 requests by default, and loses the oldest of 50 that a link delivers at once after a
-gap; but it may answer in any order, or none before more calls have come. The time is a round figure."""
 _EXPLAINED_AGAIN = 0.5
 """s until the next look whether a bridge has announced where its answers come from. A round figure."""
 
@@ -58,28 +56,14 @@ class PeersCall(PendingCall):
     """A call of the other side's.
 
     Attributes:
-        number: of the client's call here, or 0 if it waits for the answer to another call.
         servers: ids of the servers that may have got it.
+        number: of the client's call here, or 0 if it waits for its turn or for the answer to another call.
+        waits: whether it waits for its turn.
     """
 
-    number: int
     servers: set[bytes]
-
-
-@dataclass(slots=True)
-class _Pace:
-    """The calls of one lane that its node has, and the calls that wait for its answers.
-
-    Attributes:
-        most: calls that the node may have.
-        answered_at: when it answered last, or got the first one, in s.
-        waiting: when each came (s), and its frame; each has its place in the budget.
-    """
-
-    most: int = _OPEN
-    open: int = 0
-    answered_at: float = 0.0
-    waiting: deque[tuple[float, CallFrame]] = field(default_factory=deque)
+    number: int = 0
+    waits: bool = False
 
 
 class ProvidingRoute(CallsRoute):
@@ -106,9 +90,7 @@ class ProvidingRoute(CallsRoute):
         self._clients = Clients(context, peer, self.members, self._responded, self._published, self._client_failed)
         self._pending = PendingCalls[PeersCall](context.loop, peer.budget.provided, self._expired, self._ended)
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
-        self._paces = {lane: _Pace() for lane, member in enumerate(self.members) if member.limited}
-        self._unanswered: asyncio.TimerHandle | None = None
-        self._highest = 0
+        self._highest = self._given = 0  # the newest call that came, and the newest that was given to DDS
         self._again: asyncio.TimerHandle | None = None
         self._unmatched_since = 0.0
 
@@ -235,9 +217,6 @@ class ProvidingRoute(CallsRoute):
 
     def _withdraw(self) -> None:
         self._close_clients()
-        if self._unanswered is not None:
-            self._unanswered.cancel()
-            self._unanswered = None
         if self._again is not None:
             self._again.cancel()
             self._again = None
@@ -252,6 +231,10 @@ class ProvidingRoute(CallsRoute):
         """End the route for good."""
         super().destroy()
         self._clients.close()
+
+    def at_node(self) -> tuple[int, int]:
+        waiting = [number for number, call in self._pending.items() if call.waits]
+        return min(self._given, waiting[0] - 1) if waiting else self._given, len(waiting)
 
     @property
     def offered(self) -> bool:
@@ -271,18 +254,14 @@ class ProvidingRoute(CallsRoute):
         self._asked_for(len(frame.content))
         if (why := self._refusal(frame) if readable else Refused.BYTES_UNDER_WAY) is not None:
             self._refuse_peer(frame, why)
-            return
-        pace = self._paces.get(frame.lane)
-        if pace is None or (pace.open < pace.most and not pace.waiting):
-            self._pass_on(frame)
-            return
-        pace.waiting.append((self.context.now(), frame))
-        if self._unanswered is None:
-            self._unanswered = self.context.loop.call_later(_UNANSWERED, self._have_more)
+        else:
+            self._pass_on(frame, self._add(frame))
 
-    def _pass_on(self, frame: CallFrame) -> None:
-        """Handle a call that has its place in the budget."""
-        self._call(frame)
+    def _pass_on(self, frame: CallFrame, call: PeersCall) -> None:
+        """Call the node, once it has read earlier calls."""
+        client = self._clients.clients[frame.lane]
+        call.waits = client.is_busy
+        client.in_turn(frame.call, partial(self._take_turn, frame, call))
 
     def _compose_gates(self) -> None:
         gates = [providing_gates(self, limited=limited) for limited in (False, True)]
@@ -302,51 +281,13 @@ class ProvidingRoute(CallsRoute):
             return why
         return None if leaving is None else leaving(frame, self.context.now())
 
-    @property
-    def waiting_calls(self) -> int:
-        """Calls that wait until the node has answered others."""
-        return sum(len(pace.waiting) for pace in self._paces.values())
-
-    def _have_more(self) -> None:
-        """Give more calls to a node that has answered none for a while, and expire calls that have waited too long."""
-        self._unanswered = None
-        now = self.context.now()
-        for lane, pace in self._paces.items():
-            while pace.waiting and now - pace.waiting[0][0] > self.call_timeout:
-                _, frame = pace.waiting.popleft()
-                self.peer.budget.provided.give(frame_size(frame.content))
-                self.calls.expired += 1
-                nodes = " and ".join(node_names(self.endpoints)) or "the server"
-                self.failures.say(f"{nodes} did not answer earlier calls of {self.local_names[lane]} in time")
-            if pace.waiting and pace.answered_at <= now - _UNANSWERED:
-                pace.most *= 2
-            self._pass_on_waiting(pace)
-        if self._unanswered is None and any(pace.waiting for pace in self._paces.values()):
-            self._unanswered = self.context.loop.call_later(_UNANSWERED, self._have_more)
-
-    def _pass_on_waiting(self, pace: _Pace) -> None:
-        while pace.waiting and pace.open < pace.most:
-            _, frame = pace.waiting.popleft()
-            arriving = self._arriving[self._is_limited(frame)]
-            why = None if arriving is None else arriving(frame, self.context.now())
-            if why is None and frame.lane not in self._clients.clients and not self._is_answered(frame):
-                why = Refused.PROVIDER_GONE
-            if why is None:
-                self._pass_on(frame)
-            else:
-                self.peer.budget.provided.give(frame_size(frame.content))
-                self._refuse_peer(frame, why)
-
-    def _left(self, lane: int, number: int, *, answered: bool = False) -> int | None:
-        """Return the peer's call that a client's call was made for, which is over, or None if it was over before."""
-        peers = self._by_number.pop((lane, number), None)
-        if peers is not None and (pace := self._paces.get(lane)) is not None:
-            pace.open -= 1
-            if answered:  # one that has expired does not show that the node answers
-                pace.most = max(_OPEN, min(pace.most, pace.open + 1))
-                pace.answered_at = self.context.now()
-            self._pass_on_waiting(pace)
-        return peers
+    def _take_turn(self, frame: CallFrame, call: PeersCall) -> None:
+        arriving = self._arriving[self._is_limited(frame)] if call.waits else None
+        call.waits = False
+        if arriving is not None and (why := arriving(frame, self.context.now())) is not None:
+            self._give_up(frame.call, why)
+        else:
+            self._call(frame, call)
 
     def _is_limited(self, frame: CallFrame) -> bool:
         """Return whether arming, pauses and limits apply to a call."""
@@ -356,24 +297,19 @@ class ProvidingRoute(CallsRoute):
         """Return whether a call needs no server."""
         return False
 
-    def _call(self, frame: CallFrame) -> PeersCall | None:
-        """Make a call that has its place in the budget. Return None if ROS refuses it."""
+    def _call(self, frame: CallFrame, call: PeersCall) -> None:
         try:
-            number = self._clients.clients[frame.lane].call(frame.content)
+            call.number = self._clients.clients[frame.lane].call(frame.content)
         except RosError as error:
-            self.peer.budget.provided.give(frame_size(frame.content))
             self.notices.message_error(EventCode.ROUTE_CALL_FAILED, str(error))
-            self._refuse_peer(frame, Refused.NOT_SENT)
-            return None
-        self._by_number[frame.lane, number] = self._given = frame.call
-        if (pace := self._paces.get(frame.lane)) is not None:
-            if not pace.open:
-                pace.answered_at = self.context.now()
-            pace.open += 1
-        return self._add(frame, number)
+            self._give_up(frame.call, Refused.NOT_SENT)
+            return
+        call.asked_at, call.servers = self.context.now(), self._present
+        self._by_number[frame.lane, call.number] = frame.call
+        self._given = max(self._given, frame.call)
 
-    def _add(self, frame: CallFrame, number: int = 0) -> PeersCall:
-        call = PeersCall(frame.lane, frame_size(frame.content), self.context.now(), number, self._present)
+    def _add(self, frame: CallFrame) -> PeersCall:
+        call = PeersCall(frame.lane, frame_size(frame.content), self.context.now(), self._present)
         self._pending.add(frame.call, call, self.timeout_of(frame.lane))
         return call
 
@@ -411,11 +347,13 @@ class ProvidingRoute(CallsRoute):
     def _responded(self, lane: int, responses: Sequence[Response]) -> None:
         """Take responses of servers here, the oldest first."""
         for response in responses:
-            self._take_response(lane, response)
+            client = self._clients.clients.get(lane)
+            if client is None or not client.answered(response.number):
+                self._take_response(lane, response)
         self.flush()
 
     def _take_response(self, lane: int, response: Response) -> None:
-        peers = self._left(lane, response.number, answered=True)
+        peers = self._by_number.pop((lane, response.number), None)
         if peers is None or not self._answer(peers, response.payload):
             self.calls.late += 1
 
@@ -447,12 +385,21 @@ class ProvidingRoute(CallsRoute):
     def _ended(self, peers: int) -> None:
         """Forget what else is held of a call that has ended."""
         self._outbox.forget(peers)
+        for client in self._clients.clients.values():
+            client.waiting.pop(peers, None)
 
     def _expired(self, number: int, call: PeersCall) -> None:
         self.calls.expired += 1
         nodes, within = " and ".join(node_names(self.endpoints)) or "the server", f"within {self.call_timeout:g} s"
+        if call.waits:
+            self.calls.waited += 1
+            self.failures.say(
+                f"a call waited {self.call_timeout:g} s for its turn, as {nodes} had not answered earlier ones: "
+                "make fewer at once, or allow more time"
+            )
+            return
         # Its answer has come, and waits for the link.
-        if call.number and self._left(call.lane, call.number) is None:
+        if call.number and self._by_number.pop((call.lane, call.number), None) is None:
             self.failures.say(
                 f"the link did not take an answer of {nodes} {within}: send less over it, or allow more time"
             )
@@ -466,20 +413,15 @@ class ProvidingRoute(CallsRoute):
         if (call := self._pending.get(peers)) is None:
             return
         self._pending.end(peers)
-        self._left(call.lane, call.number)
+        self._by_number.pop((call.lane, call.number), None)
         self._refuse_peer(CallFrame(What.REFUSED, call.lane, peers, 0, b""), why)
 
     def _is_orphan(self, call: PeersCall) -> bool:
         """Return whether all servers that may have got a call have gone."""
-        return call.servers.isdisjoint(self._present)
+        return not call.waits and call.servers.isdisjoint(self._present)
 
     def _give_up_all(self, why: str) -> None:
         calls = [(number, call.lane) for number, call in self._pending.clear()]
-        for lane, pace in self._paces.items():
-            for _, frame in pace.waiting:
-                self.peer.budget.provided.give(frame_size(frame.content))
-                calls.append((frame.call, lane))
-            self._paces[lane] = _Pace()
         for number, lane in calls:
             self._outbox.put(CallFrame(What.REFUSED, lane, number, 0, Refused.LOST.encode()))
         self._by_number.clear()
@@ -489,14 +431,16 @@ class ProvidingRoute(CallsRoute):
 
     def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
         """Send messages from ROS, the oldest first."""
+        still = self.channel.still(self.context.now()) if self.channel is not None and self.channel.ready else 0.0
         for message in messages:
-            self._outbox.put(CallFrame(What.MESSAGE, lane, 0, 0, message.payload))
+            stamp = shifted(message.stamp, self.context.stamps.shift)
+            self._outbox.put(CallFrame(What.MESSAGE, lane, 0, 0, message.payload, stamp=stamp), still)
         self.flush()
 
     # --- verdict and snapshot
 
     def facts(self) -> CallsFacts:
-        facts = super().facts()
+        facts = super().facts()._replace(waited=self.calls.waited_lately())
         trouble = facts.unavailable
         if trouble is None or trouble.cause is not Cause.NO_SERVER or self._served_in or self.endpoints:
             return facts

@@ -7,6 +7,7 @@ its answers are kept, so that they are there when the other side asks again (`rs
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.by_hand import END_CANCEL, END_NONE, more_careful_end
@@ -22,16 +23,17 @@ from rsb_bridge.route.calls.kept_calls import (
     result_request,
 )
 from rsb_bridge.route.calls.providing import PeersCall, ProvidingRoute
-from rsb_bridge.wire.headers import CallFrame, What, frame_size
+from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_bridge.ros.ros_interface import RawMessage, Response, ServiceClient
+    from rsb_bridge.ros.ros_interface import RawMessage, Response
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.calls.paced_client import PacedClient
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
 
@@ -71,60 +73,6 @@ class ProviderAction:
             self.goals.message(lane, message.payload)
 
 
-class GoalCancels:
-    """Cancels the goals of a link's callers once their arming ends (``on_end: cancel``), on the side of their server.
-
-    Args:
-        clients: gives the clients of the action's services, by lane.
-        failed: is called with the reason if a goal cannot be cancelled.
-        now: s.
-    """
-
-    def __init__(
-        self,
-        clients: Callable[[], Mapping[int, ServiceClient]],
-        failed: Callable[[str], None],
-        now: Callable[[], float],
-    ) -> None:
-        self._clients = clients
-        self._failed = failed
-        self._now = now
-        # The goal and the time of each call, by client, too, because another one numbers from the start.
-        self._unanswered: dict[tuple[ServiceClient, int], tuple[bytes, float]] = {}
-
-    def cancel(self, goals: Iterable[bytes]) -> None:
-        """Ask the server to cancel goals."""
-        client = self._clients().get(CANCEL_GOAL)
-        for goal in goals:
-            try:
-                if client is None:
-                    raise RosError("its server has gone")
-                self._unanswered[client, client.call(cancel_request(goal))] = goal, self._now()
-            except RosError as error:
-                self._may_go_on(goal, str(error))
-
-    def takes(self, lane: int, response: Response) -> bool:
-        """Whether a response is the answer to one of these cancels, and of no call of the other side's."""
-        client = self._clients().get(CANCEL_GOAL)
-        if lane != CANCEL_GOAL or client is None or (client, response.number) not in self._unanswered:
-            return False
-        goal, _ = self._unanswered.pop((client, response.number))
-        if refuses_cancel(response.payload):
-            self._may_go_on(goal, "its server refuses that")
-        return True
-
-    def tick(self) -> None:
-        """Report cancels that their server does not answer; called once a second."""
-        latest = self._now() - _CANCELLED_WITHIN
-        for call, (goal, asked_at) in tuple(self._unanswered.items()):
-            if asked_at < latest:
-                del self._unanswered[call]
-                self._may_go_on(goal, f"its server has not answered for {_CANCELLED_WITHIN:g} s")
-
-    def _may_go_on(self, goal: bytes, why: str) -> None:
-        self._failed(f"the robot may go on: goal {goal.hex()} is not cancelled: {why}")
-
-
 class ProvidingActionRoute(ProvidingRoute):
     """Tells the peer of an action here, and passes its calls on.
 
@@ -137,7 +85,9 @@ class ProvidingActionRoute(ProvidingRoute):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.action = ProviderAction(context)
-        self._cancels = GoalCancels(lambda: self._clients.clients, self.failures.say, context.now)
+        # Goals that are being cancelled here, and since when (s), by the cancel's number, or by goal before its turn.
+        # Also by client, because another one numbers from the start.
+        self._cancels: dict[tuple[PacedClient, int | bytes], tuple[bytes, float]] = {}
 
     @property
     def on_end(self) -> str:
@@ -189,16 +139,61 @@ class ProvidingActionRoute(ProvidingRoute):
         """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
         # First: what follows may close the clients.
         if self.on_end == END_CANCEL:
-            self._cancels.cancel(self.action.goals.end())
+            self._cancel(self.action.goals.end())
         super().disarm(why, reason)
+
+    # --- cancels of this side's, once an arming ends (``on_end: cancel``)
+
+    def _cancel(self, goals: Iterable[bytes]) -> None:
+        client = self._clients.clients.get(CANCEL_GOAL)
+        for goal in goals:
+            if client is None:
+                self._may_go_on(goal, "its server has gone")
+            else:
+                self._cancels[client, goal] = goal, self.context.now()
+                client.in_turn(goal, partial(self._send_cancel, client, goal))
+
+    def _send_cancel(self, client: PacedClient, goal: bytes) -> None:
+        self._cancels.pop((client, goal), None)
+        try:
+            self._cancels[client, client.call(cancel_request(goal))] = goal, self.context.now()
+        except RosError as error:
+            self._may_go_on(goal, str(error))
+
+    def _is_cancelled(self, lane: int, response: Response) -> bool:
+        """Return whether a response is the answer to one of these cancels, and of no call of the other side's."""
+        client = self._clients.clients.get(lane)
+        if lane != CANCEL_GOAL or client is None or (client, response.number) not in self._cancels:
+            return False
+        goal, _ = self._cancels.pop((client, response.number))
+        if refuses_cancel(response.payload):
+            self._may_go_on(goal, "its server refuses that")
+        return True
+
+    def _may_go_on(self, goal: bytes, why: str) -> None:
+        self.failures.say(f"the robot may go on: goal {goal.hex()} is not cancelled: {why}")
 
     # --- calls
 
-    def _pass_on(self, frame: CallFrame) -> None:
-        if (question := question_of(frame.lane, frame.content)) is not None:
-            self._take_question(question, frame)
-        else:
-            super()._pass_on(frame)
+    def _pass_on(self, frame: CallFrame, call: PeersCall) -> None:
+        """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
+        question, answers = question_of(frame.lane, frame.content), self.action.answers
+        todo = answers.decide(question, frame.call, again=frame.what is What.AGAIN) if question else AnswerAction.ASK
+        if question is None or (todo is AnswerAction.ASK and frame.lane != GET_RESULT):
+            super()._pass_on(frame, call)
+        elif todo is AnswerAction.ASK:
+            self._ask_result(question, frame.call)
+        elif todo in _REFUSALS:
+            self._give_up(frame.call, _REFUSALS[todo])
+        elif todo is AnswerAction.ANSWER:
+            self._answer(frame.call, answers.answer(question))
+
+    def _call(self, frame: CallFrame, call: PeersCall) -> None:
+        super()._call(frame, call)
+        if call.number and (question := question_of(frame.lane, frame.content)) is not None:
+            self.action.answers.asked(question, call.number, frozenset(self._present))
+            if frame.lane == SEND_GOAL:
+                self.action.goals.asked(question.about)
 
     def _is_limited(self, frame: CallFrame) -> bool:
         """Return whether arming, pauses and limits apply to a call: not if it only asks about a goal again."""
@@ -213,7 +208,7 @@ class ProvidingActionRoute(ProvidingRoute):
         return self.action.answers.has_answer(question_of(frame.lane, frame.content))
 
     def _take_response(self, lane: int, response: Response) -> None:
-        if not self._cancels.takes(lane, response) and not self._keep_answer(lane, response):
+        if not self._is_cancelled(lane, response) and not self._keep_answer(lane, response):
             super()._take_response(lane, response)
 
     def _ended(self, peers: int) -> None:
@@ -257,36 +252,25 @@ class ProvidingActionRoute(ProvidingRoute):
 
     # --- goals
 
-    def _take_question(self, question: CallIdentity, frame: CallFrame) -> None:
-        """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
-        todo = self.action.answers.decide(question, frame.call, again=frame.what is What.AGAIN)
-        if todo is AnswerAction.ASK and frame.lane == GET_RESULT:
-            # First: if ROS refuses the question, this call is refused.
-            self._add(frame)
-            self._ask_result(question, frame.call)
-        elif todo is AnswerAction.ASK:
-            if (call := self._call(frame)) is not None:
-                self.action.answers.asked(question, call.number, frozenset(self._present))
-                if frame.lane == SEND_GOAL:
-                    self.action.goals.asked(question.about)
-        elif todo in _REFUSALS:
-            self.peer.budget.provided.give(frame_size(frame.content))
-            self._refuse_peer(frame, _REFUSALS[todo])
-        else:
-            self._add(frame)
-            if todo is AnswerAction.ANSWER:
-                self._answer(frame.call, self.action.answers.answer(question))
-
     def _ask_result(self, question: CallIdentity, *calls: int) -> None:
-        """Ask the server for a result; its answer is kept, and sent to the calls that wait for it."""
+        """Ask the server for a result in its turn; its answer is kept, and sent to the calls that wait for it."""
+        client = self._clients.clients[GET_RESULT]
+        self.action.answers.asked(question, 0, frozenset(self._present), *calls)
+        if question not in client.waiting:
+            client.in_turn(question, partial(self._send_result_request, question))
+
+    def _send_result_request(self, question: CallIdentity) -> None:
+        answers = self.action.answers
+        if question not in answers:
+            return  # it was forgotten
         try:
             number = self._clients.clients[GET_RESULT].call(result_request(question.about))
         except RosError as error:
-            for call in calls:
+            for call in answers.calls_for(question):
                 self._give_up(call, Refused.NOT_SENT)
             self.failures.say(f"a result could not be asked for: {error}")
-            return
-        self.action.answers.asked(question, number, frozenset(self._present), *calls)
+        else:
+            answers.asked(question, number, frozenset(self._present))
 
     def _keep_answer(self, lane: int, response: Response) -> bool:
         """Keep an answer and send it to all calls that wait for it. Return False if its question is not kept."""
@@ -303,7 +287,7 @@ class ProvidingActionRoute(ProvidingRoute):
         if lane == SEND_GOAL and accepted_by(payload):
             # Again, because its server knew nothing of it when it got the first cancel.
             if self.action.goals.has_ended(question.about):
-                self._cancels.cancel((question.about,))
+                self._cancel((question.about,))
             # The result is asked for at once, because the link may be lost at any time.
             result = CallIdentity(GET_RESULT, question.about)
             if result not in self.action.answers and GET_RESULT in self._clients.clients:
@@ -325,7 +309,10 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def tick(self) -> None:
         """Forget old answers, and update counts; called once a second."""
-        self._cancels.tick()
+        for cancel, (goal, since) in tuple(self._cancels.items()):
+            if since < self.context.now() - _CANCELLED_WITHIN:
+                del self._cancels[cancel]
+                self._may_go_on(goal, f"its server has not answered for {_CANCELLED_WITHIN:g} s")
         self._expire_answers()
         super().tick()
 

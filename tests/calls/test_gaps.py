@@ -1,0 +1,89 @@
+"""An action after a gap of its link: what waited comes at once, to nodes that keep ten messages and requests."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
+
+from tests.calls.cutting import FIBONACCI
+from tests.support.bridge import route
+from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciServer, id_of
+from tests.support.relay import same_port
+from tests.support.waiting import eventually
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.relay import Relay
+
+
+@pytest.fixture
+def relay(bridge: Bridge) -> Iterator[Relay]:
+    """The network between the two sides."""
+    with same_port(bridge.port) as made:
+        bridge.through(made)
+        yield made
+
+
+@pytest.fixture
+def server(robot: Domain) -> Iterator[FibonacciServer]:
+    with closing(FibonacciServer(robot.id)) as made:
+        yield made
+
+
+@pytest.fixture
+def client(pc: Domain) -> Iterator[FibonacciClient]:
+    with closing(FibonacciClient(pc.id)) as made:
+        yield made
+
+
+def test_feedback_of_a_gap_comes_whole(
+    relay: Relay, bridge: Bridge, server: FibonacciServer, client: FibonacciClient
+) -> None:
+    _, robot = bridge.both(FIBONACCI)
+    goal = client.send(1).ask()
+    server.goal()
+    eventually(lambda: route(robot, ACTION).goals[0].result_awaited)
+    server.feedback(0)
+    eventually(lambda: goal.feedbacks)
+    relay.stall(new=True)
+    for count in range(2, 52):
+        server.feedback(*(count,) * 200)
+        eventually(lambda count=count: route(robot, ACTION).goals[0].feedbacks == count)
+    server.finish(1)
+    eventually(lambda: route(robot, ACTION).goals[0].state == "succeeded")
+    relay.stall(False)
+    assert goal.result() == ("succeeded", [1])
+    assert goal.feedbacks == [[0], *([count] * 200 for count in range(2, 52))]
+
+
+class _Hesitant(FibonacciServer):
+    """Accepts goals, and runs one when the test says so."""
+
+    def _accepted(self, handle: Any) -> None:
+        self._ends[id_of(handle)] = threading.Event()
+        self.goals.append(handle)
+
+    def run(self, number: int) -> None:
+        self.finish(number, number=number)
+        self.goals[number].execute()
+
+
+def test_results_are_asked_for_in_turn(bridge: Bridge, robot: Domain, client: FibonacciClient) -> None:
+    """The providing side's bridge is a new one, which asks for all of them at once."""
+    with closing(_Hesitant(robot.id, result_timeout=180.0)) as server:
+        _, provider = bridge.both(FIBONACCI)
+        goals = [client.send(number).ask() for number in range(30)]
+        provider.stop()
+        successor = bridge.client(FIBONACCI)
+        eventually(lambda: sum(each.result_awaited for each in route(successor, ACTION).goals) == len(goals))
+        for number in range(len(goals)):  # one after the other: the client keeps ten answers
+            server.run(number)
+            eventually(lambda number=number: sum(goal.has_result for goal in goals) == number + 1)

@@ -1,0 +1,75 @@
+"""Feedback that a link delivers at once after a gap, and clients that keep ten messages."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from tests.support.goals import cancel_response, goal
+from tests.support.inside import offers_of, pending_calls
+from tests.support.offline import half_of
+
+from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.calls.calling import CallerCall
+from rsb_bridge.route.calls.calling_action import CallingActionRoute
+from rsb_bridge.wire.headers import CallFrame, What
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.wire.framing import Message
+
+_MS = 1_000_000
+
+
+class Client:
+    """A client of an action: what it gets, and when (s)."""
+
+    def __init__(self, make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+        self.got: list[tuple[float, int]] = []
+        self.loop = loop
+        self.route = half_of(CallingActionRoute, make_context(), Topic("/dock", "receive", kind="action"), here=False)
+        publisher: Any = SimpleNamespace(publish=lambda content: self.got.append((loop.time(), content[-1])))
+        offers_of(self.route).publishers[FEEDBACK] = publisher
+
+    def asks(self) -> None:
+        server: Any = SimpleNamespace(answer=lambda *_: self.got.append((self.loop.time(), -1)))
+        pending_calls(self.route).begin(CallerCall(CANCEL_GOAL, 1, 0.0, server, b"caller"), None)
+
+    def times(self) -> list[float]:
+        return [at for at, _ in self.got]
+
+
+def feedback(number: int, at_ms: float) -> Message:
+    content = b"\0\1\0\0" + goal(1) + bytes((number,))
+    return CallFrame(What.MESSAGE, FEEDBACK, 0, 0, content).pack(), int(at_ms * _MS), 0
+
+
+def test_feedback_that_comes_at_once_is_kept_apart(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+    client = Client(make_context, loop)
+    client.asks()
+    answer = CallFrame(What.ANSWER, CANCEL_GOAL, 1, 0, cancel_response(goal(1))).pack(), 0, 0
+    client.route.deliver([*(feedback(number, 1000 + 60 * number) for number in range(50)), answer])
+    client.route.deliver([feedback(50, 1000 + 60 * 50)])
+    loop.run_until_complete(asyncio.sleep(3.0))
+    assert [number for _, number in client.got] == [*range(50), -1, 50], "later frames wait, too"
+    times = client.times()
+    assert all(later - earlier > 0.019 for earlier, later in itertools.pairwise(times[1:50]))
+    assert times[-1] - times[0] < 1.1
+
+
+def test_feedback_in_time_is_not_delayed(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+    """At 1 kHz, also if messages come in pairs."""
+    client = Client(make_context, loop)
+    for number in range(0, 100, 2):
+        began = loop.time()
+        client.route.deliver([feedback(number, 1000 + number), feedback(number + 1, 1000 + number + 1)])
+        loop.run_until_complete(asyncio.sleep(0.002))
+        assert len(client.got) == number + 2
+        assert client.times()[-1] - began < 0.001
