@@ -14,6 +14,7 @@ from rsb_bridge.config.imports.importing import ImportMistake, import_file
 from rsb_bridge.config.imports.name_expressions import globs, patterns
 from rsb_bridge.config.imports.other_bridges import Choices, Imported
 from rsb_bridge.config.imports.zenoh_bridge import ZenohBridgeMistake, ZenohBridgeNote
+from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.config.session_file import SavingProblem, SessionError, dump, load, parse, same
 from rsb_bridge.model.patterns import Pattern, is_valid
 from rsb_bridge.model.session import Client, Grant, Topic
@@ -193,17 +194,36 @@ def test_zenoh_server_list_becomes_rights() -> None:
         Client(
             "robot1",
             allow=(
-                Grant("*/scan", may="read"),
+                Grant("*/scan", may="read", max_rate=5.0),
                 Grant("/map", may="read"),
-                Grant("/tf", may="read"),
+                Grant("/tf", may="read", max_rate=10.0),
                 Grant("/cmd_vel", may="publish"),
                 Grant(services="*/light", may="call"),
                 Grant(services="/dock", may="call"),
-                Grant("/tf", may="read", max_rate=10.0),
-                Grant("*/scan", may="read", max_rate=5.0),
             ),
         ),
     )
+
+
+@pytest.mark.parametrize("names", ["'/cmd_[a-z]+'", ""])
+def test_zenoh_server_that_allows_nothing_denies_all(names: str) -> None:
+    text = f"plugins: {{ros2dds: {{allow: {{publishers: [{names}]}}}}}}\n"
+    sessions, notes, _ = imported(text, name="robot1", key_file="robot1.key")
+    rights = rights_of_client(sessions[""].accepted_clients[0], "control")
+    assert not rights.shows("/cmd_vel")
+    assert not rights.shows("/dock", "service")
+    assert any(says(each, ZenohBridgeNote.NOTHING_ALLOWED) for each in notes)
+
+
+@pytest.mark.parametrize("rule", [".*", "/secret", ".*/image"])
+def test_zenoh_rate_allows_nothing_more(rule: str) -> None:
+    text = f"plugins: {{ros2dds: {{allow: {{publishers: [/scan, '/cam/.*']}}, pub_max_frequencies: ['{rule}=5']}}}}\n"
+    sessions, _, _ = imported(text, name="robot1", key_file="robot1.key")
+    rights = rights_of_client(sessions[""].accepted_clients[0], "control")
+    assert rights.shows("/scan")
+    assert rights.shows("/cam/image")
+    assert not rights.shows("/secret")
+    assert not rights.shows("/other/image")
 
 
 def test_zenoh_json5_is_read() -> None:

@@ -6,6 +6,7 @@ and the server's list becomes the client's rights. Both sides are linked over TC
 
 from __future__ import annotations
 
+import fnmatch
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.decoding import show
@@ -27,6 +28,7 @@ _INTERFACES = ("publishers", "subscribers", "service_servers", "service_clients"
 _HANDLED = {"namespace", "domain", "allow", "deny", "pub_max_frequencies", "pub_priorities", "queries_timeout"}
 _OF_THE_FILE = {"plugins", "mode", "connect", "listen"}
 _ALL = "/**"
+_EVERYTHING = "*"
 _HIGHEST_NORMAL, _LOWEST_NORMAL = 4, 5  # of Zenoh's 1 to 7; 5 is its default
 
 
@@ -51,6 +53,7 @@ class ZenohBridgeNote(Wording):
     FURTHER = "connect {endpoint}: left out: a client has one server"
     LISTENS = "listen {endpoint}: the server takes port {port} on all addresses"
     ALL_NAMES = "{name} bridges at most 100 names: list important ones by name"
+    NOTHING_ALLOWED = "allow: it names nothing that can be written: all is denied; correct deny, and add allow"
     SERVER_PRIORITY = "pub_priorities: left out: set priority in the client's entries"
     TIMEOUTS = "queries_timeout: only a number of seconds for services is carried over"
     EXPRESS = "pub_priorities: express left out: messages are sent at once where the link is free"
@@ -155,17 +158,27 @@ class _Conversion:
         may = ("read", "publish", "call", "serve", "call", "serve")
         listed = self._plugin.keys() & {"allow", "deny"}
         for interface, right in zip(_INTERFACES, may, strict=True):
-            allowed, denied = self._names(interface, globs, "*")
+            allowed, denied = self._names(interface, globs, _EVERYTHING)
             key = "topics" if right in ("read", "publish") else "services"
             entries = allowed if "allow" in listed else denied if "deny" in listed else []
             rights["deny" if "deny" in listed else "allow"] += [{key: name, "may": right} for name in entries]
-        unique = {key: [dict(each) for each in dict.fromkeys(tuple(entry.items()) for entry in entries)]
-                  for key, entries in rights.items()}  # fmt: skip
+        unique: dict[str, list[Any]] = {
+            key: [dict(each) for each in dict.fromkeys(tuple(entry.items()) for entry in entries)]
+            for key, entries in rights.items()
+        }
         for name, rate in self._settings("pub_max_frequencies", globs):
-            if "allow" in listed:  # of several rights that match a topic, each narrows it
+            # A right of its own may only narrow one that is there: it would allow what no list does.
+            read = [each for each in unique["allow"] if each["may"] == "read"]
+            if alike := [each for each in read if fnmatch.fnmatchcase(each["topics"], name)]:
+                for each in alike:
+                    each.setdefault("max_rate", rate)
+            elif any(fnmatch.fnmatchcase(name, each["topics"]) for each in read):
                 unique["allow"].append({"topics": name, "may": "read", "max_rate": rate})
-            else:  # as the only right, it would forbid everything else
+            else:
                 self.notes.append(ZenohBridgeNote.NO_ENTRY(key="pub_max_frequencies", expression=name))
+        if "allow" in listed and not unique["allow"]:  # a client without rights here may do everything
+            unique["deny"] = [_EVERYTHING]
+            self.notes.append(ZenohBridgeNote.NOTHING_ALLOWED())
         if self._plugin.get("pub_priorities"):
             self.notes.append(ZenohBridgeNote.SERVER_PRIORITY())
         client = {"name": session["name"]} | {key: value for key, value in unique.items() if value}
