@@ -399,6 +399,23 @@ def test_a_base_that_cannot_hear_is_not_driven(
     assert not base.payloads
 
 
+@pytest.mark.parametrize("from_server", [True, False], ids=["receive", "transmit"])
+def test_a_message_has_the_sessions_type_and_names_who_has_another(
+    bridge: Bridge, robot: Domain, pc: Domain, from_server: bool
+) -> None:
+    base = (robot if from_server else pc).listener("/cmd", TwistStamped)
+    engine = bridge.both(Topic("/cmd", "receive" if from_server else "transmit", type="Twist"))[not from_server]
+    eventually(lambda: now(engine).routes)
+    # Also once the other side has reported what it has.
+    holds(lambda: engine.draft_message("/cmd").result(30).type_name == TWIST, 3.0)
+    landing = Landing("/cmd", now(engine))
+    eventually(lambda: publish(engine, "linear: {x: 0.1}").links)
+    eventually(lambda: landing.is_settled(now(engine), ("robot1",)))
+    (landed,) = landing.reports(now(engine), ("robot1",))
+    assert [(each.node, each.cause) for each in landed.audience.deaf] == [("/stock", "type_conflict")]
+    assert not base.payloads
+
+
 @pytest.mark.parametrize("bridged", [True, False])
 def test_a_message_names_who_cannot_hear_it(bridge: Bridge, robot: Domain, pc: Domain, bridged: bool) -> None:
     robot.publisher("/words")  # its QoS is taken

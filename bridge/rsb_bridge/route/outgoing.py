@@ -15,6 +15,7 @@ from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.model.audience import NOBODY, Audience, Deaf
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
@@ -477,8 +478,11 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     @property
     def present_type(self) -> TypeVersion:
-        is_sent = self.type_name and self.endpoints
-        return TypeVersion(self.type_name, self.type_hash) if is_sent else self._resolver.hint
+        if self.type_name and self.endpoints:
+            return TypeVersion(self.type_name, self.type_hash)
+        hint, named = self._resolver.hint, self.spec.type
+        # It carries no other than the session's, whatever nodes of the other side have.
+        return hint if named == "auto" or expand_type_name(named) == hint.name else TypeVersion(expand_type_name(named))
 
     def takes(self, gid: bytes) -> bool:
         """Whether messages of a publisher here are taken now, or held until their origin is found out."""
