@@ -33,11 +33,11 @@ __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate
 class SavingProblem(Wording):
     """The reason why a session file cannot be read as such, or be saved."""
 
-    CHANGED = "was changed on disk after it was opened: open it again, or save under another name"
+    CHANGED = "was changed on disk: `rsb-console reload` takes the file, w in a console compares and asks"
     FOREIGN = "this is a file of {origin}: convert it with `rsb-console import {path}`"
     NOT_WRITTEN = "cannot be written: {problem}"
     READ_ONLY = "it is read-only: run `chmod u+w {path}` to save it"
-    LAYOUT = "its layout cannot be edited in place: save under another name, or rewrite the whole file"
+    LAYOUT = "its layout cannot be edited in place: w in a console saves it anew, or under another name"
 
 
 class ChangedOnDiskError(SessionError):
