@@ -180,6 +180,17 @@ def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, 
     same_on_both_sides(robot, pc, "/path", messages[-5:])
 
 
+@pytest.mark.parametrize("depth", [1, 5])
+def test_a_late_joiner_hears_no_more_of_a_burst(depth: int, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    out = robot.publisher("/path", qos=latched(depth))
+    bridge.both(Topic("/path", "transmit"))
+    steady = pc.listener("/path", qos=latched(1000))
+    eventually(lambda: out.get_subscription_count() == 1)
+    messages = publish(out, "pose", range(300))
+    eventually(lambda: list(map(bytes, steady.payloads)) == messages)
+    same_on_both_sides(robot, pc, "/path", messages[-depth:])
+
+
 def is_fine(shown: RouteSnapshot) -> bool:
     """Whether a route is fine for every command: the table, `wait`, and the stages of the detail."""
     passed = all(each.done for each in shown.stages)

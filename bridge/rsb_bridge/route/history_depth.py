@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 _SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
 _HELD_FOR = 0.3
 """s; a probe takes 0.1 to 0.2 s on an idle machine. A publisher is busy that has not been quiet for so long."""
-_HELD = 64
-"""Messages of one publisher. At 5 kHz they come within 13 ms, and released together they fit into usual depths."""
+_HELD = LATCHED_DEPTH
+"""Messages of one publisher. A longer burst is sent with the most that may be kept: its end stays too long for late
+joiners, as nothing shortens what a publisher of the peer keeps."""
 _PROBES_FOR = 1.0
 """s until a probe ends that has not got what it waits for: five times as long as one takes on an idle machine."""
 _PROBE_SETTLES_AFTER = 0.05
