@@ -281,16 +281,17 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
     """
     address, port = split_address(address)
     guessed = not address and session.server_ip in _ANY_ADDRESS
+    by_zenoh = session.is_zenoh  # then address and port are of the endpoint that the server listens at
     key_file = client.key_file or session.key_file
     robot = Session(
         name=client.name,
         role="client",
-        server_ip=address or (own_address() if guessed else session.server_ip),
-        server_port=session.server_port if port is None else port,
+        server_ip=address if address and not by_zenoh else own_address() if guessed else session.server_ip,
+        server_port=session.server_port if by_zenoh or port is None else port,
         bluetooth_address=session.bluetooth_address,
         use_encryption=session.use_encryption,
         key_file=key_file.rpartition("/")[2] if key_file is not None and session.use_encryption else None,
-        zenoh=_of_client(session.zenoh, address, port) if session.zenoh is not None else None,
+        zenoh=session.zenoh and _of_client(session.zenoh, address, port if by_zenoh else None),
     )
     lines = dump(robot).splitlines()
     if guessed:
@@ -306,7 +307,9 @@ def _of_client(zenoh: ZenohSettings, address: str, port: int | None) -> ZenohSet
     if zenoh.connect or not zenoh.listen:
         return msgspec.structs.replace(zenoh, listen=())
     protocol, _, place = zenoh.listen[0].partition("/")
-    endpoint = f"{protocol}/{address or own_address()}:{place.rpartition(':')[2] if port is None else port}"
+    host = address or own_address()
+    bracketed = f"[{host}]" if ":" in host else host
+    endpoint = f"{protocol}/{bracketed}:{place.rpartition(':')[2] if port is None else port}"
     return msgspec.structs.replace(zenoh, connect=(endpoint,), listen=())
 
 
