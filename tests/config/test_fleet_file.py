@@ -37,6 +37,7 @@ def test_what_it_says_is_read_and_its_files_are_beside_it(tmp_path: Path) -> Non
         (f'{ZENOH}operator: "anna\\u202e"\nkey_file: anna.key\n', {"operator"}),
         (f"{ZENOH}{ANNA}operators: []\n", {"operators"}),
         (f"zenoh: {{connect: [hub], fleet: lab}}\n{ANNA}", {"zenoh.connect[0]"}),
+        (f"zenoh: {{connect: ['tcp/[fe80::1]:7447'], fleet: lab}}\n{ANNA}", {"zenoh.connect[0]"}),
         (f"zenoh: {{connect: [tcp/hub:7447], fleet: 'a/b'}}\n{ANNA}", {"zenoh.fleet"}),
         (f"zenoh: 3\n{ANNA}", {"zenoh"}),
         ("operator: [\n", {""}),

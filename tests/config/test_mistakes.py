@@ -26,6 +26,7 @@ CLOSE_TO_LASER_SCAN = " or ".join(
     f"sensor_msgs/msg/{name}" for name in ("LaserScan", "MultiEchoLaserScan", "LaserEcho")
 )
 MAC = "5C:F3:70:9A:1B:2E"
+OVER_ZENOH = CLIENT.replace("192.168.1.10", "zenoh").replace("server_port: 49152\n", "")
 
 
 def refusals(text: str) -> list[str]:
@@ -156,6 +157,10 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (CLIENT.replace("192.168.1.10", "0.0.0.0"), "3 server_ip", SessionMistake.ADDRESS_OF_CLIENT, {}),
         (CLIENT.replace("192.168.1.10", "fe80::1"), "3 server_ip", SessionMistake.ZONE_MISSING, {"address": "fe80::1"}),
         (CLIENT + "metrics: '[fe80::1]:9464'\n", "6 metrics", SessionMistake.ZONE_MISSING, {}),
+        (OVER_ZENOH + "zenoh: {connect: ['tcp/hub:7447', 'tls/[fe80::1]:7447']}\n", "5 zenoh.connect[1]",
+         SessionMistake.ZONE_MISSING, {"address": "fe80::1"}),
+        (OVER_ZENOH + "zenoh: {listen: ['udp/[FE80::1]:7447#iface=lo']}\n", "5 zenoh.listen[0]",
+         SessionMistake.ZONE_MISSING, {"address": "FE80::1"}),
         (CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"), "3 server_ip", SessionMistake.ADDRESS_WITH_DASHES, {}),
         (BLUETOOTH.replace("port: 5", "port: 31"), "4 server_port", TopicMistake.INVALID_PORT, {}),
         (CLIENT.replace("role: client", "role: cleint"), "2 role", ValueMistake.MISFIT, {}),
@@ -410,6 +415,14 @@ def test_addresses_are_text_without_quotes(server_ip: str) -> None:
     assert session.server_ip == server_ip
     assert session.name == "off"
     assert session.is_bluetooth is (server_ip == "80:32:53:10:12:20")
+
+
+@pytest.mark.parametrize("zone", ["wlan0", "br-lan", "eth0.100", "2"])
+def test_a_zone_of_an_endpoint_is_any_interface(zone: str) -> None:
+    endpoint = f"tls/[fe80::1%{zone}]:7447"
+    session = parse(f"{OVER_ZENOH}zenoh: {{connect: ['{endpoint}']}}\n", FILE)
+    assert session.zenoh is not None
+    assert session.zenoh.connect == (endpoint,)
 
 
 @pytest.mark.parametrize("group", ["''", "' '", '"hall\\e[2J"', "x" * 256, "[hall]", "5"])

@@ -244,7 +244,7 @@ _ENTRY = re.compile(rf"(?P<list>{'|'.join(NOUNS)})\[(?P<at>\d{{1,9}})\]")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 _ZENOH_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")
 """Protocols of endpoints. The wheel knows more."""
-_ZENOH_HOST = r"\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\[\]:/\s]+"
+_ZENOH_HOST = r"\[[0-9A-Fa-f:.]+(%[^\]\s]+)?\]|[^\[\]:/\s]+"
 _ZENOH_ENDPOINT = re.compile(rf"(?P<protocol>[a-z0-9_]+)/(?P<host>{_ZENOH_HOST}):(?P<port>\d{{1,5}})([?#]\S*)?")
 _FLEET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _MOST_ENDPOINTS = 16  # a round figure: Zenoh tries them in turn (docs/zenoh.md)

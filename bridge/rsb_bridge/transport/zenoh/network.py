@@ -9,6 +9,7 @@ import base64
 import contextlib
 import json
 import os
+import re
 import socket
 import ssl
 import threading
@@ -39,6 +40,7 @@ _WITHIN = 2.0
 """s for each step of a look at an endpoint, which an operator waits for: a round figure."""
 _IP = (socket.AF_INET, socket.AF_INET6)
 _OVER_TCP = ("tcp", "tls", "ws")
+_ZONE = re.compile(r"(?<=%)[^\]]+(?=\]:\d)")
 _MOST = 4
 """Endpoints that are looked at, one after another: a round figure."""
 _EXPIRED, _NOT_YET_VALID, _WRONG_NAMES = 10, 9, (62, 64)
@@ -76,6 +78,7 @@ class NetworkProblem(Wording):
 
     CLOSED = "{place}: closed meanwhile"
     CONFIG = "zenoh.config: {path}: {error}"
+    NO_INTERFACE = "{endpoint}: this machine has no interface {name}: correct it (ip addr shows them)"
 
 
 def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -> str:
@@ -384,9 +387,9 @@ class Network:
         if json.loads(config.get_json("mode")) is None:
             _set(config, "mode", "peer" if settings.listen else "client")
         if settings.connect:
-            _set(config, "connect/endpoints", list(settings.connect))
+            _set(config, "connect/endpoints", [_with_zone_number(each) for each in settings.connect])
         if settings.listen:
-            _set(config, "listen/endpoints", list(settings.listen))
+            _set(config, "listen/endpoints", [_with_zone_number(each) for each in settings.listen])
         _set(config, "connect/retry", {**_RETRY, "period_init_ms": int(_RETRY["period_init_ms"] * (1 + self._jitter))})
         _set(config, "transport/unicast/open_timeout", _HANDSHAKE)
         _set(config, "transport/link/tx/lease", _LEASE)
@@ -472,6 +475,18 @@ def _comparable(address: tuple[str, int] | tuple[str, int, int, int]) -> tuple[o
 
 def _set(config: zenoh.Config, key: str, value: object) -> None:
     config.insert_json5(key, json.dumps(value))
+
+
+def _with_zone_number(endpoint: str) -> str:
+    """Return an endpoint with its zone's number instead of an interface's name, which Zenoh does not read."""
+    zone = _ZONE.search(endpoint)
+    if zone is None or zone[0].isdecimal():
+        return endpoint
+    try:
+        number = socket.if_nametoindex(zone[0])
+    except OSError:
+        raise OSError(NetworkProblem.NO_INTERFACE(endpoint=endpoint, name=zone[0])) from None
+    return f"{endpoint[: zone.start()]}{number}{endpoint[zone.end() :]}"
 
 
 def _from_its_folder(config: zenoh.Config, folder: Path) -> None:
