@@ -90,7 +90,7 @@ class _Expansion:
             self.result = zstandard.ZstdError("not enough memory to unpack it")
 
 
-class Publication:
+class LongPublication:
     """A long message that is given to DDS on another thread.
 
     Args:
@@ -168,7 +168,7 @@ class ExpansionBudget:
         self.over_time = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, now)
         self._this_turn = 0
         self._waiting: deque[Callable[[], None]] = deque()
-        self._aside: deque[_Expansion | Publication] = deque()
+        self._aside: deque[_Expansion | LongPublication] = deque()
         self._is_busy = False
 
     def expand(self, expansion: _Expansion, loop: asyncio.AbstractEventLoop) -> None:
@@ -176,7 +176,7 @@ class ExpansionBudget:
         self._aside.append(expansion)
         self._do_next(loop)
 
-    def publish(self, publication: Publication, loop: asyncio.AbstractEventLoop) -> None:
+    def publish(self, publication: LongPublication, loop: asyncio.AbstractEventLoop) -> None:
         """Publish a message on another thread, before further ones are unpacked: each takes memory until then."""
         self._aside.appendleft(publication)
         self._do_next(loop)
@@ -190,7 +190,7 @@ class ExpansionBudget:
             elif work.wanted:
                 work.then()
 
-    def _done(self, work: _Expansion | Publication, loop: asyncio.AbstractEventLoop, _: object) -> None:
+    def _done(self, work: _Expansion | LongPublication, loop: asyncio.AbstractEventLoop, _: object) -> None:
         if work.wanted and not work.begun:
             self._aside.appendleft(work)
         elif work.wanted:
@@ -259,7 +259,7 @@ class Unpacker:
         self._reopen = reopen
         self._decompressor = zstandard.ZstdDecompressor()
         self._expansion: _Expansion | None = None
-        self._publication: Publication | None = None
+        self._publication: LongPublication | None = None
 
     def begin(self, message: Message) -> bool:
         """Return whether a message can be unpacked at this turn of the loop. One that will be refused costs no turn.
@@ -318,7 +318,7 @@ class Unpacker:
             then: called with the reason why it is not published, or None.
         """
         then = partial(self._published, then)
-        self._publication = Publication(publisher, content, look, self._context.clock.steady, then)
+        self._publication = LongPublication(publisher, content, look, self._context.clock.steady, then)
         self.holds = True
         self._budget.publish(self._publication, self._context.loop)
 

@@ -13,7 +13,7 @@ from rsb_bridge.model.qos import AUTO_DEPTH
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.latched import MESSAGE_COST, LatchedFullError, LatchedTopic
-from rsb_bridge.route.message_check import Publication
+from rsb_bridge.route.message_check import LongPublication
 from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
@@ -351,7 +351,7 @@ class _SourcePublisher:
             then(why)
             self._resumed()
 
-        made = Publication(publisher, content, look, self._context.clock.steady, published)
+        made = LongPublication(publisher, content, look, self._context.clock.steady, published)
         self._peer.budget.expansion.publish(made, self._context.loop)
 
     def _advertise(self, depth: int) -> Publisher:
