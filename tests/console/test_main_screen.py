@@ -396,9 +396,10 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
     class Broken(ScriptedEngine):
         def start(self) -> None:
             self.now = replace(self.now, running=False, links=(), routes=())
-            self.happened = [
-                Event(1, NOW, Level.ERROR, EventCode.ENGINE_NOT_STARTED, "port 49152 taken: choose another one")
-            ]
+            number = self.happened[-1].number + 1  # the console may have read all before it
+            self.happened.append(
+                Event(number, NOW, Level.ERROR, EventCode.ENGINE_NOT_STARTED, "port 49152 taken: choose another one")
+            )
             raise EngineError("port 49152 taken: choose another one")
 
     class Server:

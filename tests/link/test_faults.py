@@ -13,9 +13,11 @@ from tests.support.bridge import happened, link, linked, now
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
+from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import LinkShutdown
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
@@ -74,23 +76,39 @@ def test_a_replay_is_no_second_client(bridge: Bridge) -> None:
     assert linked(first)
 
 
+RESET = Reason("Connection reset by peer", EndCode.BROKE)
+
+
 @pytest.mark.parametrize(
-    ("reason", "code", "cause", "remedy"),
+    ("goodbye", "reason", "code", "remedy"),
     [
-        (CLOSED_BY_PEER, EventCode.LINK_LOST, LinkCause.LOST, True),
-        ("Connection reset by peer", EventCode.LINK_LOST, LinkCause.LOST, False),
-        ("the server stops", EventCode.LINK_CLOSED, LinkCause.CLOSED, False),
-        (CLOSED_BY_PEER, EventCode.LINK_CLOSED, LinkCause.CLOSED, False),
+        ("", CLOSED_BY_PEER, EventCode.LINK_LOST, True),
+        ("", RESET, EventCode.LINK_LOST, False),
+        ("the server stops", CLOSED_BY_PEER, EventCode.LINK_CLOSED, False),
     ],
 )
-def test_only_without_a_goodbye_is_there_a_remedy(reason: str, code: EventCode, cause: LinkCause, remedy: bool) -> None:
+async def test_only_without_a_goodbye_is_there_a_remedy(
+    goodbye: str, reason: Reason, code: EventCode, remedy: bool
+) -> None:
     """The kernel of a killed process closes its connection in order."""
+    lost: list[tuple[str, EventCode]] = []
+    channel = ControlChannel(MagicMock(), MagicMock(), {}, lambda *found: lost.append(found))
+    if goodbye:
+        channel.abort(goodbye, code)
+    channel.closed(reason)
+    ((said, found),) = lost
+    assert found is code
+    assert (said not in (goodbye, reason.text)) is remedy
+
+
+@pytest.mark.parametrize(
+    ("code", "cause"), [(EventCode.LINK_LOST, LinkCause.LOST), (EventCode.LINK_CLOSED, LinkCause.CLOSED)]
+)
+def test_a_link_that_ends_has_the_cause_of_its_code(code: EventCode, cause: LinkCause) -> None:
     broken = MagicMock(_is_silent=False)
     broken.transport.problem = ""
-    Link.lost(broken, reason, code)
-    found, said = broken.status.down.call_args.args
-    assert found == cause
-    assert (said != reason) is remedy
+    Link.lost(broken, "in words", code)
+    assert broken.status.down.call_args.args == (cause, "in words")
 
 
 def test_a_client_that_is_shut_down_names_the_remedy_on_both_sides(bridge: Bridge) -> None:

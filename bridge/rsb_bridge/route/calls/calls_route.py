@@ -62,7 +62,7 @@ _FRAMES_AT_ONCE = 32
 """Frames of one batch. A round figure: long ones are bounded by `batch_bytes`."""
 _OF_CALLS = (What.CALL, What.AGAIN, What.ANSWER)
 _APART = 0.02
-"""s that messages are kept apart at most. With 4 ms, some of 50 were lost in 3 of 4 runs at a load average of 20, once all."""
+"""s that messages are kept apart at most. With 4 ms, some of 50 were lost in 3 of 4 runs at a load average of 20."""
 _ZSTD_LEVEL = 3
 """As of topics: 2.4 ns a byte of a map (bench/README.md)."""
 _MOST_REFUSALS = 8192
