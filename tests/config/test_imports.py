@@ -29,7 +29,8 @@ topics:
   battery:
     type: sensor_msgs/msg/BatteryState
     remap: hall/battery
-    qos: {reliability: best_effort, durability: volatile, depth: 5, deadline: 500000000, lifespan: -1}
+    qos: {reliability: best_effort, durability: volatile, depth: 5, deadline: 500000000, lifespan: -1,
+          liveliness: manual_by_topic, liveliness_lease_duration: 2000000000}
   goal_pose:
     type: geometry_msgs/msg/PoseStamped
     reversed: True
@@ -80,7 +81,10 @@ def test_domain_pair_becomes_client_and_server() -> None:
         ("hall", "127.0.0.1", 7060, "hall.key")
     }
     assert keys == ("hall.key",)
-    qos = {"reliability": "best_effort", "durability": "volatile", "depth": 5, "deadline": 0.5}
+    qos = {
+        "reliability": "best_effort", "durability": "volatile", "depth": 5, "deadline": 0.5,
+        "liveliness": "manual_by_topic", "liveliness_lease_duration": 2.0,
+    }  # fmt: skip
     assert client.topics == (
         Topic("/clock", "transmit", "rosgraph_msgs/msg/Clock"),
         Topic("/battery", "transmit", "sensor_msgs/msg/BatteryState", qos=qos, remote_topic="/hall/battery"),
@@ -113,7 +117,7 @@ def test_remapped_receiving_topic_is_named_at_both_ends() -> None:
         ("{depth: 5}", DomainBridgeNote.POLICY_LEFT_OUT),
         ("{reliability: reliable}", DomainBridgeNote.POLICY_ASSUMED),
         ("{reliability: reliable, durability: volatile, lifespan: auto}", DomainBridgeNote.AUTO_TIME),
-        ("{reliability: reliable, durability: volatile, liveliness: automatic}", DomainBridgeNote.LEFT_OUT),
+        ("{reliability: reliable, durability: volatile, partition: cell}", DomainBridgeNote.LEFT_OUT),
     ],
 )
 def test_lost_policies_are_noted(qos: str, note: DomainBridgeNote) -> None:
@@ -148,7 +152,7 @@ def test_domain_bridge_mistakes_have_lines(text: str, location: str, line: int, 
 
 def test_mistake_of_session_has_line_of_topic() -> None:
     text = DOMAINS.replace("std_msgs/msg/String", "no type")
-    assert ("topics.chat.type", 14) in [(where, line) for where, line, _ in mistakes(text)]
+    assert ("topics.chat.type", 15) in [(where, line) for where, line, _ in mistakes(text)]
 
 
 def test_zenoh_client_lists_what_it_allows() -> None:

@@ -16,6 +16,7 @@ from rsb_bridge.config.validation import build
 from rsb_bridge.config.yaml_text import Document, SessionError, scalar
 from rsb_bridge.model.limits import DEFAULT_PORT
 from rsb_bridge.model.names import well_formed
+from rsb_bridge.model.qos import TIMES
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.wording import Wording
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 _KNOWN = {"name", "from_domain", "to_domain", "mode", "topics"}
 _OF_A_TOPIC = {"type", "from_domain", "to_domain", "remap", "qos", "bidirectional", "reversed"}
 _NS = 1e-9
-_NAMED_POLICIES = ("reliability", "durability", "history", "depth")
+_NAMED_POLICIES = ("reliability", "durability", "history", "depth", "liveliness")
 
 
 class DomainBridgeMistake(Wording):
@@ -172,13 +173,13 @@ class _Conversion:
         for policy, value in (("reliability", "reliable"), ("durability", "volatile")):
             if policy not in given:
                 self.notes.append(DomainBridgeNote.POLICY_ASSUMED(topic=entry.name, policy=policy, value=value))
-        for policy in ("deadline", "lifespan"):
+        for policy in TIMES:
             nanoseconds = given.get(policy)
             if nanoseconds == "auto":
                 self.notes.append(DomainBridgeNote.AUTO_TIME(topic=entry.name, policy=policy))
             elif isinstance(nanoseconds, int) and nanoseconds > 0:  # any other means none
                 qos[policy] = nanoseconds * _NS
-        unknown = given.keys() - {*_NAMED_POLICIES, "deadline", "lifespan"}
+        unknown = given.keys() - {*_NAMED_POLICIES, *TIMES}
         self.notes += [DomainBridgeNote.LEFT_OUT(where=f"{entry.name}: qos {key}") for key in sorted(unknown)]
         return {"qos": qos}
 
