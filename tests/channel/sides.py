@@ -65,6 +65,7 @@ class Route:
         self.arrived += [(payload, now) for payload, _, _ in messages]
 
     def channel_lost(self, reason: Reason) -> None:
+        assert reason.broke
         self.lost.append(reason.text)
         self.channel.close(reason.text)
 

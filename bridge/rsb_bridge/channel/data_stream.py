@@ -125,7 +125,8 @@ class DataStream(StreamHandler):
         self._pair.scheduler.run()
 
     def closed(self, reason: Reason) -> None:
-        self._pair.cut(self, reason)
+        # Its routes have lost it, also if this side gave it up.
+        self._pair.cut(self, reason if reason.broke else Reason(reason.text, EndCode.BROKE))
 
     def given_up(self) -> None:
         """End, as the other side has given it up."""

@@ -27,7 +27,7 @@ from rsb_bridge.link.proposals import (
 )
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
-from rsb_bridge.model.reason import EndCode, Reason
+from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
@@ -610,9 +610,10 @@ class RouteTable(Extension):
             case Describe() | Ready() | Publishers() | Provide():
                 _dispatch(message, route)
             case Close():
-                broke = message.code is not EndCode.DECIDED
-                text = message.reason if broke else f"closed by the other side: {message.reason}"
-                route.refuse(EventCode.ROUTE_CLOSED, Reason(text, message.code))
+                reason = Reason(message.reason, message.code)
+                if not reason.broke:
+                    reason = Reason(f"closed by the other side: {message.reason}")
+                route.refuse(EventCode.ROUTE_CLOSED, reason)
             case ByHand():
                 self._peer_operators.called(route, message)
             case Arm() | Armed() | Disarm():

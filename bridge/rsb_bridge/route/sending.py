@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
-_LOOKS_EVERY, _STANDS_STILL = 1.0, 0.3
+_LOOKS_EVERY, STANDS_STILL = 1.0, 0.3
 """s at least between the two looks at a queue that an overload takes, and s without a receipt after which the link
 stands still. Round figures. On simulated radios that stall twice in a row, 15 to 46 messages were lost without the
 second."""
@@ -205,7 +205,7 @@ class Overload:
         age = now - oldest_since
         # A link that stands still says nothing about its speed. And a queue that is young now may have got old at one
         # stroke by the next look, while it stood still.
-        if self._before is None or not self._turned or still > _STANDS_STILL or age < _WAITS:
+        if self._before is None or not self._turned or still > STANDS_STILL or age < _WAITS:
             self._before, self._turned = (now, age, length), False
         elif now - self._before[0] >= _LOOKS_EVERY:
             _, age_before, length_before = self._before

@@ -27,6 +27,7 @@ from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.message_check import ExpandsTooMuchError, Unpacker, malformed_text
 from rsb_bridge.route.route import Route
+from rsb_bridge.route.sending import STANDS_STILL
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
 from rsb_bridge.wire.headers import (
     CALL_HEADER_LENGTH,
@@ -68,9 +69,9 @@ _ZSTD_LEVEL = 3
 _MOST_REFUSALS = 8192
 """Refusals that wait at most; a peer that calls and reads nothing makes more. A call with a dropped refusal expires. A
 round figure, twice `peer.CALLS_UNDER_WAY`."""
-_STANDS_STILL, _KEPT_STILL = 0.3, 1000
-"""s without a receipt, as `sending._STANDS_STILL`, and messages of a lane that wait at most on a link that stands
-still: a gap may be over soon. A slow link gets as many as the lane's depth, the newest. Round figures."""
+_KEPT_STILL = 1000
+"""Messages of a lane that wait at most on a link that stands still: a gap may be over soon. A slow link gets as many as
+the lane's depth, the newest. A round figure."""
 _MESSAGE_BYTES = 32 << 20
 """Bytes of messages that wait, over all lanes. A round figure."""
 
@@ -128,7 +129,7 @@ class CallsOutbox:
         depth = qos.depth if qos is not None else 1
         if qos is not None and not qos.latched:
             # What a gap has left is not dropped once the link moves again.
-            depth = max(depth, _KEPT_STILL if still > _STANDS_STILL else self._messages[frame.lane])
+            depth = max(depth, _KEPT_STILL if still > STANDS_STILL else self._messages[frame.lane])
         self._messages[frame.lane] += 1
         self._message_bytes += len(frame.content)
         while self._messages[frame.lane] > depth or self._message_bytes > _MESSAGE_BYTES:
