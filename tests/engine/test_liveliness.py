@@ -11,7 +11,7 @@ from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, qos_profile_best_available
 from tests.engine.test_loops import connect
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.bridge import find, protocol_of, reloaded, route
 from tests.support.domain import LATCHED, Domain, Listener, text
 from tests.support.steady import Steady
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from rclpy.publisher import Publisher
     from tests.support.bridge import Bridge
+    from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
 
@@ -114,6 +115,46 @@ def test_lease_ends_on_far_side(bridge: Bridge, robot: Domain, pc: Domain, topic
     # Without a message
     eventually(lambda: alive_after([publisher], [watcher]) != [0])
     assert says(server, topic)[0] is State.OK
+
+
+@pytest.fixture
+def missed_assertions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have every other subscription miss the first assertion, as `tests/ros/test_missed_assertions.py` shows."""
+    ask, numbers, missed = replaced.ASK_LIVELINESS.value, dict[Any, int](), set[Any]()
+
+    def told(asked: Any) -> tuple[int, int] | None:
+        found: tuple[int, int] | None = ask(asked)
+        if numbers.setdefault(asked, len(numbers)) % 2 or found is None:
+            return found
+        alive, not_alive = found
+        if alive:
+            missed.add(asked)
+        return alive - (asked in missed), not_alive
+
+    replaced.ASK_LIVELINESS.set(monkeypatch, told)
+
+
+@pytest.mark.usefixtures("missed_assertions")
+@pytest.mark.parametrize(
+    ("topic", "listed", "direction"),
+    [
+        ("/tcp", "/tcp", "transmit"),
+        ("/tcp", "/tcp", "receive"),
+        ("/udp", "/udp", "transmit"),
+        ("/latched/tcp", "/latched/*", "transmit"),
+    ],
+)
+def test_missed_assertion_is_made_up_for(
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, topic: str, listed: str, direction: Any
+) -> None:
+    near, far = (robot, pc) if direction == "transmit" else (pc, robot)
+    qos = with_lease("manual_by_topic", latched="latched" in topic)
+    watcher, publishers = Watcher(far, topic, qos), [near.publisher(topic, qos=qos) for _ in range(2)]
+    bridge.both(Topic(listed, direction, protocol=protocol_of(topic)))
+    for each in publishers:
+        follows(each, watcher)
+    relay.cut()
+    follows(publishers[0], watcher)
 
 
 def test_death_of_process_is_heard(bridge: Bridge, mortal: subprocess.Popen[bytes], pc: Domain) -> None:

@@ -9,11 +9,11 @@ import pytest
 from tests.support.virtual_time import virtual_loop
 
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
-from rsb_bridge.ros.ros_interface import OnFailure, RosError
+from rsb_bridge.ros.ros_interface import Liveliness, OnFailure, RosError
 
 
 class _Opened:
-    lost, alive = 3, True
+    lost, liveliness = 3, Liveliness(alive=1)
     matched = 1
 
     def __init__(self, on_failure: OnFailure) -> None:

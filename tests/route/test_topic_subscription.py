@@ -9,7 +9,7 @@ import pytest
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, auto_depth
-from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_bridge.ros.ros_interface import Liveliness, TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.peer import TypeBudget
 from rsb_bridge.route.topic_subscription import TopicSubscription
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.route.sending import OutgoingPath
+
+
+LEASE = 2.0
+LEASED = Qos(liveliness="manual_by_topic", liveliness_lease_duration=LEASE)
 
 
 class FakeRos(NoRos):
@@ -44,6 +48,7 @@ class FakeSubscription:
         self.qos = qos
         self.lost = 0
         self.matched = 1
+        self.liveliness = Liveliness(alive=0, unjudged=1)
         self.closed = False
 
     def close(self) -> None:
@@ -129,6 +134,52 @@ def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
     assert owner.events == [EventCode.ROUTE_DEEPENED]
     assert subscription.close() == 0
     assert ros.made[1].closed
+
+
+def test_dds_is_asked_anew_who_is_alive(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """A subscription that missed an assertion while it was made calls its publisher not alive for ever."""
+    ros = FakeRos()
+    subscription = make_subscription(make_context(ros), Owner(), LEASED, automatic=False)
+
+    def alive_after(seconds: float) -> bool:
+        loop.run_until_complete(asyncio.sleep(seconds))
+        return subscription.alive
+
+    def taking() -> list[int]:
+        return [number for number, made in enumerate(ros.made) if not made.closed]
+
+    assert not alive_after(0.9 * LEASE)
+    assert taking() == [0]
+    assert not alive_after(0.6 * LEASE)
+    assert taking() == [0, 1]
+    assert not alive_after(60.0)  # the second one has missed it, too
+    asked = len(ros.made)
+    assert asked in range(4, 8)
+    assert taking() == [0, asked - 1]
+    ros.made[-1].liveliness = Liveliness(alive=1)
+    assert alive_after(LEASE)
+    ros.made[-1].liveliness = Liveliness(alive=0)
+    assert not alive_after(LEASE)
+    ros.made[-1].liveliness = Liveliness(alive=1)
+    assert alive_after(100.0)
+    assert taking() == [0, asked - 1]
+    ros.made[0].liveliness = Liveliness(alive=1, unjudged=1)  # by another publisher
+    assert alive_after(LEASE)
+    assert taking() == [0]
+    ros.made[0].liveliness = Liveliness(alive=0, unjudged=1)
+    assert not alive_after(LEASE)
+    assert taking() == [0, asked]  # at once, this time
+    subscription.unsubscribe()
+    assert not taking()
+
+
+def test_dds_is_believed_that_has_judged_all(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    ros = FakeRos()
+    subscription = make_subscription(make_context(ros), Owner(), LEASED, automatic=False)
+    ros.made[0].liveliness = Liveliness(alive=0, unjudged=0)
+    loop.run_until_complete(asyncio.sleep(1000.0))
+    assert not subscription.alive
+    assert len(ros.made) == 1
 
 
 def test_what_an_operator_gave_stands(make_context: Callable[..., Context]) -> None:

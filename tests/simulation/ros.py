@@ -20,7 +20,7 @@ import msgspec
 from tests.simulation.services import Client, Server, Services, Taker
 
 from rsb_bridge.model.qos import Qos, incompatible
-from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.ros.ros_interface import Liveliness, RawMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -246,7 +246,7 @@ class Reader(Taker[RawMessage]):
         self.seen_qos = msgspec.structs.replace(qos, depth=0)
         self.lost = 0
         self.matched = 1
-        self.alive = True
+        self.liveliness = Liveliness(alive=1)
         self.taken = 0
         self.on_take: Callable[[list[RawMessage]], None] | None = None
         self._origin = (node, origin)

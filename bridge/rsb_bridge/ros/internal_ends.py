@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_interface import Endpoint, Publisher, RawMessage, RosError, Subscription
+from rsb_bridge.ros.ros_interface import Endpoint, Liveliness, Publisher, RawMessage, RosError, Subscription
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable
@@ -69,7 +69,7 @@ class BenchSource:
         self._closed = closed
         self._thread: threading.Thread | None = None
         self._stops = False
-        self.lost, self.alive = 0, True
+        self.lost, self.liveliness = 0, Liveliness(alive=1)
         self.matched = 1
         self.sent = 0
         self.rate = 0.0
@@ -183,7 +183,7 @@ class PictureSource:
         self._sink = sink
         self._closed = closed
         self._number = 0
-        self.lost, self.alive = 0, True
+        self.lost, self.liveliness = 0, Liveliness(alive=1)
         self.matched = 1
         self.closed = False
 

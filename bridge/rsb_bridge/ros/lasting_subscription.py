@@ -6,7 +6,7 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.budgets import Backoff
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import Liveliness, RosError
 
 if TYPE_CHECKING:
     import asyncio
@@ -62,9 +62,9 @@ class LastingSubscription:
         return self._subscription.matched if self._subscription is not None else 0
 
     @property
-    def alive(self) -> int:
-        """How many publishers DDS reports alive; only asked if the QoS has a lease."""
-        return self._subscription.alive if self._subscription is not None else 0
+    def liveliness(self) -> Liveliness:
+        """The liveliness of its publishers; only asked if the QoS has a lease."""
+        return self._subscription.liveliness if self._subscription is not None else Liveliness()
 
     def reopen(self) -> None:
         """Subscribe again; if that fails, retry later."""

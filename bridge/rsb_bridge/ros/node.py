@@ -18,7 +18,7 @@ from rsb_bridge.ros.distribution import check_middleware
 from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
 from rsb_bridge.ros.native.shared_memory import lost_port
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
-from rsb_bridge.ros.ros_interface import BATCH, RawMessage, Request, Response, RosError, RosProblem
+from rsb_bridge.ros.ros_interface import BATCH, Liveliness, RawMessage, Request, Response, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 
 if TYPE_CHECKING:
@@ -518,8 +518,9 @@ class _Subscription(Drain[RawMessage]):
         return self._reader.matched
 
     @property
-    def alive(self) -> int:
-        return max(0, self._reader.alive - self._node.own_asserted(self.key, self.qos))
+    def liveliness(self) -> Liveliness:
+        alive, unjudged = self._reader.liveliness
+        return Liveliness(max(0, alive - self._node.own_asserted(self.key, self.qos)), unjudged)
 
 
 class _Publisher:

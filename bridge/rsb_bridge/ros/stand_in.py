@@ -25,7 +25,7 @@ from rsb_bridge.cdr.known_types import (
     stamped_string,
 )
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, Liveliness, RawMessage, RosError
 from rsb_bridge.ros.ros_thread import RosTurns
 
 if TYPE_CHECKING:
@@ -222,7 +222,7 @@ class StandIn(NoRos):
 class _Reader:
     """The bridge's subscription to a topic of the stand-in."""
 
-    lost, alive = 0, True
+    lost, liveliness = 0, Liveliness(alive=1)
     matched = 1
 
     def __init__(self, sink: Sink, among: list[_Reader]) -> None:

@@ -27,7 +27,7 @@ from rsb_bridge.ros.native.librcl import (
     wait_for_all_acked,
 )
 from rsb_bridge.ros.native.rclpy_extension import assert_liveliness, reason_of
-from rsb_bridge.ros.ros_interface import RawMessage, RosError, RosProblem
+from rsb_bridge.ros.ros_interface import Liveliness, RawMessage, RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -150,9 +150,10 @@ class Reader:
         return count
 
     @property
-    def alive(self) -> int:
-        """How many matching publishers are alive, our own node's too; 0 without a lease."""
-        return 0 if self._liveliness is None else self._liveliness.alive
+    def liveliness(self) -> Liveliness:
+        """The liveliness of the matching publishers, our own node's too; only asked if the QoS has a lease."""
+        told = None if self._liveliness is None else self._liveliness.ask()
+        return Liveliness() if told is None else Liveliness(told[0], self.matched - sum(told))
 
     def close(self) -> None:
         """Free it. To be called once."""

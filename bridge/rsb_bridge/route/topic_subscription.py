@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.model.qos import auto_depth, parts_of_lease
@@ -31,6 +33,11 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.meters import RateMeter
 
 
+_LOOKS_EVERY = 1.0
+"""Seconds, at most, between two looks at who is alive. A round figure."""
+_ASKED_ANEW = 10.0, 60.0
+"""Seconds: the longest until DDS is first asked anew who is alive, and the shortest between late times.
+Round figures."""
 _MATCHED_WITHIN = 2
 """Ticks. A round figure: DDS matches a publisher that it lists within milliseconds."""
 
@@ -52,7 +59,6 @@ class TopicSubscription:
     Attributes:
         spec: the present opening's topic, with the QoS that publishers offer or an operator wants; or None before.
         histories: of a latched topic's publishers, or None for a volatile topic.
-        alive: whether a publisher is alive, by the lease of its liveliness; False without a lease.
     """
 
     def __init__(
@@ -70,8 +76,7 @@ class TopicSubscription:
     ) -> None:
         self.spec: TopicSpec | None = None
         self.histories: Histories | None = None
-        self.alive = False
-        self._looks_again: asyncio.TimerHandle | None = None
+        self._liveliness: _Liveliness | None = None
         self._context = context
         self._ends = ends
         self._origin = origin
@@ -129,24 +134,20 @@ class TopicSubscription:
         self._type.begin(self.spec.type_name, self.spec.type_hash)
         self._subscription = LastingSubscription(self._context.loop, self._subscribe, self._changed)
         if self.spec.qos.liveliness_lease_duration:
-            self._look_who_is_alive()
-
-    def _look_who_is_alive(self) -> None:
-        assert self.spec is not None
-        assert self._subscription is not None
-        alive = self._subscription.alive > self._alive_left_out(self.spec.qos)
-        lease = self.spec.qos.liveliness_lease_duration
-        self._looks_again = self._context.loop.call_later(parts_of_lease(lease), self._look_who_is_alive)
-        if alive != self.alive:
-            self.alive = alive
-            self._found()
+            self._liveliness = _Liveliness(
+                self._context.loop,
+                self._subscription,
+                self._ask_anew,
+                self.spec.qos.liveliness_lease_duration,
+                partial(self._alive_left_out, self.spec.qos),
+                self._found,
+            )
 
     def unsubscribe(self) -> None:
         """Take no more messages for now. May be called twice."""
-        if self._looks_again is not None:
-            self._looks_again.cancel()
-            self._looks_again = None
-        self.alive = False
+        if self._liveliness is not None:
+            self._liveliness.close()
+            self._liveliness = None
         if self._subscription is not None:
             self._lost_before += self._subscription.lost
             self._subscription.close()
@@ -173,6 +174,11 @@ class TopicSubscription:
     def receives(self) -> bool:
         """Whether it is subscribed and has not failed."""
         return self._subscription is not None and not self._subscription.failure
+
+    @property
+    def alive(self) -> bool:
+        """Whether a publisher is alive, by the lease of its liveliness; False without a lease."""
+        return self._liveliness is not None and self._liveliness.alive
 
     @property
     def failure(self) -> str:
@@ -234,6 +240,12 @@ class TopicSubscription:
             sink = put_marked
         return self._ends.subscribe(spec, sink, self._origin, on_failure)
 
+    def _ask_anew(self) -> Subscription:
+        """Subscribe once more, only to be told who is alive."""
+        assert self.spec is not None
+        qos = msgspec.structs.replace(self.spec.qos, history="keep_last", depth=1)
+        return self._ends.subscribe(self.spec._replace(qos=qos), _ignored, self._origin)
+
     def _changed(self) -> None:
         if self.failure:
             self._log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, self.failure)
@@ -247,11 +259,84 @@ class TopicSubscription:
         return self._subscribe_for(_Receiver(take), None)
 
 
+class _Liveliness:
+    """Looks several times in a lease whether a publisher is alive.
+
+    If DDS has not judged all publishers, and calls none alive, it is asked by a further subscription, and again by a
+    new one, until it has: it may have missed what they asserted while it made the first (`ros_interface.Liveliness`).
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        first: LastingSubscription,
+        subscribe: Callable[[], Subscription],
+        lease: float,
+        left_out: Callable[[], int],
+        changed: Callable[[], None],
+    ) -> None:
+        """Begin to look, in the next turn of the loop.
+
+        Args:
+            left_out: returns how many publishers may be alive that do not count.
+            changed: called after `alive` has changed.
+        """
+        self.alive = False
+        self._loop = loop
+        self._first = first
+        self._subscribe = subscribe
+        self._looks_every = min(parts_of_lease(lease), _LOOKS_EVERY)
+        self._left_out = left_out
+        self._changed = changed
+        soonest, latest = _ASKED_ANEW
+        self._asks_after = Backoff(min(lease, soonest), max(lease, latest))
+        self._asks_at = loop.time() + self._asks_after.next()
+        self._further: Subscription | None = None
+        self._looks_again: asyncio.Handle = loop.call_soon(self._look)
+
+    def _look(self) -> None:
+        self._looks_again = self._loop.call_later(self._looks_every, self._look)
+        alive = self._is_alive(self._left_out())
+        if alive != self.alive:
+            self.alive = alive
+            self._changed()
+
+    def _is_alive(self, left_out: int) -> bool:
+        alive, unjudged = self._first.liveliness
+        if alive > left_out or not unjudged:
+            self._ask_no_further()
+            self._asks_after.reset()
+            return alive > left_out
+        if self._further is not None:
+            alive, unjudged = self._further.liveliness
+            if alive > left_out or not unjudged:
+                return alive > left_out
+        if (now := self._loop.time()) >= self._asks_at:
+            self._asks_at = now + self._asks_after.next()
+            self._ask_no_further()
+            with suppress(RosError):
+                self._further = self._subscribe()
+        return False
+
+    def _ask_no_further(self) -> None:
+        if self._further is not None:
+            self._further.close()
+            self._further = None
+
+    def close(self) -> None:
+        self._looks_again.cancel()
+        self._ask_no_further()
+
+
 class _Receiver:
     """A receiver of the ROS queue that may change the function that gets the messages."""
 
     def __init__(self, offer: Callable[[Sequence[RawMessage]], None]) -> None:
         self.offer = offer
+
+
+def _ignored(_: Sequence[RawMessage]) -> None:
+    pass
 
 
 def _kept(qos: Qos) -> int:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import (
     Endpoint,
+    Liveliness,
     OnFailure,
     RawMessage,
     Request,
@@ -155,7 +156,7 @@ class StandIn(NoRos):
 
 
 class _Subscription:
-    lost, alive = 0, True
+    lost, liveliness = 0, Liveliness(alive=1)
     matched = 1
 
     def __init__(self, sinks: dict[str, Sink], topic: str) -> None:

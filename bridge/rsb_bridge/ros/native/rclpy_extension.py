@@ -225,17 +225,19 @@ class LivelinessOfPublishers:
         with suppress(RuntimeError, RosError):  # a middleware, or a distribution, that does not tell
             self._event = _event(subscription, _rclpy.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_LIVELINESS_CHANGED)
 
-    @property
-    def alive(self) -> int:
-        """How many are alive, our own node's too; 0 once closed, or if nobody tells. To ask takes up to 60 µs."""
+    def ask(self) -> tuple[int, int] | None:
+        """Return how many are alive and how many are not, our own node's too, or None if closed, or if nobody tells.
+
+        To ask takes up to 60 µs.
+        """
         if self._event is None:
-            return 0
+            return None
         try:
             with self._event:
-                count: int = self._event.take_event().alive_count
+                told = self._event.take_event()
         except RuntimeError:
-            return 0
-        return count
+            return None
+        return told.alive_count, told.not_alive_count
 
     def close(self) -> None:
         """To be called before its subscription is freed."""
