@@ -24,7 +24,7 @@ from tests.support.asked import Asked, answers
 from tests.support.domain import Domain, text
 
 from rsb_bridge.ros.memory import PROFILE_VARIABLES
-from rsb_bridge.ros.native.shared_memory import lost_port
+from rsb_bridge.ros.native.shared_memory import lost_ports
 
 _HEARS_WITHIN = 15.0
 _PROFILE = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -80,7 +80,7 @@ def main() -> None:
                 time.sleep(options.seconds if way is signal.SIGSTOP else 0.0)
             if new := _missing(listeners, time.time_ns(), _HEARS_WITHIN, lost):
                 lost |= new
-                ports = {number: listeners[number].ask()["port"] for number, _ in new}
+                ports = {number: listeners[number].ask()["ports"] for number, _ in new}
                 print(f"not heard again (listener, talker): {sorted(new)}, ports lost: {ports}", flush=True)
         stops, load = options.rounds * len(listeners), os.getloadavg()[0]
         print(f"{stops} stops, {len({number for number, _ in lost})} listeners deaf, load average {load:.0f}")
@@ -112,7 +112,7 @@ def _listen(talkers: int) -> None:
     newest = [0] * talkers
 
     def act(_: dict[str, Any]) -> object:
-        return {"newest": newest, "port": lost_port()}
+        return {"newest": newest, "ports": [each.path for each in lost_ports()]}
 
     while answers(act, 0.05):
         for number, end in enumerate(ends):

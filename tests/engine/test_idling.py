@@ -14,6 +14,7 @@ from tests.support.waiting import eventually, holds
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.ros_interface import LostPort, RosProblem
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 
@@ -95,11 +96,13 @@ def test_the_engine_stops_when_its_ros_side_has_failed(
 def test_the_engine_stops_when_dds_hears_no_node(
     bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    constants.BRIDGE_LISTENS_EVERY.set(monkeypatch, 0.1)
+    constants.BRIDGE_LISTENS_EVERY.set(monkeypatch, 1)
     node = RosNode(robot.id, "robot1")
-    heard = iter(("replaced", "", "replaced", "replaced"))  # it may follow its senders a moment later
-    monkeypatch.setattr(node, "deafness", lambda: next(heard))
+    lost, later, other = LostPort("/a", 1), LostPort("/a", 2), LostPort("/b", 3)
+    # It may follow its senders a moment later, and then lose the port again.
+    told = iter(({lost}, (), {lost}, {later}, {other}, {later, other}))
+    monkeypatch.setattr(node, "lost_ports", lambda: frozenset(next(told)))
     client = bridge.start(bridge.client_session(), node)
     eventually(lambda: not client.snapshot().running)
-    assert happened(client, EventCode.ENGINE_ROS_FAILED, "replaced: the engine stops")
-    assert not list(heard)
+    assert happened(client, EventCode.ENGINE_ROS_FAILED, f"{RosProblem.DEAF(port='/b')}: the engine stops")
+    assert not list(told)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.calls import Fields
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RequestSink, ResponseSink, Sink, TopicSpec
+    from rsb_bridge.ros.ros_interface import LostPort, OnFailure, RawMessage, RequestSink, ResponseSink, Sink, TopicSpec
 
 
 class Node:
@@ -72,8 +72,8 @@ class Node:
 
         return take
 
-    def deafness(self) -> str:
-        return ""
+    def lost_ports(self) -> frozenset[LostPort]:
+        return frozenset()
 
     def stop(self) -> None:
         self._domain.unwatch(self)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 from functools import partial
 from pathlib import Path
@@ -43,7 +44,7 @@ from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicI
 from rsb_bridge.ros.internal_ends import resources
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
-from rsb_bridge.ros.ros_interface import RosError, TopicSpec
+from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.peeking import PeekError
@@ -61,7 +62,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Client, Session
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription
+    from rsb_bridge.ros.ros_interface import LostPort, OnFailure, RawMessage, Subscription
     from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 
 _WORD = b"shutdown"
@@ -71,9 +72,9 @@ write a traceback for each of them."""
 _TICK, _LONGEST_PAUSE = 1.0, 10.0
 """s between two ticks, in which links, routes and exporters count; s at most until regular work that has failed starts
 again."""
-_LISTENS_EVERY = 10.0
-"""Seconds between two looks whether DDS hears all nodes here. It has this time to follow senders to a new port. A
-look costs 3 ms on a busy machine. A round figure."""
+_LISTENS_EVERY = 10
+"""Ticks between two looks whether DDS hears all nodes here. It has this time to follow senders to a new port. Ticks, as
+a process that was stopped has had no time. A look costs 3 ms on a busy machine. A round figure."""
 
 _logger = logging.getLogger(__name__)
 
@@ -178,10 +179,10 @@ class Bridge:
 
     async def _tick(self) -> None:
         """Do the regular work once a second, for ever."""
-        now = self.context.now
-        listened, was_deaf = now(), False
+        now, ros = self.context.now, self.context.ros
+        lost: frozenset[LostPort] = frozenset()
         due = now()
-        while True:
+        for number in itertools.count(1):
             due += _TICK
             if due <= now():  # ticks that were missed are not made up for
                 due = now() + _TICK
@@ -195,11 +196,10 @@ class Bridge:
             self._viewing.tick()
             self._publishing.tick()
             self._exporters.publish(self._snapshots.latest)
-            if now() - listened >= _LISTENS_EVERY:
-                deafness = self.context.ros.deafness()
-                if deafness and was_deaf:
-                    self._ros_failed(deafness)
-                listened, was_deaf = now(), bool(deafness)
+            if number % _LISTENS_EVERY == 0:
+                before, lost = lost, ros.lost_ports()
+                if stuck := before & lost:
+                    self._ros_failed(RosProblem.DEAF(port=min(stuck).path))
 
     def _ros_failed(self, reason: str) -> None:
         """End because the ROS side is gone or deaf, so that a supervisor starts the process again."""

@@ -16,7 +16,7 @@ from weakref import WeakSet
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.distribution import check_middleware
 from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
-from rsb_bridge.ros.native.shared_memory import lost_port
+from rsb_bridge.ros.native.shared_memory import lost_ports
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
 from rsb_bridge.ros.ros_interface import BATCH, Liveliness, RawMessage, Request, Response, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.participant import Incoming, Participant
     from rsb_bridge.ros.ros_interface import (
         Endpoint,
+        LostPort,
         OnFailure,
         Publisher,
         RequestSink,
@@ -133,9 +134,8 @@ class RosNode:
         if self._failure:
             on_failure(self._failure)
 
-    def deafness(self) -> str:
-        port = lost_port()
-        return RosProblem.DEAF(port=port) if port else ""
+    def lost_ports(self) -> frozenset[LostPort]:
+        return lost_ports()
 
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice, and from a sink.

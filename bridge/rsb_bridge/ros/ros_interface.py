@@ -110,6 +110,17 @@ class Endpoint(NamedTuple):
     gid: bytes = b""
 
 
+class LostPort(NamedTuple):
+    """A port of this process's in shared memory, in whose place a sender has put another file.
+
+    Attributes:
+        inode: the file's that this process still reads.
+    """
+
+    path: str
+    inode: int
+
+
 class Liveliness(NamedTuple):
     """The liveliness of a subscription's publishers, as DDS has it.
 
@@ -312,8 +323,11 @@ class RosInterface(RouteEnds, Protocol):
             on_failure: called with the reason if the thread ends by itself; nothing works from then on.
         """
 
-    def deafness(self) -> str:
-        """Return why DDS does not hear all nodes of this machine, or an empty string. Takes some ms."""
+    def lost_ports(self) -> frozenset[LostPort]:
+        """Return the ports at which DDS does not hear all nodes of this machine now. Takes some ms.
+
+        DDS may be about to follow the senders. One that is lost later, too, with the same file, was not followed.
+        """
 
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice."""

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.ros.ros_interface import (
+        LostPort,
         OnFailure,
         Publisher,
         ServiceClient,
@@ -66,8 +67,8 @@ class NoRos:
     def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
         pass
 
-    def deafness(self) -> str:
-        return ""
+    def lost_ports(self) -> frozenset[LostPort]:
+        return frozenset()
 
     def stop(self) -> None:
         pass

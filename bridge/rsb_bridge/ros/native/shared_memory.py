@@ -12,20 +12,22 @@ import contextlib
 import re
 from pathlib import Path
 
+from rsb_bridge.ros.ros_interface import LostPort
+
 _LOCK = re.compile(r"(/dev/shm/fast(?:rtps|dds)_port\d+)_el(?: \(deleted\))?")
 """Of a port that this process reads, it keeps this file open; of a port that it sends to, it only maps the memory."""
-_MAPPED = re.compile(r"(/dev/shm/fast(?:rtps|dds)_port\d+)( \(deleted\))?\n")
+_MAPPED = re.compile(r"(\d+) +(/dev/shm/fast(?:rtps|dds)_port\d+)( \(deleted\))?\n")
 
 
-def lost_port() -> str:
-    """Return a port that this process reads at a file that senders no longer open, or an empty string."""
+def lost_ports() -> frozenset[LostPort]:
+    """Return the ports that this process reads at a file that senders no longer open."""
     own = {found[1] for path in _open_files() if (found := _LOCK.fullmatch(path))}
     if not own:
-        return ""
-    mapped = set(_MAPPED.findall(Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace")))
+        return frozenset()
+    mapped = _MAPPED.findall(Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace"))
     # A process that has followed may have the old file mapped, too.
-    lost = sorted(port for port in own if (port, "") not in mapped and (port, " (deleted)") in mapped)
-    return lost[0] if lost else ""
+    followed = {port for _, port, deleted in mapped if not deleted}
+    return frozenset(LostPort(port, int(inode)) for inode, port, _ in mapped if port in own - followed)
 
 
 def _open_files() -> list[str]:
