@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel, Slices
-    from rsb_bridge.link.data_channels import ChannelCarrier
+    from rsb_bridge.link.keepalive import ChannelCarrier
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.transports import LinkProfile
@@ -187,28 +187,16 @@ class BaseLink(ABC):
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
-        self.channels = DataChannels(
-            context.loop,
-            self.log_of_peer,
-            self.budget.unfinished,
-            self.send,
-            # Lambdas, as each connection has a clock of its own. What a message of the peer takes is certain only
-            # beyond the error of that clock, which is half of the shortest round trip.
-            lambda: max(0.0, self.keepalive.ping_delay - (self.clock.uncertainty or 0.0)),
-            lambda: 2 * (self.clock.uncertainty or 0.0),
-            self._meter_of,
-            self.ids,
-            self._take_urgent,
-            self.open_streams,
-        )
+        self._channels: DataChannels | None = None
+        self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
         self.fullness = LinkFullness(partial(self.log, link_status=True))
         self.fullness_watch = FullnessWatch(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
         self.path = PathWatch(partial(self.log_of_peer, link_status=True), self._judge_again)
-        # Not the keepalive's own methods, as each connection has another one.
+        # Methods of this link, as each connection has another keepalive and other channels.
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
             Pong: self._on_pong,
-            Receipts: self.channels.handle_receipts,
+            Receipts: self._on_receipts,
         }
         self._extensions: list[Extension] = []
         self.fault = self.extend(
@@ -227,7 +215,7 @@ class BaseLink(ABC):
         """Return why the peer may not have an internal route by that name now, or an empty string."""
         return next((each.refusal(name) for each in self._extensions if each.purpose is purpose), "")
 
-    def _meter_of(self, route_id: int) -> Meter | None:
+    def meter_of(self, route_id: int) -> Meter | None:
         meters = (each.meter_of(route_id) for each in self._extensions)
         return next((each for each in meters if each is not None), None)
 
@@ -300,6 +288,12 @@ class BaseLink(ABC):
     # --- up and down
 
     @property
+    def channels(self) -> DataChannels:
+        """Carries the messages of the present connection."""
+        assert self._channels is not None
+        return self._channels
+
+    @property
     def linked(self) -> bool:
         """Whether the peer is connected and authenticated."""
         return self.control is not None
@@ -318,7 +312,7 @@ class BaseLink(ABC):
         """Begin a connection: the peer is authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
         self.instance = peer.instance
-        self.channels.connected(keys, self.role, self.transport.ages)
+        self._channels = DataChannels(self, keys)
         if self.transport.multiplexed:
             control.data = self.channels.use_control(control.stream, self.transport, self.shared_port())
         self._is_silent = False
@@ -363,7 +357,9 @@ class BaseLink(ABC):
         self.status.since = self.context.clock.steady()
         for each in reversed(self._extensions):
             each.disconnected()
-        self.channels.disconnected()
+        if self._channels is not None:
+            self._channels.close()
+            self._channels = None
         self.fullness_watch.disconnected()
         self.path.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
@@ -414,9 +410,9 @@ class BaseLink(ABC):
         """Send a control message, and over the UDP channels besides: there it does not wait for what a stream lost."""
         self.send(message)
         if self.control is not None:
-            self.channels.udp.send_urgent(encode(message))
+            self.channels.send_urgent(encode(message))
 
-    def _take_urgent(self, content: bytes) -> None:
+    def take_urgent(self, content: bytes) -> None:
         """Take a control message that came as a datagram."""
         if self.control is None:  # another datagram of the same batch has ended the link
             return
@@ -434,16 +430,18 @@ class BaseLink(ABC):
     def _on_pong(self, pong: Pong) -> None:
         self.keepalive.answered(pong)
 
+    def _on_receipts(self, receipts: Receipts) -> None:
+        self.channels.handle_receipts(receipts)
+
     # --- time and figures
 
     def tick(self) -> None:
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
             self._observe_path(self.control)  # first: a path that loses packets is not taken for a full one
-            if (scheduler := self.channels.scheduler) is not None:
-                self.fullness_watch.judge(scheduler, self.peer_name, lossy=self.path.loss.lossy > 0)
+            self.fullness_watch.judge(self.channels.scheduler, self.peer_name, lossy=self.path.loss.lossy > 0)
             self.send(self.keepalive.tick())
-            self.channels.tick(control_quiet=self.keepalive.control_quiet)
+            self.channels.tick()
         for each in self._extensions:
             each.tick()
 
@@ -468,7 +466,7 @@ class BaseLink(ABC):
 
     def carriers(self) -> set[ChannelCarrier]:
         """Return all carriers of the present connection's bytes."""
-        return self.channels.carriers(self.control)
+        return self.channels.carriers(self.control) if self.control is not None else set()
 
     def log_of_peer(self, level: Level, code: EventCode, text: str, *, link_status: bool = False) -> None:
         """Add an event about this link that names the peer."""

@@ -425,7 +425,6 @@ class ClientLink(Link):
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
         assert self.control is not None
-        assert self.channels.probe is not None
         if descriptors.scarce():
             self._udp_failed(descriptors.scarcity_message("client"))
             return None

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.scheduler import Scheduler
     from rsb_bridge.context import Context
-    from rsb_bridge.link.data_channels import ChannelCarrier
+    from rsb_bridge.link.keepalive import ChannelCarrier
     from rsb_bridge.route.route import Route
 
 _TICKS = 4

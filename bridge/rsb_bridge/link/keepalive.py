@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
@@ -13,9 +13,11 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Collection
 
+    from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.link.data_channels import ChannelCarrier
 
+ChannelCarrier: TypeAlias = "Stream | UdpChannel"
+"""Carries bytes of a connection, and counts them."""
 DEAD_AFTER = 5.0
 """s without a byte from the peer until the link is given up. A round figure: five pings in a row went unanswered."""
 _ALONE = 2

@@ -83,41 +83,39 @@ class RouteChannels(Extension):
     def __init__(self, link: BaseLink) -> None:
         self.awaiting: dict[tuple[str, int], dict[int, Route]] = {}
         self._link = link
-        self._carriers = link.channels
 
     def disconnected(self) -> None:
         self.awaiting.clear()
 
     def open(self, route: Route) -> None:
         """Open the channel of a route, or begin to."""
-        port, transport, carriers = route.proposal.port or self._link.shared_port(), route.transport, self._carriers
+        transport, channels = route.transport, self._link.channels
+        port = route.proposal.port or self._link.shared_port()
         if isinstance(transport, StreamTransport):
             self._use_streams(route, transport, port)
             return
-        udp_channel = carriers.udp.get(port)
+        udp_channel = channels.udp(port)
         if udp_channel is None and (udp_channel := self._link.open_udp_channel(transport, port)) is not None:
-            carriers.udp.open(port, udp_channel)
+            channels.add_udp(port, udp_channel, probe=True)
         # Without one, a client tries again, and a server waits for its client's probe; both then call `udp_ready`.
         if udp_channel is not None:
-            assert carriers.keys is not None
-            assert carriers.scheduler is not None
-            route.channel = datagram_channel(udp_channel, route, carriers.keys, carriers.scheduler)
+            route.channel = datagram_channel(udp_channel, route, channels.keys, channels.scheduler)
 
     def _use_streams(self, route: Route, transport: StreamTransport, port: int) -> None:
-        pair = self._carriers.pair_of(transport.name, port)
+        pair = self._link.channels.pair_of(transport.name, port)
         if pair is not None:
-            self._carriers.carry(route, pair)
+            self._link.channels.carry(route, pair)
             return
         self.awaiting.setdefault((transport.name, port), {})[route.id] = route
         self._link.open_streams(transport, port)
 
     def streams_opened(self, transport: str, port: int) -> None:
         """Open the channels of the routes that wait for streams, if these are complete."""
-        pair = self._carriers.pair_of(transport, port)
+        pair = self._link.channels.pair_of(transport, port)
         if pair is None:
             return
         for route in self._take_awaiting(transport, port):
-            self._carriers.carry(route, pair)
+            self._link.channels.carry(route, pair)
             route.advance()
 
     def streams_failed(self, transport: str, port: int, reason: Reason) -> None:

@@ -484,7 +484,6 @@ class ServerLink(Link):
 
         A datagram of the other IP version is ignored: a forged one must not take over the UDP channel.
         """
-        assert self.channels.probe is not None
         assert self.control is not None
         stream = self.control.stream
         if len(address) != len(stream.address):
@@ -492,7 +491,7 @@ class ServerLink(Link):
         udp_channel = ServerUdpChannel(
             socket, stream.own_address, self.channels.probe, self.context.now, self.route_channels.udp_ready
         )
-        self.channels.udp.add(socket.port, udp_channel)
+        self.channels.add_udp(socket.port, udp_channel)
         # The client may send messages together with its answer to the first challenge: routes have to take them then.
         self.route_channels.udp_ready()
         return udp_channel
