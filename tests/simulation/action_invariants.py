@@ -191,7 +191,7 @@ def left_of_ended_calls(route: CallsRoute) -> list[str]:
     ]
     if isinstance(route, ProvidingRoute):
         found += [f"number {number}" for number, call in numbers_of(route).items() if call not in calls]
-        kept = kept_answers(route.action.answers).items() if isinstance(route, ProvidingActionRoute) else ()
+        kept = kept_answers(route.answers).items() if isinstance(route, ProvidingActionRoute) else ()
         found += [f"{each} of {what}" for what, one in kept for each in one.calls if each not in calls]
     if not len(calls) and timer_of(calls) is not None and not held_by(calls):
         found.append("a timer")
@@ -210,9 +210,8 @@ def left_at_rest(route: CallsRoute) -> list[str]:
         caller = route.action
         tables |= {"waiting calls": len(caller.waiting), "running goals": len(caller.goals.running())}
     if isinstance(route, ProvidingActionRoute):
-        provider = route.action
-        tables |= {"kept answers": len(kept_answers(provider.answers)), "numbers": len(numbers_of(provider.answers))}
-        tables |= {"running goals": len(provider.goals.running())}
+        tables |= {"kept answers": len(kept_answers(route.answers)), "numbers": len(numbers_of(route.answers))}
+        tables |= {"running goals": len(route.goals.running())}
     budget = route.peer.budget
     tables |= {"held of the budget": max((budget.asked if isinstance(route, CallingRoute) else budget.provided).held)}
     return found + [f"{length} {what}" for what, length in tables.items() if length]

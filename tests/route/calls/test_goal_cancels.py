@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.route.calls.test_held import providing
@@ -13,7 +13,7 @@ from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Demands, sources_of_names
 from rsb_bridge.model.session import ArmedName
-from rsb_bridge.ros.ros_interface import RawMessage, Response, RosError
+from rsb_bridge.ros.ros_interface import Response, RosError
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.kept_calls import CallIdentity
 from rsb_bridge.route.calls.paced_client import PacedClient
@@ -59,13 +59,12 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingA
         route.arming.peer_on_end = there
         lanes = SEND_GOAL, CANCEL_GOAL, GET_RESULT
         clients_of(route).clients = {lane: PacedClient(Client(), context.loop) for lane in lanes}
-        action: Any = route.action
         for number in (1, 3):
-            action.goals.asked(goal(number))
-            action.answers.asked(CallIdentity(SEND_GOAL, goal(number)), number, frozenset())
+            route.goals.asked(goal(number))
+            route.answers.asked(CallIdentity(SEND_GOAL, goal(number)), number, frozenset())
         route.arming.arm_for_peer("anna", context.now())
         accept(route, 1)
-        action.published(STATUS, [RawMessage(statuses((goal(1), "executing"), (goal(2), "executing")), 0)])
+        route.goals.message(STATUS, statuses((goal(1), "executing"), (goal(2), "executing")))
         return route
 
     return make
@@ -201,7 +200,7 @@ def test_fifty_goals_are_cancelled_without_overflow(
     """Their node keeps ten cancels that it has not read."""
     route = make_route()
     for number in range(4, 52):
-        route.action.goals.asked(goal(number))
+        route.goals.asked(goal(number))
     route.disarm(Disarmed.LINK_LOST)
     for number in range(1, 51):
         assert len(cancels(route)) == min(7 + number, 50)

@@ -38,108 +38,79 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
 
 _REFUSALS = {AnswerAction.REFUSE: Refused.NOT_ARRIVED, AnswerAction.LOSE: Refused.LOST}
-_CANCELLED_WITHIN = 5.0
-"""s. A round figure: an operator has to hear soon that a robot may go on."""
-
-
-class ProviderAction:
-    """Goals of an action, and its server's answers, which outlive an interruption.
-
-    Attributes:
-        goals: all that are known.
-        answers: what the server was asked, and answered.
-        status: the server's last status message.
-        status_sent: whether the other side has it in the present opening.
-        interrupted_at: when the interruption began, in s, or None while the action can be reached.
-    """
-
-    def __init__(self, context: Context) -> None:
-        self.goals = Goals(context.wall, context.now)
-        self.answers = KeptAnswers()
-        self.status = b""
-        self.status_sent = False
-        self.interrupted_at: float | None = None
-
-    @property
-    def expects_answers(self) -> bool:
-        """Whether the server still owes an answer."""
-        return self.answers.under_way or bool(self.goals.running())
-
-    def published(self, lane: int, messages: Sequence[RawMessage]) -> None:
-        """Read the server's feedback or status."""
-        if lane == STATUS:
-            self.status, self.status_sent = messages[-1].payload, False
-        for message in messages:
-            self.goals.message(lane, message.payload)
+_CANCELLED_WITHIN = 5.0  # s. A round figure: an operator has to hear soon that a robot may go on
 
 
 class ProvidingActionRoute(ProvidingRoute):
     """Tells the peer of an action here, and passes its calls on.
 
     Attributes:
-        action: goals and answers.
+        goals: all that are known.
+        answers: what the server was asked, and answered.
+        interrupted_at: when the interruption began (s), or None while the action can be reached.
     """
 
     come_as: ClassVar[tuple[What, ...]] = (What.CALL, What.AGAIN)
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self.action = ProviderAction(context)
-        # Goals that are being cancelled here, and since when (s), by the cancel's number, or by goal before its turn.
-        # Also by client, because another one numbers from the start.
+        self.goals = Goals(context.wall, context.now)
+        self.answers = KeptAnswers()
+        self.interrupted_at: float | None = None
+        self._status = b""  # the server's last one
+        self._status_sent = False  # in the present opening
+        # Goals that are being cancelled, and since when (s), by the cancel's number, or by goal before its turn.
+        # Also by client, as another one numbers from the start.
         self._cancels: dict[tuple[PacedClient, int | bytes], tuple[bytes, float]] = {}
 
     @property
     def on_end(self) -> str:
         return more_careful_end((self.arming.own.on_end, self.arming.peer_on_end, END_NONE))
 
+    def snapshot(self) -> RouteSnapshot:
+        return replace(super().snapshot(), goals=self.goals.snapshot(self.answers.awaited()))
+
     # --- setting up
 
     def advance(self) -> None:
-        """Tell the other side, and note the server's state."""
         had_server, opened = bool(self._provision.entries), dict(self._clients.types)
         super().advance()
         if not self.life.accepted:
             return
         # New clients number their calls from the start: their answers would be taken for answers to earlier questions.
         if self._clients.types != opened:
-            self.action.answers.clients_closed()
+            self.answers.clients_closed()
         if had_server and not self._provision.entries:
-            self.action.goals.server_gone()
+            self.goals.server_gone()
 
     def _tell(self) -> None:
         super()._tell()
-        if self.life.accepted:
-            self._tell_of_goals()
-
-    def _tell_of_goals(self) -> None:
-        """Send what an interruption has held up, and ask for the results that are missing."""
-        action = self.action
-        if action.status and not action.status_sent:  # the server does not publish it again for the new opening
+        if not self.life.accepted:
+            return
+        if self._status and not self._status_sent:  # the server does not publish it again for the new opening
             self._send_status()
         if self._clients.ready:
-            action.interrupted_at = None
-            for question in action.answers.to_ask(self._present):
+            self.interrupted_at = None
+            for question in self.answers.to_ask(self._present):
                 self._ask_result(question)
 
     def _no_clients(self, error: RosError) -> None:
         super()._no_clients(error)
-        self.action.answers.clients_closed()
+        self.answers.clients_closed()
 
     def _close_clients(self) -> None:
-        if not self.action.expects_answers:
+        if not (self.answers.under_way or self.goals.running()):  # the server owes no answer
             super()._close_clients()
 
     def close(self, reason: str) -> None:
         """End the opening; pending calls are lost, but the server goes on answering."""
         super().close(reason)
-        self.action.status_sent = False
+        self._status_sent = False
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
-        """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
         # First: what follows may close the clients.
         if self.on_end == END_CANCEL:
-            self._cancel(self.action.goals.end())
+            self._cancel(self.goals.end())
         super().disarm(why, reason)
 
     # --- cancels of this side's, once an arming ends (``on_end: cancel``)
@@ -161,7 +132,7 @@ class ProvidingActionRoute(ProvidingRoute):
             self._may_go_on(goal, str(error))
 
     def _is_cancelled(self, lane: int, response: Response) -> bool:
-        """Return whether a response is the answer to one of these cancels, and of no call of the other side's."""
+        """Whether a response is the answer to one of these cancels, and of no call of the other side's."""
         client = self._clients.clients.get(lane)
         if lane != CANCEL_GOAL or client is None or (client, response.number) not in self._cancels:
             return False
@@ -177,23 +148,26 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def _pass_on(self, frame: CallFrame, call: PeersCall) -> None:
         """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
-        question, answers = question_of(frame.lane, frame.content), self.action.answers
-        todo = answers.decide(question, frame.call, again=frame.what is What.AGAIN) if question else AnswerAction.ASK
-        if question is None or (todo is AnswerAction.ASK and frame.lane != GET_RESULT):
+        question = question_of(frame.lane, frame.content)
+        if question is None:
             super()._pass_on(frame, call)
-        elif todo is AnswerAction.ASK:
-            self._ask_result(question, frame.call)
-        elif todo in _REFUSALS:
+            return
+        todo = self.answers.decide(question, frame.call, again=frame.what is What.AGAIN)
+        if todo in _REFUSALS:
             self._give_up(frame.call, _REFUSALS[todo])
         elif todo is AnswerAction.ANSWER:
-            self._answer(frame.call, answers.answer(question))
+            self._answer(frame.call, self.answers.answer(question))
+        elif todo is AnswerAction.ASK and frame.lane == GET_RESULT:
+            self._ask_result(question, frame.call)
+        elif todo is AnswerAction.ASK:
+            super()._pass_on(frame, call)
 
     def _call(self, frame: CallFrame, call: PeersCall) -> None:
         super()._call(frame, call)
         if call.number and (question := question_of(frame.lane, frame.content)) is not None:
-            self.action.answers.asked(question, call.number, frozenset(self._present))
+            self.answers.asked(question, call.number, frozenset(self._present))
             if frame.lane == SEND_GOAL:
-                self.action.goals.asked(question.about)
+                self.goals.asked(question.about)
 
     def _is_limited(self, frame: CallFrame) -> bool:
         """Return whether arming, pauses and limits apply to a call: not if it only asks about a goal again."""
@@ -202,132 +176,111 @@ class ProvidingActionRoute(ProvidingRoute):
         return super()._is_limited(frame) and not asks_again
 
     def _is_answered(self, frame: CallFrame) -> bool:
-        """Return whether a kept answer serves a call."""
-        if frame.what is not What.AGAIN and frame.lane != GET_RESULT:
-            return False
-        return self.action.answers.has_answer(question_of(frame.lane, frame.content))
-
-    def _take_response(self, lane: int, response: Response) -> None:
-        if not self._is_cancelled(lane, response) and not self._keep_answer(lane, response):
-            super()._take_response(lane, response)
-
-    def _ended(self, peers: int) -> None:
-        super()._ended(peers)
-        self.action.answers.is_over(peers, self.context.now())
-
-    def _expired(self, number: int, call: PeersCall) -> None:
-        self.action.answers.gave_up(call.lane, call.number, self.context.now())
-        super()._expired(number, call)
-
-    def _give_up(self, peers: int, why: Refused) -> None:
-        if (call := self._pending.get(peers)) is not None:
-            self.action.answers.gave_up(call.lane, call.number, self.context.now())
-        super()._give_up(peers, why)
-
-    def _is_orphan(self, call: PeersCall) -> bool:
-        # The next server is asked for results.
-        return call.lane != GET_RESULT and super()._is_orphan(call)
-
-    def _give_up_all(self, why: str) -> None:
-        super()._give_up_all(why)
-        if self.action.interrupted_at is None:
-            now = self.action.interrupted_at = self.context.now()
-            self.action.answers.interrupted(now)
-
-    # --- feedback and status
-
-    def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
-        self.action.published(lane, messages)
-        if not self.life.accepted:
-            return
-        if lane == STATUS:
-            self._send_status()
-        else:
-            super()._published(lane, messages)
-
-    def _send_status(self) -> None:
-        self.action.status_sent = True
-        self._outbox.put(CallFrame(What.MESSAGE, STATUS, 0, 0, self.action.status))
-        self.flush()
-
-    # --- goals
+        may_be_kept = frame.what is What.AGAIN or frame.lane == GET_RESULT
+        return may_be_kept and self.answers.has_answer(question_of(frame.lane, frame.content))
 
     def _ask_result(self, question: CallIdentity, *calls: int) -> None:
         """Ask the server for a result in its turn; its answer is kept, and sent to the calls that wait for it."""
         client = self._clients.clients[GET_RESULT]
-        self.action.answers.asked(question, 0, frozenset(self._present), *calls)
+        self.answers.asked(question, 0, frozenset(self._present), *calls)
         if question not in client.waiting:
             client.in_turn(question, partial(self._send_result_request, question))
 
     def _send_result_request(self, question: CallIdentity) -> None:
-        answers = self.action.answers
-        if question not in answers:
+        if question not in self.answers:
             return  # it was forgotten
         try:
             number = self._clients.clients[GET_RESULT].call(result_request(question.about))
         except RosError as error:
-            for call in answers.calls_for(question):
+            for call in self.answers.calls_for(question):
                 self._give_up(call, Refused.NOT_SENT)
             self.failures.say(f"a result could not be asked for: {error}")
         else:
-            answers.asked(question, number, frozenset(self._present))
+            self.answers.asked(question, number, frozenset(self._present))
 
-    def _keep_answer(self, lane: int, response: Response) -> bool:
-        """Keep an answer and send it to all calls that wait for it. Return False if its question is not kept."""
-        number, payload, now = response.number, response.payload, self.context.now()
-        answered = self.action.answers.answered(lane, number, payload, now, linked=self.action.interrupted_at is None)
-        if answered is None:
-            return False
+    # --- answers
+
+    def _take_response(self, lane: int, response: Response) -> None:
+        if self._is_cancelled(lane, response):
+            return
+        number, payload, linked = response.number, response.payload, self.interrupted_at is None
+        answered = self.answers.answered(lane, number, payload, self.context.now(), linked=linked)
+        if answered is None:  # its question is not kept
+            super()._take_response(lane, response)
+            return
         question, calls = answered
         if (lane, number) in self._by_number:
             super()._take_response(lane, response)
         for call in calls:
             self._answer(call, payload)
-        self.action.goals.response(lane, question.about, payload)
-        if lane == SEND_GOAL and accepted_by(payload):
-            # Again, because its server knew nothing of it when it got the first cancel.
-            if self.action.goals.has_ended(question.about):
-                self._cancel((question.about,))
-            # The result is asked for at once, because the link may be lost at any time.
-            result = CallIdentity(GET_RESULT, question.about)
-            if result not in self.action.answers and GET_RESULT in self._clients.clients:
-                self._ask_result(result)
-        return True
+        self.goals.response(lane, question.about, payload)
+        if lane != SEND_GOAL or not accepted_by(payload):
+            return
+        # Again, because its server knew nothing of it when it got the first cancel.
+        if self.goals.has_ended(question.about):
+            self._cancel((question.about,))
+        # The result is asked for at once, because the link may be lost at any time.
+        result = CallIdentity(GET_RESULT, question.about)
+        if result not in self.answers and GET_RESULT in self._clients.clients:
+            self._ask_result(result)
 
-    def _give_up_results(self) -> None:
-        """Expire calls for results of goals that have been over for as long as other calls may take.
+    def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
+        """Read the server's feedback or status, and send it."""
+        if lane == STATUS:
+            self._status, self._status_sent = messages[-1].payload, False
+        for message in messages:
+            self.goals.message(lane, message.payload)
+        if self.life.accepted and lane == STATUS:
+            self._send_status()
+        elif self.life.accepted:
+            super()._published(lane, messages)
 
-        The other side has given them up by then.
-        """
-        for goal, calls in self.action.answers.results_awaited():
-            over_for = self.action.goals.over_for(goal) if calls else None
-            if over_for is None or over_for <= self.call_timeout:
-                continue
-            for number in calls:
-                if (call := self._pending.end(number)) is not None:
-                    self._expired(number, call)
+    def _send_status(self) -> None:
+        self._status_sent = True
+        self._outbox.put(CallFrame(What.MESSAGE, STATUS, 0, 0, self._status))
+        self.flush()
+
+    # --- calls without an answer
+
+    def _ended(self, peers: int) -> None:
+        super()._ended(peers)
+        self.answers.is_over(peers, self.context.now())
+
+    def _expired(self, number: int, call: PeersCall) -> None:
+        self.answers.gave_up(call.lane, call.number, self.context.now())
+        super()._expired(number, call)
+
+    def _give_up(self, peers: int, why: Refused) -> None:
+        if (call := self._pending.get(peers)) is not None:
+            self.answers.gave_up(call.lane, call.number, self.context.now())
+        super()._give_up(peers, why)
+
+    def _is_orphan(self, call: PeersCall) -> bool:
+        return call.lane != GET_RESULT and super()._is_orphan(call)  # the next server is asked for results
+
+    def _give_up_all(self, why: str) -> None:
+        super()._give_up_all(why)
+        if self.interrupted_at is None:
+            now = self.interrupted_at = self.context.now()
+            self.answers.interrupted(now)
 
     def tick(self) -> None:
-        """Forget old answers, and update counts; called once a second."""
-        for cancel, (goal, since) in tuple(self._cancels.items()):
-            if since < self.context.now() - _CANCELLED_WITHIN:
-                del self._cancels[cancel]
-                self._may_go_on(goal, f"its server has not answered for {_CANCELLED_WITHIN:g} s")
-        self._expire_answers()
-        super().tick()
-
-    def _expire_answers(self) -> None:
         now = self.context.now()
-        self.action.answers.expire(now)
-        if self.action.interrupted_at is not None and not (self.life.accepted and self._provision.entries):
-            if now >= self.action.interrupted_at + INTERRUPTION:
+        for call, (goal, asked_at) in tuple(self._cancels.items()):
+            if asked_at < now - _CANCELLED_WITHIN:
+                del self._cancels[call]
+                self._may_go_on(goal, f"its server has not answered for {_CANCELLED_WITHIN:g} s")
+        self.answers.expire(now)
+        if self.interrupted_at is not None and not (self.life.accepted and self._provision.entries):
+            if now >= self.interrupted_at + INTERRUPTION:
                 self._clients.close()
-                self.action.answers.clients_closed()
+                self.answers.clients_closed()
             else:
                 self._close_clients()
-        self._give_up_results()
-
-    # --- snapshot
-
-    def snapshot(self) -> RouteSnapshot:
-        return replace(super().snapshot(), goals=self.action.goals.snapshot(self.action.answers.awaited()))
+        # A goal may be over for as long as other calls may take; the other side has given its result up by then.
+        for goal, calls in self.answers.results_awaited():
+            over_for = self.goals.over_for(goal) if calls else None
+            for number in calls if over_for is not None and over_for > self.call_timeout else ():
+                if (pending := self._pending.end(number)) is not None:
+                    self._expired(number, pending)
+        super().tick()
