@@ -61,31 +61,23 @@ class SessionFile:
     session: Session
 
     def is_at(self, path: Path) -> bool:
-        """Whether a path leads to this file."""
         return path.resolve() == self.path.resolve()
 
     def check_unchanged(self) -> None:
-        """Check that the file on disk is still as it was.
-
-        Raises:
-            ChangedOnDiskError: it is not. A file that is gone is no change: saving writes it again.
-            SessionError: it cannot be read.
-        """
+        """Raise ChangedOnDiskError if another text is on disk by now; a file that is gone is no change."""
         if text_if_there(self.path) not in (None, self.text):
             raise ChangedOnDiskError(self.path, [Problem("", SavingProblem.CHANGED())])
 
 
-def load(path: Path) -> Session:
-    """Read a session file.
+# --- reading. All functions raise a SessionError that has all mistakes of the file
 
-    Raises:
-        SessionError: it cannot be read, or has mistakes: all of them.
-    """
+
+def load(path: Path) -> Session:
     return load_file(path).session
 
 
 def load_file(path: Path) -> SessionFile:
-    """Do as `load`, and keep the text, so that the session can be saved with changes."""
+    """Read a session file, and keep the text, so that the session can be saved with changes."""
     text = read_text(path)
     return SessionFile(path, text, parse(text, path))
 
@@ -99,14 +91,7 @@ def open_file(path: Path) -> SessionFile | None:
 
 
 def parse(text: str, path: Path) -> Session:
-    """Read a session from a file's text.
-
-    Args:
-        path: of the file, for the messages.
-
-    Raises:
-        SessionError: it has mistakes.
-    """
+    """Read a session from the text of the file at a path."""
     document = read_yaml(text, path)
     if origin := origin_of(document.data):
         raise SessionError(path, [Problem("", SavingProblem.FOREIGN(origin=origin.value, path=path))])
@@ -118,37 +103,28 @@ def parse(text: str, path: Path) -> Session:
 
 
 def demand_places(path: Path) -> dict[SourceKey, str]:
-    """Return where a session file demands arming or limits: ``robot.yaml:14``, by the keys of the lines.
-
-    A file that cannot be read, or that has mistakes, has no such lines.
-    """
+    """Return where a session file demands arming or limits (``robot.yaml:14``); one with mistakes has no such lines."""
     try:
-        text = read_text(path)
-        return {key: f"{path.name}:{line}" for key, line in demand_lines(text, path).items()}
+        return {key: f"{path.name}:{line}" for key, line in demand_lines(read_text(path), path).items()}
     except SessionError:
         return {}
 
 
 def demand_lines(text: str, path: Path) -> dict[SourceKey, int]:
-    """Return the lines of a session file's text that demand arming or limits.
-
-    Raises:
-        SessionError: it has mistakes.
-    """
-    session, document = parse(text, path), read_yaml(text, path)
-    places = [("armed", at) for at in range(len(session.armed))]
-    found = {
-        source.key: document.lines[join(*place)]
-        for source, place in zip(sources_of_names(session.armed), places, strict=True)
-    }
+    """Return the lines of a session file's text that demand arming or limits."""
+    session, lines = parse(text, path), read_yaml(text, path).lines
+    sources = enumerate(sources_of_names(session.armed))
+    found = {source.key: lines[join("armed", at)] for at, source in sources}
     holders = [("", "", session.topics)]
     holders += [(join("clients", at), each.name, each.topics) for at, each in enumerate(session.listed_clients)]
     for where, client, topics in holders:
         for topic, here in zip(topics, locations(topics), strict=True):
             if topic.arm or topic.limits is not None:
-                key = "arm" if topic.arm else "limits"
-                found[client, topic.identity] = document.lines[join(join(where, here), key)]
+                found[client, topic.identity] = lines[join(join(where, here), "arm" if topic.arm else "limits")]
     return found
+
+
+# --- saving
 
 
 def dump(session: Session, notes: Iterable[str] = ()) -> str:
@@ -163,20 +139,17 @@ def dump(session: Session, notes: Iterable[str] = ()) -> str:
 
 def same(one: Session, other: Session) -> bool:
     """Whether two sessions differ in nothing but the order of topics and clients, which a merge leaves as it is."""
-    return _in_order(one) == _in_order(other)
 
+    def ordered(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
+        return tuple(sorted(topics, key=lambda topic: topic.identity))
 
-def _in_order(session: Session) -> Session:
-    clients = tuple(
-        msgspec.structs.replace(client, topics=_sorted(client.topics))
-        for client in sorted(session.listed_clients, key=lambda client: client.name)
-    )
-    listed = None if session.clients is None else clients
-    return msgspec.structs.replace(session, topics=_sorted(session.topics), clients=listed)
+    def in_order(session: Session) -> Session:
+        clients = sorted(session.listed_clients, key=lambda client: client.name)
+        listed = tuple(msgspec.structs.replace(each, topics=ordered(each.topics)) for each in clients)
+        clients_of = None if session.clients is None else listed
+        return msgspec.structs.replace(session, topics=ordered(session.topics), clients=clients_of)
 
-
-def _sorted(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
-    return tuple(sorted(topics, key=lambda topic: topic.identity))
+    return in_order(one) == in_order(other)
 
 
 class SessionInFile:
@@ -201,18 +174,10 @@ class SessionInFile:
 
 
 def save(session: Session, path: Path, opened: SessionFile | None = None, notes: Iterable[str] = ()) -> SessionFile:
-    """Write a session file: whole, or not at all.
+    """Write a session file as `edited_text` has it, whole or not at all, and return it as it is now.
 
     A file that is replaced keeps its mode, owner and group, and its previous contents are kept in `backup_path`. A new
     file has mode 0600.
-
-    Args:
-        session: what the file is to say.
-        opened: as in `edited_text`.
-        notes: as in `dump`, of a new file.
-
-    Returns:
-        The file as it is now.
 
     Raises:
         ChangedOnDiskError: the file was changed on disk since it was opened.
@@ -223,7 +188,10 @@ def save(session: Session, path: Path, opened: SessionFile | None = None, notes:
     if opened is not None and opened.is_at(path):
         opened.check_unchanged()
     try:
-        _check_writable(path)
+        # Its folder's rights would let a file without any right to write be replaced.
+        status = stat_of(path)
+        if status is not None and not stat.S_IMODE(status.st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
+            raise PermissionError(errno.EACCES, SavingProblem.READ_ONLY(path=path))
         # A second save of the same text must not replace the backup, the only copy of the earlier contents.
         if path.is_file() and path.read_bytes() != text.encode():
             replace_file(backup_path(path), path.read_bytes(), like=path)
@@ -238,7 +206,6 @@ def edited_text(session: Session, path: Path, opened: SessionFile | None = None,
     """Return the text that `save` writes.
 
     Args:
-        session: what the file is to say.
         opened: the file that the session came from, or None for a new text. Comments, order, layout and all values that
             did not change are kept.
         notes: as in `dump`, of a new text.
@@ -247,15 +214,23 @@ def edited_text(session: Session, path: Path, opened: SessionFile | None = None,
         UneditableError: the changes cannot be put into the opened file's text.
         SessionError: the session has mistakes.
     """
-    problems = validate(session)
-    if problems:
+    from rsb_bridge.config.merge import LayoutError, merge  # noqa: PLC0415 -- only saving needs it
+
+    if problems := validate(session):
         raise SessionError(path, problems)
+    where = path if opened is None else opened.path
+    try:
+        if opened is None:
+            text = dump(session, notes)
+        else:
+            text = merge(opened.text, read_yaml(opened.text, where).root, opened.session, session)
+        if same(parse(text, where), session):  # a mistake of the merge must not reach the file
+            return text
+    except (LayoutError, SessionError):
+        pass
     if opened is not None:
-        return _merged(opened, session)
-    text = dump(session, notes)
-    if not _says(text, session, path):
-        raise SessionError(path, [Problem("", "not saved: the file would not load again as this session")])
-    return text
+        raise UneditableError(where, [Problem("", SavingProblem.LAYOUT())])
+    raise SessionError(path, [Problem("", "not saved: the file would not load again as this session")])
 
 
 def backup_path(path: Path) -> Path:
@@ -264,31 +239,7 @@ def backup_path(path: Path) -> Path:
     return target.with_name(f"{target.name}~")
 
 
-def _check_writable(path: Path) -> None:
-    """Raise an OSError for a file without any right to write: its folder's rights would let it be replaced."""
-    status = stat_of(path)
-    if status is not None and not stat.S_IMODE(status.st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
-        raise PermissionError(errno.EACCES, SavingProblem.READ_ONLY(path=path))
-
-
-def _says(text: str, session: Session, path: Path) -> bool:
-    try:
-        return same(parse(text, path), session)
-    except SessionError:
-        return False
-
-
-def _merged(opened: SessionFile, session: Session) -> str:
-    from rsb_bridge.config.merge import LayoutError, merge  # noqa: PLC0415 -- only saving needs it
-
-    try:
-        text = merge(opened.text, read_yaml(opened.text, opened.path).root, opened.session, session)
-    except LayoutError:
-        text = ""
-    # A mistake of the merge must not reach the file.
-    if not _says(text, session, opened.path):
-        raise UneditableError(opened.path, [Problem("", SavingProblem.LAYOUT())])
-    return text
+# --- fleets
 
 
 class FleetMistake(Wording):
@@ -299,12 +250,7 @@ class FleetMistake(Wording):
 
 
 class FleetFile(NamedTuple):
-    """The contents of the file by which an operator's console reaches a fleet.
-
-    Attributes:
-        operator: as its engines' sessions name them.
-        base: the folder that the files it names are relative to.
-    """
+    """The file by which an operator's console reaches a fleet; the files it names are relative to `base`."""
 
     zenoh: ZenohSettings
     operator: str
@@ -321,12 +267,7 @@ class Fleet(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def load_fleet(path: Path) -> FleetFile:
-    """Read a fleet's file.
-
-    Raises:
-        SessionError: it can't be read, or has mistakes.
-        KeyFileError: the key can't be read.
-    """
+    """Read a fleet's file. Raise SessionError or KeyFileError if it or the key cannot be read, or has mistakes."""
     document = read_yaml(read_text(path), path)
     problems = list(document.problems)
     written = read(document.data, Fleet, problems)
@@ -340,5 +281,4 @@ def load_fleet(path: Path) -> FleetFile:
             problems.append(Problem("key_file", FleetMistake.KEY_FILE_MISSING()))
     if problems:
         raise SessionError(path, [document.locate(problem) for problem in problems])
-    base = path.parent
-    return FleetFile(written.zenoh, written.operator, read_key(key_path(base, written.key_file)), base)
+    return FleetFile(written.zenoh, written.operator, read_key(key_path(path.parent, written.key_file)), path.parent)
