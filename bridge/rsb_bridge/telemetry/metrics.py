@@ -1,7 +1,5 @@
 """A snapshot as Prometheus metrics, and the HTTP server that makes them when somebody asks.
 
-Messages cost nothing here.
-
 A counter must not fall while its route exists, or a rate that Prometheus computes from it jumps. A ledger's figures may
 fall: a message counted as lost may arrive later. So a counter shows its highest value, until the route's first figure
 (messages offered, or calls asked) falls: then the route's counts have started from 0.
@@ -14,10 +12,9 @@ import io
 import socket
 import threading
 from collections import Counter
-from dataclasses import dataclass
 from importlib.metadata import version
 from socketserver import TCPServer, ThreadingMixIn
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 from prometheus_client import CollectorRegistry, ProcessCollector, make_wsgi_app
@@ -31,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 
-    from rsb_bridge.model.figure_table import Figure
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
 
@@ -45,63 +41,37 @@ DROPPED = frozenset(
     }
 )  # fmt: skip
 REFUSED = frozenset(Refused) - {Refused.LOST, Refused.OTHER}
-_LINK = ("link",)
-_TOPIC = (*_LINK, "topic", "direction")
-_ROUTE = (*_TOPIC, "kind")
-_CONNECTIONS = 8
-"""At once; more are closed without an answer."""
-_ANSWERED_WITHIN = 10.0
-"""s that a connection may last: as long as Prometheus waits by default."""
-_LOOKS_EVERY = 1.0
-"""s from one look for overdue connections to the next, if none comes."""
-_BACKLOG = 16  # connections that wait in the kernel. A round figure
+_CONNECTIONS = 8  # at once; more are closed without an answer
+_ANSWERED_WITHIN = 10.0  # s that a connection may last: as long as Prometheus waits by default
+_LOOKS_EVERY = 1.0  # s between looks for overdue connections, if none comes
 
+_TOPIC = ("link", "topic", "direction")
+_LABELS = {Of.LINK: ("link",), Of.ROUTE: (*_TOPIC, "kind"), Of.MESSAGES: _TOPIC, Of.CALLS: (*_TOPIC, "kind")}
+_CAUSES = {Of.MESSAGES: DROPPED, Of.CALLS: REFUSED}
 _Samples: TypeAlias = dict[tuple[str, ...], float]
 """Values by the name of the family and the labels that not all metrics of a link or a route have."""
 
 
-@dataclass(frozen=True, slots=True)
-class Family:
-    """Metrics of one name.
-
-    Attributes:
-        name: a counter's ends in ``_total``.
-    """
+class Family(NamedTuple):
+    """Metrics of one name; a counter's ends in ``_total``."""
 
     name: str
     labels: tuple[str, ...]
     text: str
 
-    def empty(self) -> CounterMetricFamily | GaugeMetricFamily:
-        """Without any sample."""
-        kind = CounterMetricFamily if self.name.endswith("_total") else GaugeMetricFamily
-        return kind(self.name, self.text, labels=self.labels)
 
-
-_LABELS = {Of.LINK: _LINK, Of.ROUTE: _ROUTE, Of.MESSAGES: _TOPIC, Of.CALLS: _ROUTE}
-_CAUSES = {Of.MESSAGES: DROPPED, Of.CALLS: REFUSED}
-_OF_BRIDGE = (
+_METRICS = {of: [(f"rsb_{of}_{each.metric}", each) for each in FIGURES if each.metric and each.of is of] for of in Of}
+FAMILIES = (
     Family("rsb_build_info", ("version",), "Always 1; the version of rsb-console."),
-    Family(
-        "rsb_session_info", ("session", "role", "domain"), "Always 1; the name, role and ROS domain of the session."
-    ),
+    Family("rsb_session_info", ("session", "role", "domain"), "Always 1; the session's name, role and ROS domain."),
     Family("rsb_running", (), "1 while the engine runs."),
     Family("rsb_snapshot_timestamp_seconds", (), "When these figures were taken; the engine takes them once a second."),
     Family("rsb_events_total", ("level",), "Events that the bridge has reported, by severity."),
-)
-
-
-def _name(figure: Figure) -> str:
-    return f"rsb_{figure.of}_{figure.metric}"
-
-
-_METRICS = {of: tuple((_name(each), each) for each in FIGURES if each.metric and each.of is of) for of in Of}
-FAMILIES = (
-    *_OF_BRIDGE,
     *(
-        Family(_name(figure), (*_LABELS[figure.of], *([figure.by] if figure.by else [])), figure.help)
-        for figure in FIGURES
-        if figure.help
+        Family(name, (*_LABELS[of], *([each.by] if each.by else [])), each.help)
+        for of, metrics in _METRICS.items()
+        for name, each in metrics
+        if each.help
     ),
 )
 
@@ -121,72 +91,53 @@ class SnapshotCollector(Collector):
     def __init__(self, look: Callable[[], Snapshot], events: EventLog) -> None:
         self._look = look
         self._events = events
-        self._version = version("rsb-console")
+        self._version = version("rsb-console")  # of what runs, not of what is installed later
         self._one_at_a_time = threading.Lock()
-        self._lives: dict[str, _Life] = {}
-        """Of the routes that there are, by key."""
+        self._highest: dict[str, _Samples] = {}  # the counters so far, by the route's key
 
     def collect(self) -> Iterator[CounterMetricFamily | GaugeMetricFamily]:
-        with self._one_at_a_time:
-            families = _Families()
-            snapshot = self._look()
-            self._of_bridge(snapshot, families)
-            for link in snapshot.links:
-                families.add((link.name,), _samples(Of.LINK, link, snapshot.time))
-            self._lives = {route.key: self._lives.get(route.key) or _Life() for route in snapshot.routes}
-            for route, labels in zip(snapshot.routes, _labels_of(snapshot.routes), strict=True):
-                of_route = (*labels, route.spec.kind)
-                families.add(of_route, _samples(Of.ROUTE, route, snapshot.time))
-                carried = Of.MESSAGES if route.calls is None else Of.CALLS
-                samples = self._lives[route.key].highest(_samples(carried, route, snapshot.time))
-                families.add(labels if route.calls is None else of_route, samples)
-        # Outside of the lock: a slow reader holds up no other one.
-        yield from families.made.values()
+        made = {
+            name: (CounterMetricFamily if name.endswith("_total") else GaugeMetricFamily)(name, text, labels=labels)
+            for name, labels, text in FAMILIES
+        }
 
-    def _of_bridge(self, snapshot: Snapshot, families: _Families) -> None:
-        session = (snapshot.name, snapshot.role, str(snapshot.domain_id))
+        def add(labels: tuple[str, ...], samples: _Samples) -> None:
+            for (name, *own), value in samples.items():
+                made[name].add_metric([*labels, *own], value)
+
+        with self._one_at_a_time:
+            now = self._look()
+            add((), self._of_bridge(now))
+            for link in now.links:
+                add((link.name,), _samples(Of.LINK, link, now.time))
+            known, self._highest = self._highest, {}
+            for route, labels in zip(now.routes, _labels_of(now.routes), strict=True):
+                add((*labels, route.spec.kind), _samples(Of.ROUTE, route, now.time))
+                of = Of.MESSAGES if route.calls is None else Of.CALLS
+                samples = _samples(of, route, now.time)
+                self._highest[route.key] = counters = _highest(known.get(route.key, {}), samples)
+                add(labels if route.calls is None else (*labels, route.spec.kind), samples | counters)
+        yield from made.values()  # outside of the lock: a slow reader holds up no other one
+
+    def _of_bridge(self, now: Snapshot) -> _Samples:
         samples: _Samples = {
             ("rsb_build_info", self._version): 1,
-            ("rsb_session_info", *session): 1,
-            ("rsb_running",): snapshot.running,
-            ("rsb_snapshot_timestamp_seconds",): snapshot.time,
+            ("rsb_session_info", now.name, now.role, str(now.domain_id)): 1,
+            ("rsb_running",): now.running,
+            ("rsb_snapshot_timestamp_seconds",): now.time,
         }
-        samples |= {("rsb_events_total", level.value): count for level, count in self._events.counts.items()}
-        families.add((), samples)
+        return samples | {("rsb_events_total", level.value): count for level, count in self._events.counts.items()}
 
 
-class _Families:
-    """The families of one scrape."""
-
-    def __init__(self) -> None:
-        self.made = {family.name: family.empty() for family in FAMILIES}
-
-    def add(self, labels: tuple[str, ...], samples: _Samples) -> None:
-        """Add samples that have these labels besides their own."""
-        for (name, *own), value in samples.items():
-            self.made[name].add_metric([*labels, *own], value)
-
-
-class _Life:
-    """The counters of a route, which fall only when its sender restarts."""
-
-    def __init__(self) -> None:
-        self._first = 0.0
-        self._counts: _Samples = {}
-
-    def highest(self, samples: _Samples) -> _Samples:
-        """Return samples with the highest value so far of each counter.
-
-        No correction makes the first counter, of messages offered or calls asked, fall.
-        """
-        counts = {sample: value for sample, value in samples.items() if sample[0].endswith("_total")}
-        # The order of `FIGURES` makes it that of the messages offered, or of the calls asked.
-        first = next(iter(counts.values()))
-        before = self._counts if first >= self._first else {}
-        self._first = first
-        # A cause that is no longer listed counts as 0, and its counter must not fall either.
-        self._counts = {each: max(before.get(each, 0), counts.get(each, 0)) for each in {**before, **counts}}
-        return self._counts | {each: value for each, value in samples.items() if each not in self._counts}
+def _highest(before: _Samples, samples: _Samples) -> _Samples:
+    """Return the highest values so far of the counters in samples; they fall only when the sender restarts."""
+    counts = {each: value for each, value in samples.items() if each[0].endswith("_total")}
+    # By the order of `FIGURES` the first one is of messages offered or calls asked. No correction makes these fall.
+    first = next(iter(counts))
+    if counts[first] < before.get(first, 0):
+        return counts
+    # A cause that is no longer listed counts as 0, and its counter must not fall either.
+    return {each: max(before.get(each, 0), counts.get(each, 0)) for each in {**before, **counts}}
 
 
 def _samples(of: Of, subject: LinkSnapshot | RouteSnapshot, now: float) -> _Samples:
@@ -204,7 +155,7 @@ def _samples(of: Of, subject: LinkSnapshot | RouteSnapshot, now: float) -> _Samp
             found[name, value] = 1
         else:
             for label, each in value.items():
-                sample = (name, label if of not in _CAUSES or label in _CAUSES[of] else OTHER)
+                sample = name, label if of not in _CAUSES or label in _CAUSES[of] else OTHER
                 found[sample] = found.get(sample, 0) + each
     return found
 
@@ -224,7 +175,6 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
     It serves a few readers, each for a short time, because a whole network may reach it.
 
     Args:
-        host: an address or a name.
         steady: the time (s) on a clock that nobody sets.
         failed: called with exceptions of the application.
 
@@ -233,7 +183,7 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
     """
 
     daemon_threads = False  # so that closing waits for them
-    request_queue_size = _BACKLOG
+    request_queue_size = 16
     timeout = _LOOKS_EVERY
 
     def __init__(
@@ -244,23 +194,22 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
         steady: Callable[[], float],
         failed: Callable[[Exception], None],
     ) -> None:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         # The default is IPv4, and the address may be IPv6.
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         self.address_family, _, _, _, address = found[0]
         self._steady = steady
-        self._failed = failed
         self._open: dict[socket.socket, float] = {}
         super().__init__(address, _Handler)  # type: ignore[arg-type]  # an IPv6 address has four parts
-        self._app = app
-        self.set_app(self._answer)
 
-    def _answer(self, environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
-        try:
-            return self._app(environ, start_response)
-        except Exception as error:  # noqa: BLE001 (the last resort: the server goes on, and the log has the error)
-            self._failed(error)
-            start_response("500 Internal Server Error", [("Content-Type", "text/plain")])
-            return [b"internal error: see the bridge's log\n"]
+        def answer(environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
+            try:
+                return app(environ, start_response)
+            except Exception as error:  # noqa: BLE001 (the last resort: the server goes on, and the log has the error)
+                failed(error)
+                start_response("500 Internal Server Error", [("Content-Type", "text/plain")])
+                return [b"internal error: see the bridge's log\n"]
+
+        self.set_app(answer)
 
     def server_bind(self) -> None:
         """Bind without a reverse DNS lookup, which may block."""
@@ -271,10 +220,9 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
     def turn(self) -> None:
         """Take a connection; returns after a second without one, or after `wake`."""
         self.handle_request()
-        now = self._steady()
-        # A copy: the connections' threads take themselves out.
-        for request, began in list(self._open.items()):
-            if now - began >= _ANSWERED_WITHIN:
+        latest = self._steady() - _ANSWERED_WITHIN
+        for request, began in list(self._open.items()):  # a copy: the connections' threads take themselves out
+            if began <= latest:
                 _shut(request)
 
     def wake(self) -> None:
@@ -303,12 +251,12 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
 
 
 class _Handler(WSGIRequestHandler):
-    """One request on a connection. Nothing is printed: standard error may be the terminal of a console."""
+    """Prints nothing: standard error may be the terminal of a console."""
 
     timeout = _ANSWERED_WITHIN
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002 (so it is called there)
-        """Log nothing."""
+        pass
 
     def get_stderr(self) -> io.StringIO:
         return io.StringIO()
