@@ -78,20 +78,18 @@ def test_what_changes_a_bridge_states_its_effect() -> None:
     assert [kind for kind in changing if not {"always", "effect"} & vars(kind).keys()] == []
 
 
-def each_again(
-    remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, before: Callable[[], object], after: Callable[[Any], object]
-) -> None:
-    """Do something before each request is repeated, and after that with it."""
-    requests = remote._requests
-    again = requests.again
+def each_again(monkeypatch: pytest.MonkeyPatch, do: Callable[[Any], object]) -> None:
+    """Do something with each command right before it is sent again."""
+    send = replaced.ATTACHED_SEND.value
+    sent: list[object] = []
 
-    def repeat(message: Any) -> Any:
-        before()
-        waiting = again(message)
-        after(waiting)
-        return waiting
+    def send_request(remote: RemoteEngine, waiting: Any) -> None:
+        if any(each is waiting for each in sent):
+            do(waiting)
+        sent.append(waiting)
+        send(remote, waiting)
 
-    monkeypatch.setattr(requests, "again", repeat)
+    replaced.ATTACHED_SEND.set(monkeypatch, send_request)
 
 
 def slow_line(remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
@@ -128,7 +126,7 @@ def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command
 def test_a_refused_command_that_is_given_up_is_not_repeated(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)
-    each_again(remote, monkeypatch, lambda: None, lambda waiting: waiting.future.cancel())
+    each_again(monkeypatch, lambda waiting: waiting.future.cancel())
     slow_line(remote, monkeypatch, TICKET_LIFE + 0.5)
     eventually(remote.do(ArmTopic("/scan")).cancelled)
     remote.do(PauseTopics("/scan", paused=True)).result(60)
@@ -147,10 +145,10 @@ def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
     now = [Clock.steady()]
     replaced.STEADY_CLOCK.set(monkeypatch, staticmethod(lambda: now[0]))
 
-    def stand_still() -> None:
+    def stand_still(_: object) -> None:
         now[0] += stood
 
-    each_again(remote, monkeypatch, stand_still, lambda _: None)
+    each_again(monkeypatch, stand_still)
     slow_line(remote, monkeypatch, TICKET_LIFE + 0.5)
     with pytest.raises(EngineError, match=pattern(RequestProblem.TOO_LATE)):
         remote.do(Publish("/scan", "{}", rest=rest)).result(60)

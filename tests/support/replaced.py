@@ -6,6 +6,7 @@ from tests.support.places import Place
 
 FALLBACK_FOLDER = Place("rsb_bridge.control.control_sockets", "_fallback_folder")
 FOLDER_PROBLEM = Place("rsb_bridge.control.control_sockets", "_folder_problem")
+ATTACHED_SEND = Place("rsb_bridge.control.remote_engine", "RemoteEngine._send_request")
 PEER_OF = Place("rsb_bridge.control.control_sockets", "peer_of")
 CONSOLE_SHOW = Place("rsb_bridge.control.attached_console", "AttachedConsole._show")
 CONSOLE_CONNECTED = Place("rsb_bridge.control.sealed", "SealedConsole.connection_made")

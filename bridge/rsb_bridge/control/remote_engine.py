@@ -10,22 +10,13 @@ import threading
 import time
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol
 
 from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError, NoAnswerError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError, try_connect
-from rsb_bridge.control.protocol import (
-    CommandFailed,
-    CommandRequest,
-    ControlProtocolError,
-    Reply,
-    RequestProblem,
-    RestartStep,
-    UnexpectedMessage,
-)
+from rsb_bridge.control.protocol import CommandRequest, ControlProtocolError, RequestProblem, UnexpectedMessage
 from rsb_bridge.control.states import StateReceiver, UntrustedMessages
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
@@ -52,7 +43,6 @@ _COMES_BEFORE_USE = 0.1
 """s: the next state is asked for so long before it is likely to be used."""
 _USED_REGULARLY = 3.0
 """s between two uses up to which the next use is expected after the same time. A round figure."""
-
 _BUSY_TRIED_EVERY = 0.05  # s. A round figure: a console attaches so much later at most
 _READ_SIZE = 256 << 10
 
@@ -96,15 +86,10 @@ class Connector(Protocol):
         """The name of the engine for messages, until the engine itself has given one."""
 
     async def open(self, within: float) -> Connection:
-        """Connect. Nothing is left open if this fails or is cancelled.
-
-        Args:
-            within: s in which the engine has to answer.
+        """Connect within so many s. Nothing is left open if this fails or is cancelled.
 
         Raises:
-            ControlError: there is no connection; the message has the reason.
-            OSError: the same.
-            TimeoutError: the engine does not answer.
+            ControlError, OSError, TimeoutError: there is no connection; the first one's message has the reason.
         """
 
 
@@ -115,16 +100,10 @@ class UnixSocket:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-
-    @property
-    def text(self) -> str:
-        return str(self.path)
+        self.text = str(path)
 
     async def open(self, within: float) -> Connection:
-        """Connect.
-
-        The socket is made between two awaits, so that a cancellation cannot come before somebody owns it.
-        """
+        # The socket is made between two awaits, so that a cancellation cannot come before somebody owns it.
         async with asyncio.timeout(within):
             while (connection := try_connect(self.path)) is None:  # noqa: ASYNC110 — the kernel tells of no event
                 await asyncio.sleep(_BUSY_TRIED_EVERY)
@@ -150,6 +129,33 @@ class _SocketConnection:
         self._writer.transport.abort()
 
 
+@dataclass(frozen=True, slots=True)
+class _Waiting(Generic[R]):
+    """A command without a reply, given by its operator at a time (s) of `Clock.steady`."""
+
+    command: Command[R]
+    future: Future[R]
+    step: Callable[[str], None] | None
+    undo: bool
+    given_at: float
+
+    @property
+    def is_old(self) -> bool:
+        """Whether nobody may want it any more: a velocity after a moment, anything else after some seconds."""
+        life = TICKET_LIFE if isinstance(self.command, Publish) and self.command.rest else OLD_AFTER
+        return self.command.expires and Clock.steady() - self.given_at > life
+
+    def end(self, result: Callable[[], R] | EngineError) -> None:
+        if not self.future.set_running_or_notify_cancel():
+            return
+        try:
+            if isinstance(result, EngineError):
+                raise result
+            self.future.set_result(result())
+        except EngineError as error:
+            self.future.set_exception(error)
+
+
 class RemoteEngine(EngineApi):
     """Fulfils `EngineApi` for an engine of another process.
 
@@ -163,23 +169,19 @@ class RemoteEngine(EngineApi):
     Attributes:
         given_at: the time (s) of `Clock.steady` when the operator gave the commands that this engine gets, or None for
             the time when it gets them.
-        bridge: the description of its bridge, from `start` on.
-        read_only: whether the bridge refuses all changes, from `start` on.
-        may_take: as of `EngineApi`, from `start` on.
+        bridge: the description of its bridge; like `read_only` and `may_take`, as the bridge says from `start` on.
         same_machine: whether the files that the bridge names are this machine's.
     """
 
     def __init__(self, where: Path | Connector, *, read_only: bool = False, clock: Clock | None = None) -> None:
-        self.read_only = read_only
         self._way: Connector = UnixSocket(where) if isinstance(where, Path) else where
         self.same_machine = self._way.same_machine
-        self._untrusted = None if self.same_machine else UntrustedMessages(time.monotonic())
-        self._wants_read_only = read_only
+        self.read_only = self._wants_read_only = read_only
         self.given_at: float | None = None
-        self._ticket = 0
         self.bridge: BridgeInfo
-        self._log = EventLog(clock or Clock())
         self._clock = clock or Clock()
+        self._log = EventLog(self._clock)
+        self._untrusted = None if self.same_machine else UntrustedMessages(time.monotonic())
         self._shown: Snapshot
         self._session: Session
         self._waits_for_operator = False
@@ -187,18 +189,18 @@ class RemoteEngine(EngineApi):
         self._goodbye = ""  # the reason, until the next state comes
         self._lost_at = 0.0
         self._receiver: StateReceiver | None = None
-        self._started: Future[None] = Future()
-        self._thread = threading.Thread(target=self._run, name="rsb-attached", daemon=True)
-        self._loop: asyncio.AbstractEventLoop
-        self._ends = asyncio.Event()
         self._connection: Connection | None = None
-        self._requests = _Requests()
-        self._followed = 0
-        self._events_before = 0
+        self._ids = itertools.count(1)  # on across connections
+        self._waiting: dict[int, _Waiting[Any]] = {}
+        self._ticket = 0
+        self._followed = self._events_before = 0
         self._asked_at: float | None = None
-        self._heard_at = float("-inf")
-        self._used_at = float("-inf")
+        self._heard_at = self._used_at = float("-inf")
         self._poll_is_due = False
+        self._started: Future[None] = Future()
+        self._ends = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop
+        self._thread = threading.Thread(target=self._run, name="rsb-attached", daemon=True)
 
     # --- from any thread
 
@@ -212,21 +214,18 @@ class RemoteEngine(EngineApi):
 
     @property
     def unreachable(self) -> str:
-        if self._lost:
-            return self._lost
         silent = self._silent_for
-        return AttachProblem.SILENT_FOR(seconds=silent) if silent > ANSWERS_WITHIN else ""
+        return self._lost or (AttachProblem.SILENT_FOR(seconds=silent) if silent > ANSWERS_WITHIN else "")
 
     @property
     def _silent_for(self) -> float:
-        asked = self._asked_at
         # A state may take longer over a thin line, but then parts of it come.
+        asked = self._asked_at
         return 0.0 if asked is None else time.monotonic() - max(asked, self._heard_at)
 
     @property
     def file_here(self) -> Path | None:
         """The path of the bridge's session file, or None without a file on this machine."""
-        # A path of another machine may name another file here.
         return Path(self.bridge.file) if self.bridge.file is not None and self.same_machine else None
 
     def start(self) -> None:
@@ -240,17 +239,21 @@ class RemoteEngine(EngineApi):
 
     def stop(self, timeout: float = 5.0) -> None:
         if self._thread.is_alive():
-            with contextlib.suppress(RuntimeError):
-                self._loop.call_soon_threadsafe(self._ends.set)
+            self._call(self._ends.set)
             self._thread.join(timeout)
+
+    def _call(self, work: Callable[..., object], *arguments: object) -> bool:
+        """Have the thread do something; return False if it is detached already."""
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(work, *arguments)
+            return True
+        return False
 
     def snapshot(self) -> Snapshot:
         """Return the newest state, and request the next one."""
         now = time.monotonic()
         since, self._used_at = now - self._used_at, now
-        delay = since - _COMES_BEFORE_USE if since < _USED_REGULARLY else 0.0
-        with contextlib.suppress(RuntimeError):  # detached already
-            self._loop.call_soon_threadsafe(self._poll_soon, delay)
+        self._call(self._poll_soon, since - _COMES_BEFORE_USE if since < _USED_REGULARLY else 0.0)
         if (silent := self._silent_for) > ANSWERS_WITHIN:
             wall = self._clock.time_ns() / 1e9
             return out_of_reach(self._shown, AttachProblem.SILENT(), since=wall - silent, now=wall)
@@ -280,10 +283,7 @@ class RemoteEngine(EngineApi):
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         future: Future[R] = Future()
         given_at = Clock.steady() if self.given_at is None else self.given_at
-        waiting = _Waiting(command, future, step, is_undo(), given_at)
-        try:
-            self._loop.call_soon_threadsafe(self._send_request, waiting)
-        except RuntimeError:
+        if not self._call(self._send_request, _Waiting(command, future, step, is_undo(), given_at)):
             future.set_exception(EngineError(AttachProblem.DETACHED()))
         return future
 
@@ -292,15 +292,14 @@ class RemoteEngine(EngineApi):
     def _run(self) -> None:
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
             runner.run(self._main())
-        self._requests.fail(AttachProblem.DETACHED())
+        self._fail(AttachProblem.DETACHED())
 
     async def _main(self) -> None:
-        ends = asyncio.create_task(self._ends.wait())
-        attached = asyncio.create_task(self._attach_for_ever())
-        await asyncio.wait((ends, attached), return_when=asyncio.FIRST_COMPLETED)
-        for task in (ends, attached):
+        tasks = [asyncio.create_task(self._ends.wait()), asyncio.create_task(self._attach_for_ever())]
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in tasks:
             task.cancel()
-        await asyncio.gather(ends, attached, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
         if not self._started.done():
             self._started.set_exception(EngineError(AttachProblem.DETACHED()))
 
@@ -314,10 +313,9 @@ class RemoteEngine(EngineApi):
                 reason = self._lost or str(error)  # the first reason says more
             except ControlError as error:
                 reason, failure = str(error), error
-            except ControlProtocolError as error:
-                reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=error)
-            except TimeoutError:
-                reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=AttachProblem.SILENT())
+            except (ControlProtocolError, TimeoutError) as error:
+                problem = AttachProblem.SILENT() if isinstance(error, TimeoutError) else error
+                reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=problem)
             except OSError as error:
                 # After a bridge's goodbye its machine refuses the next connection: the goodbye gives the better reason.
                 reason = self._goodbye or AttachProblem.ON_SOCKET(where=self._way.text, problem=error.strerror or error)
@@ -374,20 +372,28 @@ class RemoteEngine(EngineApi):
                 for event in message.events:
                     self._log.append(event)
                     self._followed = event.number
-            case protocol.CommandFailed(late=True):
-                self._ticket = message.ticket
-                self._send_request(self._requests.again(message))
-            case protocol.Reply() | protocol.CommandFailed():
-                # Some refusals bring none.
-                self._ticket = message.ticket or self._ticket
-                self._requests.receive(message)
             case protocol.RestartStep():
-                self._requests.receive(message)
+                if (waiting := self._waiting.get(message.id)) is not None and waiting.step is not None:
+                    waiting.step(message.text)
+            case protocol.Reply() | protocol.CommandFailed():
+                self._ticket = message.ticket or self._ticket  # some refusals bring none
+                self._replied(message)
             case protocol.Summary():
                 raise ControlProtocolError("a summary that nobody has asked for")
             case protocol.HelloRefused() | protocol.Goodbye():
                 raise AssertionError("ends the connection")
         return False
+
+    def _replied(self, message: protocol.Reply | protocol.CommandFailed) -> None:
+        waiting = self._waiting.pop(message.id, None)
+        if waiting is None:
+            raise ControlProtocolError(UnexpectedMessage.UNASKED())
+        if isinstance(message, protocol.Reply):
+            waiting.end(lambda: protocol.result_of(waiting.command, message))
+        elif message.late:
+            self._send_request(waiting)
+        else:
+            waiting.end((InvalidRequestError if message.invalid else EngineError)(message.reason))
 
     def _welcome(self, bridge: BridgeInfo) -> None:
         another = not hasattr(self, "bridge") or self.bridge.instance != bridge.instance
@@ -417,23 +423,27 @@ class RemoteEngine(EngineApi):
     def _lose(self, reason: str) -> None:
         """Show that the connection is lost, and report it last: its listeners look at once."""
         self._asked_at = None
-        is_new = not self._lost
-        if is_new:
-            self._lost_at = self._clock.time_ns() / 1e9
-        if reason != self._lost:
-            self._shown = out_of_reach(self._shown, reason, since=self._lost_at, now=self._clock.time_ns() / 1e9)
+        before, now = self._lost, self._clock.time_ns() / 1e9
+        if not before:
+            self._lost_at = now
+        if reason != before:
+            self._shown = out_of_reach(self._shown, reason, since=self._lost_at, now=now)
             self._lost = reason
-        self._requests.fail(reason)
-        if is_new:
+        self._fail(reason)
+        if not before:
             why = reason.removeprefix(f"{self._way.text}: ")
             text = f"not attached to {self.name} any more: {why}; trying again"
             self._log.add(Level.ERROR, EventCode.ATTACH_LOST, text)
 
+    def _fail(self, reason: str) -> None:
+        """Fail all commands, because no reply will come."""
+        failed, self._waiting = self._waiting, {}
+        for waiting in failed.values():
+            waiting.end(NoAnswerError(f"no answer: {reason}"))
+
     def _send(self, message: ToBridge) -> None:
         if self._connection is not None:
             self._connection.write(protocol.encode(message))
-
-    # --- looking
 
     def _poll_soon(self, delay: float) -> None:
         if not self._poll_is_due and self._asked_at is None and self._connection is not None:
@@ -446,35 +456,35 @@ class RemoteEngine(EngineApi):
             self._asked_at = time.monotonic()
             self._send(protocol.PollState())
 
-    # --- requests
-
     def _send_request(self, waiting: _Waiting[R]) -> None:
         """Send a command, unless its operator has waited so long that it may no longer be wanted."""
         if waiting.is_old:
-            waiting.fail(EngineError(RequestProblem.TOO_LATE()))
+            waiting.end(EngineError(RequestProblem.TOO_LATE()))
             return
         if waiting.future.cancelled():
             return
         if self._connection is None:
-            waiting.fail(EngineError(f"not attached: {self._lost}"))
+            waiting.end(EngineError(f"not attached: {self._lost}"))
             return
-        request = self._requests.new(waiting, self._ticket)
+        number = next(self._ids)
+        request = CommandRequest(number, waiting.command, waiting.undo, self._ticket)
         try:
             size = len(protocol.encode(request))
         except UnicodeEncodeError:
-            self._requests.receive(CommandFailed(request.id, RequestProblem.NOT_UNICODE(), invalid=True))
+            waiting.end(InvalidRequestError(RequestProblem.NOT_UNICODE()))
             return
         if size > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
-            self._requests.receive(CommandFailed(request.id, f"this command is too long: {size:,} bytes"))
-        else:
-            self._send(request)
-            waiting.future.add_done_callback(partial(self._given_up, request.id))
+            waiting.end(EngineError(f"this command is too long: {size:,} bytes"))
+            return
+        self._waiting[number] = waiting
+        self._send(request)
 
-    def _given_up(self, request: int, future: Future[Any]) -> None:
-        """Tell the bridge that nobody waits for a command any more. Called on any thread."""
-        if future.cancelled():
-            with contextlib.suppress(RuntimeError):  # detached already
-                self._loop.call_soon_threadsafe(self._send, protocol.CommandWithdrawn(request))
+        def given_up(future: Future[R]) -> None:
+            """Tell the bridge that nobody waits for it any more. Called on any thread."""
+            if future.cancelled():
+                self._call(self._send, protocol.CommandWithdrawn(number))
+
+        waiting.future.add_done_callback(given_up)
 
 
 def attach(where: Path | Connector, *, read_only: bool) -> RemoteEngine:
@@ -486,87 +496,3 @@ def attach(where: Path | Connector, *, read_only: bool) -> RemoteEngine:
     engine = RemoteEngine(where, read_only=read_only)
     engine.start()
     return engine
-
-
-@dataclass(frozen=True, slots=True)
-class _Waiting(Generic[R]):
-    """A command that has no reply yet.
-
-    Attributes:
-        step: called with each step of a restart, or None.
-        undo: whether it takes back an earlier command.
-        given_at: the time (s) of `Clock.steady` when the operator gave it.
-    """
-
-    command: Command[R]
-    future: Future[R]
-    step: Callable[[str], None] | None
-    undo: bool
-    given_at: float
-
-    @property
-    def is_old(self) -> bool:
-        """Whether nobody may want it any more: a velocity after a moment, anything else after some seconds."""
-        life = TICKET_LIFE if isinstance(self.command, Publish) and self.command.rest else OLD_AFTER
-        return self.command.expires and Clock.steady() - self.given_at > life
-
-    def complete(self, reply: Reply) -> None:
-        if not self.future.set_running_or_notify_cancel():
-            return
-        try:
-            self.future.set_result(protocol.result_of(self.command, reply))
-        except EngineError as error:
-            self.future.set_exception(error)
-
-    def fail(self, error: EngineError) -> None:
-        if self.future.set_running_or_notify_cancel():
-            self.future.set_exception(error)
-
-
-class _Requests:
-    """Commands without a reply, by ids that count on across connections."""
-
-    def __init__(self) -> None:
-        self._ids = itertools.count(1)
-        self._waiting: dict[int, _Waiting[Any]] = {}
-
-    def new(self, waiting: _Waiting[Any], ticket: int) -> CommandRequest:
-        """Return the message for a command."""
-        number = next(self._ids)
-        self._waiting[number] = waiting
-        return CommandRequest(number, waiting.command, waiting.undo, ticket)
-
-    def again(self, message: CommandFailed) -> _Waiting[Any]:
-        """Return the command that a bridge refuses because it came late.
-
-        Raises:
-            ProtocolError: nobody has asked for that.
-        """
-        waiting = self._waiting.pop(message.id, None)
-        if waiting is None:
-            raise ControlProtocolError(UnexpectedMessage.UNASKED())
-        return waiting
-
-    def receive(self, message: Reply | CommandFailed | RestartStep) -> None:
-        """Pass on what the bridge reports of a command.
-
-        Raises:
-            ProtocolError: nobody has asked for that.
-        """
-        if isinstance(message, RestartStep):
-            if (waiting := self._waiting.get(message.id)) is not None and waiting.step is not None:
-                waiting.step(message.text)
-            return
-        waiting = self._waiting.pop(message.id, None)
-        if waiting is None:
-            raise ControlProtocolError(UnexpectedMessage.UNASKED())
-        if isinstance(message, CommandFailed):
-            waiting.fail((InvalidRequestError if message.invalid else EngineError)(message.reason))
-        else:
-            waiting.complete(message)
-
-    def fail(self, reason: str) -> None:
-        """Fail all commands, because no reply will come."""
-        failed, self._waiting = self._waiting, {}
-        for waiting in failed.values():
-            waiting.fail(NoAnswerError(f"no answer: {reason}"))
