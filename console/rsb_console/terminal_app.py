@@ -35,9 +35,8 @@ from rsb_console.terminal.pulse import ASKED_EVERY
 from rsb_console.widgets.lines import LOOK_CLASSES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
-    from types import FrameType
 
     from textual import events
     from textual.filter import LineFilter
@@ -48,7 +47,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 _ENDS_WITHIN = 10.0
 """s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
-_FAILURE = 1  # exit status
 
 
 class ShutdownReason(Enum):
@@ -72,6 +70,11 @@ class TerminalApp(App[ReturnType]):
         theme: name of the theme, or None for one that suits the terminal.
         config: the user's configuration folder, or None for the platform's.
         dialogs: groups of the workers that may open a dialog.
+
+    Attributes:
+        needs_young_keys: something can be driven, armed, resumed or linked again, so that the terminal has to prove how
+            young its keys are.
+        terminal: file descriptor of the terminal.
     """
 
     TITLE = "rsb-console"
@@ -81,6 +84,8 @@ class TerminalApp(App[ReturnType]):
     COMMANDS: ClassVar = {ActionsProvider}
     actions: Sequence[Action] = ACTIONS
     refresh_rate: float
+    needs_young_keys = False
+    terminal = 1
 
     def __init__(
         self,
@@ -99,14 +104,8 @@ class TerminalApp(App[ReturnType]):
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
-        self.needs_young_keys = False
-        """Whether something can be driven, armed, resumed or linked again, so that the terminal has to prove how young
-        its keys are."""
-        self.terminal = 1
-        """File descriptor of the terminal."""
-        self._forced_end = _ForcedEnd(self.stop)
-        self._filters_ascii = AsciiFilter()
-        self._filters_control = ControlFilter()
+        self._forced_end: threading.Timer | None = None
+        self._line_filters: list[LineFilter] = [ControlFilter(), *([AsciiFilter()] if ascii_only else [])]
 
     @property
     def readonly(self) -> bool:
@@ -116,18 +115,18 @@ class TerminalApp(App[ReturnType]):
         """Close what must not stay open; may take some seconds, on any thread."""
         raise NotImplementedError
 
-    # --- start
+    def pull(self) -> None:
+        raise NotImplementedError
+
+    # --- what Textual asks
 
     def get_theme_variable_defaults(self) -> dict[str, str]:
-        """Return the style sheet's variables that a theme may leave out (for Textual)."""
         return THEME_VARIABLES
 
     def get_line_filters(self) -> Sequence[LineFilter]:
-        filters = [*super().get_line_filters(), self._filters_control]
-        return [*filters, self._filters_ascii] if self.ascii_only else filters
+        return [*super().get_line_filters(), *self._line_filters]
 
     def on_mount(self) -> None:
-        """Set themes and keys, before the first picture."""
         # The key t goes through all themes. Only ours are checked to keep to the 256 colours that SSH leaves.
         for name in self.available_themes:
             self.unregister_theme(name)
@@ -137,13 +136,30 @@ class TerminalApp(App[ReturnType]):
         self.set_keymap(self.preferences.keymap)
         if isinstance(self._driver, ConsoleDriver):
             self.input_gate.pulse = self._driver.pulse
-        self.set_interval(ASKED_EVERY, self._ask_terminal)
+            self.set_interval(ASKED_EVERY, self._ask_terminal)
 
     def _ask_terminal(self) -> None:
         if isinstance(self._driver, ConsoleDriver) and (
             self.needs_young_keys or any(map(is_guarded, self.screen_stack))
         ):
             self._driver.ask()
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Disable the actions that change something while read-only."""
+        known = BY_ID.get(action)
+        if known is not None and known.changes and self.readonly:
+            return False
+        return super().check_action(action, parameters)
+
+    async def on_event(self, event: events.Event) -> None:
+        """Handle an event as Textual does, but input only when it is its turn."""
+        # The queue comes first: until an event's turn, another screen may be on top, which takes late keys or does not.
+        if self.input_queue.takes(event):
+            return
+        if event.is_forwarded or not self.screen_stack or not self.input_gate.refuses(event, self.screen):
+            await super().on_event(event)
+
+    # --- what screens ask
 
     def tell_problems(self) -> None:
         """Tell what is wrong with the preferences."""
@@ -160,10 +176,9 @@ class TerminalApp(App[ReturnType]):
         if isinstance(self._driver, ConsoleDriver):
             self._driver.entitle("".join(filter(str.isprintable, title)))
 
-    # --- refreshing
-
-    def pull(self) -> None:
-        raise NotImplementedError
+    async def ask(self, dialog: Screen[T]) -> T | None:
+        self.input_queue.waits_for(dialog)
+        return await self.push_screen_wait(dialog)
 
     def begin_pulling(self) -> None:
         """Call `pull` as often as `refresh_rate` says, from now on."""
@@ -178,8 +193,7 @@ class TerminalApp(App[ReturnType]):
     def _change_refresh_rate(self, step: int) -> None:
         index = REFRESH_RATES.index(self.refresh_rate) + step
         self.refresh_rate = REFRESH_RATES[max(0, min(len(REFRESH_RATES) - 1, index))]
-        # Textual cannot change the interval of a timer.
-        self._pulling.stop()
+        self._pulling.stop()  # Textual cannot change the interval of a timer
         self.begin_pulling()
         self.remember("refresh_rate", self.refresh_rate)
         self.pull()
@@ -192,17 +206,6 @@ class TerminalApp(App[ReturnType]):
             self.notify(str(error), title="Not kept", severity="warning", markup=False, timeout=8)
 
     # --- actions
-
-    async def ask(self, dialog: Screen[T]) -> T | None:
-        self.input_queue.waits_for(dialog)
-        return await self.push_screen_wait(dialog)
-
-    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Disable the actions that change something while read-only (Textual's)."""
-        known = BY_ID.get(action)
-        if known is not None and known.changes and self.readonly:
-            return False
-        return super().check_action(action, parameters)
 
     def key_question_mark(self) -> None:
         """Show the keys. Textual calls this if no binding has the key: dialogs' bindings leave out the app's."""
@@ -245,17 +248,7 @@ class TerminalApp(App[ReturnType]):
         """Leave the mouse to the terminal, or take it back."""
         if isinstance(self._driver, ConsoleDriver):
             self._driver.mouse = not self._driver.mouse
-            self.notify(
-                "the mouse is the console's" if self._driver.mouse else "the mouse is the terminal's", timeout=3
-            )
-
-    async def on_event(self, event: events.Event) -> None:
-        """Handle an event as Textual does, but input only when it is its turn."""
-        # The queue comes first: until an event's turn, another screen may be on top, which takes late keys or does not.
-        if self.input_queue.takes(event):
-            return
-        if event.is_forwarded or not self.screen_stack or not self.input_gate.refuses(event, self.screen):
-            await super().on_event(event)
+            self.notify(f"the mouse is the {'console' if self._driver.mouse else 'terminal'}'s", timeout=3)
 
     # --- end
 
@@ -270,24 +263,27 @@ class TerminalApp(App[ReturnType]):
         These handlers outlive the app's event loop, unlike asyncio's: a second SIGHUP is usual, and must not kill a
         bridge that goes on without the console.
         """
-
-        def handle(number: int, _frame: FrameType | None) -> None:
-            self.shut_down_soon(_SIGNALS[signal.Signals(number)])
-
-        for number in _SIGNALS:
-            signal.signal(number, handle)
+        for number, reason in _SIGNALS.items():
+            signal.signal(number, lambda *_, reason=reason: self.shut_down_soon(reason))
 
     def shut_down_soon(self, reason: ShutdownReason) -> None:
         """Call `shut_down` from a signal handler or another thread; end the process if the app hangs."""
         # In tests the process is theirs, and must not be killed.
-        if not self.is_headless:
-            self._forced_end.begin()
+        if self._forced_end is None and not self.is_headless:
+            self._forced_end = threading.Timer(_ENDS_WITHIN, self._force_end)
+            self._forced_end.daemon = True
+            self._forced_end.start()
         # Not call_from_thread, which waits for the app for as long as a terminal stalls it.
         self.call_later(self.shut_down, reason)
 
+    def _force_end(self) -> None:
+        self.stop()
+        os._exit(1)  # sys.exit would end this thread only
+
     def has_ended(self) -> None:
         """Note that the app has ended by itself, so the process is not killed."""
-        self._forced_end.cancel()
+        if self._forced_end is not None:
+            self._forced_end.cancel()
 
     def terminal_gone(self) -> None:
         """Shut down because the terminal has hung up; called by the driver's thread."""
@@ -307,33 +303,6 @@ class TerminalApp(App[ReturnType]):
             path.unlink(missing_ok=True)  # one of before may be open to others
             with open(path, "w", encoding="utf-8", opener=owner_only) as file:
                 file.write(several_lines(traceback.format_exc()))
-
-
-class _ForcedEnd:
-    """Ends the process if the app hangs while it shuts down.
-
-    Args:
-        stop: called first; closes what must not stay open.
-    """
-
-    def __init__(self, stop: Callable[[], None]) -> None:
-        self._stop = stop
-        self._timer: threading.Timer | None = None
-
-    def begin(self) -> None:
-        """Give the app `_ENDS_WITHIN` to shut down, counted from the first call."""
-        if self._timer is None:
-            self._timer = threading.Timer(_ENDS_WITHIN, self._end)
-            self._timer.daemon = True
-            self._timer.start()
-
-    def cancel(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-
-    def _end(self) -> None:
-        self._stop()
-        os._exit(_FAILURE)  # sys.exit would end this thread only
 
 
 def crash_path() -> Path:
