@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from rsb_bridge.link.fullness import Asked, FullnessWatch, LinkFullness
+from rsb_bridge.link.fullness import Asked, LinkFullness
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.capacity import rates_text
 from rsb_bridge.model.codes import EventCode
@@ -27,11 +27,14 @@ ALL = 48e3
 class Bed:
     def __init__(self) -> None:
         self.events: list[str] = []
-        self.fullness = LinkFullness(lambda level, code, text: self.events.append(code))
+        link: Any = SimpleNamespace(
+            log=lambda level, code, text, *, link_status: self.events.append(code), peer_name="the server", routes={}
+        )
+        self.fullness = LinkFullness(link, SimpleNamespace())  # type: ignore[arg-type]
 
     def look(self, *arrived: float, full: bool = True) -> bool:
         for each in arrived:
-            self.fullness.judge([SCAN, CAMERA], each, full=full, peer="the server")
+            self.fullness.judge([SCAN, CAMERA], each, full=full)
         return self.fullness.out is not None
 
 
@@ -54,7 +57,7 @@ def test_a_map_each_few_seconds_that_does_not_fit_fills_the_link() -> None:
     """In each period there is a second in which more arrives than is asked for."""
     bed = Bed()
     for asked in [48e3, 24e3, 12e3, 6e3, 3e3] * 3:
-        bed.fullness.judge([Asked("/map", "/map", asked)], 5e3, full=True, peer="the server")
+        bed.fullness.judge([Asked("/map", "/map", asked)], 5e3, full=True)
     assert bed.fullness.out is not None
     assert bed.events == [EventCode.LINK_FULL]
 
@@ -87,7 +90,7 @@ def test_it_has_room_once_nothing_is_asked() -> None:
     bed = Bed()
     bed.look(25e3, 25e3, 25e3, 25e3)
     for _ in range(4):
-        bed.fullness.judge([], 0.0, full=False, peer="the server")
+        bed.fullness.judge([], 0.0, full=False)
     assert bed.fullness.out is None
 
 
@@ -97,17 +100,16 @@ def test_nothing_says_that_it_is_full() -> None:
 
 def test_what_the_peer_says_is_brought_within_sense() -> None:
     bed = Bed()
-    bed.fullness.take_record(FullRecord(float("nan"), float("inf"), ("/a",) * 9), "robot1")
+    bed.fullness.take_record(FullRecord(float("nan"), float("inf"), ("/a",) * 9))
     assert bed.fullness.into is None or bed.fullness.into.carried <= bed.fullness.into.asked
-    bed.fullness.take_record(FullRecord(5e3, 15e3, ("/camera",)), "robot1")
-    assert bed.fullness.warning("robot1")
+    bed.fullness.take_record(FullRecord(5e3, 15e3, ("/camera",)))
+    assert bed.fullness.warning
     bed.fullness.disconnected()
-    assert bed.fullness.warning("robot1") == ""
+    assert bed.fullness.warning == ""
 
 
 def test_the_time_without_a_link_does_not_count() -> None:
-    clock: Any = SimpleNamespace(now=lambda: 1000.0, wall=lambda: 1000.0)
-    watch = FullnessWatch(clock, list, list, LinkFullness(lambda *_: None))
+    watch = Bed().fullness
     for second in range(4):
         watch.sending.measure(1e5, second, second, full=True)
     watch.disconnected()
@@ -117,11 +119,11 @@ def test_the_time_without_a_link_does_not_count() -> None:
 
 @pytest.mark.parametrize("asked", [15e3, 10.4e3, 1e3, 950.0, 1.04e6])
 def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
-    fullness = LinkFullness(lambda level, code, text: None)
+    fullness = Bed().fullness
     carried = [0.33 * asked] * 8 + [2.0 * asked] * 2 + [asked] * 4
     seen = []
     for each in carried:
-        fullness.judge([Asked("/camera", "/camera", asked)], each, full=each < asked, peer="the server")
+        fullness.judge([Asked("/camera", "/camera", asked)], each, full=each < asked)
         seen.append(fullness.out)
         if fullness.out is not None:
             part, _, whole = fullness.out.share.split()[1:4]
@@ -147,14 +149,14 @@ def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, context:
     loop.jump(100.0)
     assert (link.snapshot().warning_since, link.snapshot().fault_since) == (None, up)
     for carried in (5e3, 6e3, 7e3):
-        link.fullness.take_record(FullRecord(carried, 15e3), "the server")
+        link.fullness.take_record(FullRecord(carried, 15e3))
         assert link.snapshot().fault_since == pytest.approx(up + 100.0)
         loop.jump(10.0)
     link.handlers[Duplicate](Duplicate("10.0.0.9", "spare"))
     assert link.fault.cause is LinkCause.NAME_TAKEN
     assert link.snapshot().fault_since == pytest.approx(up + 130.0)
     link.handlers[Duplicate](Duplicate())
-    link.fullness.take_record(FullRecord(), "the server")
+    link.fullness.take_record(FullRecord())
     assert link.snapshot().fault_since == up
 
 

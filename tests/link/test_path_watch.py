@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from random import Random
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, cast
+from typing import Any
 
 import pytest
 
@@ -14,9 +14,6 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import PacketCounts, Stream, StreamHandler
 from rsb_bridge.wire.records import PathRecord
 
-if TYPE_CHECKING:
-    from rsb_bridge.link.keepalive import Keepalive
-
 PING = 0.002
 PACKET = 1400
 
@@ -24,14 +21,22 @@ PACKET = 1400
 class Path:
     """One side's watch of a path with a control connection and one data stream."""
 
-    def __init__(self, seed: int = 1) -> None:
+    def __init__(self, seed: int = 1, peer: str = "robot1") -> None:
         self.events: list[EventCode] = []
-        self.watch = PathWatch(lambda level, code, text: self.events.append(code), lambda: None)
+        self.now, self._answered = 100.0, 0
+        self._pings = SimpleNamespace()
+        link: Any = SimpleNamespace(
+            context=SimpleNamespace(now=lambda: self.now),
+            keepalive=self._pings,
+            log_of_peer=lambda level, code, text, *, link_status: self.events.append(code),
+            peer_name=peer,
+            routes={},
+        )
+        self.watch = PathWatch(link)
         self.control, self.data = Stream(StreamHandler()), Stream(StreamHandler())
         self.told: list[tuple[LinkCause, str] | None] = []
         self._random = Random(seed)
         self._packets = dict.fromkeys((self.control, self.data), PacketCounts(0, 0, 0, 0, 0))
-        self.now, self._answered = 100.0, 0
 
     def pass_(
         self,
@@ -72,20 +77,10 @@ class Path:
                     stalled if stream is self.data else 0,
                     2 if stalled and stream is self.data else 0,
                 )
-            stale += self.watch.observe(
-                self.control,
-                dict(self._packets),
-                (),
-                cast(
-                    "Keepalive",
-                    SimpleNamespace(
-                        round_trip=ping, answered_pings=self._answered, quiet=quiet, control_is_silent=held
-                    ),
-                ),
-                "robot1",
-                self.now,
-                large_vanish=vanish,
+            vars(self._pings).update(
+                round_trip=ping, answered_pings=self._answered, quiet=quiet, control_is_silent=held
             )
+            stale += self.watch.observe(self.control, dict(self._packets), (), large_vanish=vanish)
             fault = self.watch.fault
             self.told.append(None if fault is None else (fault.cause, fault.text))
         return stale
@@ -216,13 +211,13 @@ def test_small_messages_that_stall_prove_nothing() -> None:
 
 
 def test_both_sides_tell_the_same() -> None:
-    here, there = Path(1), Path(2)
+    here, there = Path(1), Path(2, "the server")
     here.pass_(10, loss=0.3)
     there.pass_(10)
     record = here.watch.next_record()
     assert record is not None
     assert here.watch.next_record() is None
-    there.watch.take_record(record, "the server")
+    there.watch.take_record(record)
     assert (here.cause, there.cause) == (LinkCause.LOSSY, LinkCause.LOSSY)
     assert here.watch.fault is not None
     assert there.watch.fault is not None

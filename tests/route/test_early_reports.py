@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.link.base_link import BaseLink
+    from rsb_bridge.link.link import Link
     from rsb_bridge.wire.messages import Report
 
 MESSAGE = (b"x", 0, 0)
@@ -47,7 +47,7 @@ def test_reports_go_together_and_ten_times_a_second_at_most(
 ) -> None:
     context = make_context(ros=OnePublisher())
     sent: list[Report] = []
-    early = RouteReports(cast("BaseLink", SimpleNamespace(context=context, send=sent.append)))
+    early = RouteReports(cast("Link", SimpleNamespace(context=context, send=sent.append)))
     routes = [opened(context, FakePeer(), name) for name in ("/scan", "/odom")]
     for _ in range(100):
         for route in routes:

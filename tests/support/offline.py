@@ -10,8 +10,6 @@ import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
-from rsb_bridge.link.fullness import LinkFullness
-from rsb_bridge.link.path_watch import PathWatch
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.purposes import TOPIC as ORDINARY
 from rsb_bridge.model.session import Session
@@ -84,8 +82,8 @@ class FakePeer:
     def __init__(self) -> None:
         self.sent: list[ControlMessage] = []
         self.instance = "first"
-        self.fullness = LinkFullness(lambda *_: None)
-        self.path = PathWatch(lambda *_: None, lambda: None)
+        self.fullness: Any = SimpleNamespace(out=None, into=None, undecided=False)
+        self.path: Any = SimpleNamespace(fault=None)
         self.revisions = Revisions()
         self.bridges: tuple[str, ...] = ("_rsb_robot1_fedcba98",)
         self.budget = PeerBudget(0.0)

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rsb_bridge.channel.datagram_channel import DatagramSender
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.extension import Extension
-from rsb_bridge.link.fullness import FullnessWatch, LinkFullness
 from rsb_bridge.link.keepalive import Keepalive
-from rsb_bridge.link.link_status import LinkFault, LinkStatus
-from rsb_bridge.link.path_watch import STALLED, PathWatch
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.transports import profile_of
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.lifecycle import Revisions
-from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks
-from rsb_bridge.transport.streams import Stream
 from rsb_bridge.wire.codec import decode_urgent, encode
 from rsb_bridge.wire.messages import Ping, Pong, Receipts
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -39,6 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.transports import LinkProfile
+    from rsb_bridge.route.peer import LinkPath, LinkRates
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
@@ -76,7 +72,6 @@ class RouteIds:
         self._newest_of_peer = 0  # another process of the peer counts from the beginning
 
     def new(self) -> int:
-        """Return an id for a route that this side opens."""
         self._next += 2
         return self._next - 2
 
@@ -89,11 +84,9 @@ class RouteIds:
         return True
 
     def opened(self, route: Route, route_id: int) -> None:
-        """Record that a route is open under an id."""
         self._by_id[route_id] = route
 
     def closed(self, route_id: int) -> None:
-        """Record that an opening of a route is over."""
         route = self._by_id.pop(route_id, None)
         if route is not None:
             self._closed[route_id] = route
@@ -107,11 +100,9 @@ class RouteIds:
             del self._closed[route_id]
 
     def open_route(self, route_id: int) -> Route | None:
-        """Return the open route with an id, or None."""
         return self._by_id.get(route_id)
 
     def open_routes(self) -> tuple[Route, ...]:
-        """Return all open routes."""
         return tuple(self._by_id.values())
 
     def find(self, route_id: int) -> Route | None:
@@ -132,6 +123,55 @@ class RouteIds:
         ours = route_id % 2 == self._is_client
         newest = self._next - 2 if ours else self._newest_of_peer
         return 0 < route_id <= newest and route_id not in self._by_id
+
+
+@dataclass(slots=True)
+class LinkStatus:
+    """Whether a link is up, since when, and why not.
+
+    Attributes:
+        since: since when it is up or down, in s of the steady clock.
+        cause: cause of its being down, or `LinkCause.NONE`.
+        reason: the same in words, for an operator.
+        attempts: failed attempts to connect since it was last up.
+        retry_at: time of the next attempt in s, or None if none is planned.
+    """
+
+    since: float
+    cause: LinkCause = LinkCause.NOT_YET
+    reason: str = "not connected yet"
+    attempts: int = 0
+    retry_at: float | None = None
+    _lasting: tuple[LinkCause, str] | None = None
+    """Cause and reason that another one hides for now."""
+
+    def up(self, since: float) -> None:
+        self.since, self.cause, self._lasting = since, LinkCause.NONE, None
+        self.attempts, self.retry_at = 0, None
+
+    def down(self, cause: LinkCause, reason: str) -> None:
+        self.cause, self.reason, self._lasting = cause, reason, None
+
+    def down_for_now(self, cause: LinkCause, reason: str) -> None:
+        """Record a reason that says less about the link than the one before, which `recall` shows again."""
+        lasting = self._lasting or (self.cause, self.reason)
+        self.down(cause, reason)
+        self._lasting = lasting
+
+    def recall(self) -> None:
+        """Show the lasting reason again."""
+        if self._lasting is not None:
+            self.down(*self._lasting)
+
+    def retry_in(self, now: float) -> float | None:
+        return None if self.retry_at is None else max(0.0, self.retry_at - now)
+
+    @property
+    def state(self) -> State:
+        """WAITING until the first attempt has ended, then OK or DOWN."""
+        if self.cause is LinkCause.NONE:
+            return State.OK
+        return State.WAITING if self.cause is LinkCause.NOT_YET else State.DOWN
 
 
 _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCause.SHUT_DOWN}
@@ -159,6 +199,8 @@ class BaseLink(ABC):
         open_channel: opens the channel of a route, or begins to.
     """
 
+    path: LinkPath
+    fullness: LinkRates
     report_soon: Callable[[Route], None]
     open_channel: Callable[[Route], None]
 
@@ -189,9 +231,6 @@ class BaseLink(ABC):
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self._channels: DataChannels | None = None
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
-        self.fullness = LinkFullness(partial(self.log, link_status=True))
-        self.fullness_watch = FullnessWatch(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
-        self.path = PathWatch(partial(self.log_of_peer, link_status=True), self._judge_again)
         # Methods of this link, as each connection has another keepalive and other channels.
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
@@ -199,9 +238,6 @@ class BaseLink(ABC):
             Receipts: self._on_receipts,
         }
         self._extensions: list[Extension] = []
-        self.fault = self.extend(
-            LinkFault(context, name, self.peer_name, self.status, self.path, self.fullness, lambda: self.clock)
-        )
 
     # --- extensions
 
@@ -220,6 +256,11 @@ class BaseLink(ABC):
         return next((each for each in meters if each is not None), None)
 
     # --- differences of client and server
+
+    @property
+    @abstractmethod
+    def cause(self) -> LinkCause:
+        """The cause of the link's fault, up or down."""
 
     @property
     @abstractmethod
@@ -295,7 +336,6 @@ class BaseLink(ABC):
 
     @property
     def linked(self) -> bool:
-        """Whether the peer is connected and authenticated."""
         return self.control is not None
 
     @property
@@ -360,8 +400,6 @@ class BaseLink(ABC):
         if self._channels is not None:
             self._channels.close()
             self._channels = None
-        self.fullness_watch.disconnected()
-        self.path.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
@@ -438,31 +476,10 @@ class BaseLink(ABC):
     def tick(self) -> None:
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
-            self._observe_path(self.control)  # first: a path that loses packets is not taken for a full one
-            self.fullness_watch.judge(self.channels.scheduler, self.peer_name, lossy=self.path.loss.lossy > 0)
             self.send(self.keepalive.tick())
             self.channels.tick()
         for each in self._extensions:
             each.tick()
-
-    def _observe_path(self, control: ControlChannel) -> None:
-        counts = {each: each.packets() for each in self.carriers() if isinstance(each, Stream)}
-        stalled = self.path.observe(
-            control.stream,
-            {stream: packets for stream, packets in counts.items() if packets is not None},
-            [route.channel for route in self.routes.values() if isinstance(route.channel, DatagramSender)],
-            self.keepalive,
-            self.peer_name,
-            self.context.now(),
-            large_vanish=any(isinstance(each, OutgoingRoute) and each.large_vanish for each in self.routes.values()),
-        )
-        for stream in stalled:
-            stream.abort(STALLED)
-
-    def _judge_again(self) -> None:
-        """Judge the routes again, as the fault of the path has changed: their verdicts agree with the link's."""
-        for route in self.routes.values():
-            route.judge_again()
 
     def carriers(self) -> set[ChannelCarrier]:
         """Return all carriers of the present connection's bytes."""
@@ -477,5 +494,5 @@ class BaseLink(ABC):
         about: About = {"link": self.name, "topic": topic}
         if link_status:
             since = self.context.wall_of(self.status.since)
-            about |= {"state": self.status.state, "since": since, "cause": self.fault.cause}
+            about |= {"state": self.status.state, "since": since, "cause": self.cause}
         self.context.log(level, code, text, link_status=link_status, **about)

@@ -11,6 +11,7 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.link.extension import Extension
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import TEXT_LENGTH
@@ -21,12 +22,10 @@ from rsb_bridge.telemetry.meters import Throughput
 from rsb_bridge.wire.records import FullRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Collection
 
-    from rsb_bridge.channel.scheduler import Scheduler
-    from rsb_bridge.context import Context
-    from rsb_bridge.link.keepalive import ChannelCarrier
-    from rsb_bridge.route.route import Route
+    from rsb_bridge.link.base_link import BaseLink
+    from rsb_bridge.link.path_watch import PathWatch
 
 _TICKS = 4
 """Ticks that have to agree before a link counts as full, or as no longer full. A round figure."""
@@ -62,26 +61,75 @@ class Asked(NamedTuple):
     bytes_per_second: float
 
 
-class LinkFullness:
+class LinkFullness(Extension):
     """Whether a link is full: this side judges its own direction, and the peer reports the other.
 
     Attributes:
         out: the rates from here, or None if the link is not full.
         into: the rates to here, as the peer reports them, or None if the link is not full.
+        sending: measures the capacity from here.
+        receiving: measures the capacity to here.
     """
 
-    def __init__(self, log: Callable[[Level, EventCode, str], None]) -> None:
+    def __init__(self, link: BaseLink, path: PathWatch) -> None:
+        self._link = link
+        self._path = path
+        self.sending, self.receiving = Throughput(), Throughput()
+        self._begin()
+
+    def _begin(self) -> None:
         self.out: Fullness | None = None
         self.into: Fullness | None = None
-        self._log = log
-        self._other = 0
+        self._arrived = self._received = 0
+        self._other = 0  # ticks in a row that contradict `out`
         self._stalled = 0  # ticks for which the last stall explains the arriving bytes
         self._silent = 0  # ticks in which nothing has arrived of what is asked for
         self._ticks: deque[tuple[float, float]] = deque(maxlen=_AVERAGED_OVER)  # bytes asked for, and arrived
-        self._sent = FullRecord()
-        self._record = FullRecord()
+        self._sent = self._record = FullRecord()
 
-    def judge(self, topics: Collection[Asked], arrived: float, *, full: bool, peer: str) -> None:
+    def disconnected(self) -> None:
+        self._begin()  # the next connection may go another way
+        self.sending.disconnected()
+        self.receiving.disconnected()
+
+    def tick(self) -> None:
+        link = self._link
+        if not link.linked:
+            return
+        scheduler, now, at = link.channels.scheduler, link.context.now(), link.context.wall()
+        asked, called = [], 0.0
+        for route in link.routes.values():
+            if route.duplex:
+                called += route.meter.bytes_per_second
+            elif isinstance(route, OutgoingRoute) and route.channel is not None and route.connected:
+                rate = route.traffic.measure(now)
+                # What waits for a path that takes nothing says nothing about the others.
+                if rate and route.channel.moves:
+                    asked.append(Asked(route.topic, route.remote_topic, rate))
+        arrived, self._arrived = scheduler.arrived - self._arrived, scheduler.arrived
+        full = scheduler.waits_for(now) >= _NEVER_EMPTY
+        self.sending.measure(arrived, now, at, full=full)
+        before = self.out
+        overloaded = (
+            full
+            and not self._path.loss.lossy  # which explains why less arrives than is asked for
+            and not scheduler.held_by_growing_window  # what waits behind it says nothing about the link
+            and not any(route.purpose.fills_link for route in link.routes.values())  # a benchmark does so on purpose
+        )
+        self.judge(asked, max(0.0, arrived - called), full=overloaded)
+        received = sum(each.received_bytes for each in link.carriers())
+        self.receiving.measure(received - self._received, now, at, full=False)
+        self._received = received
+        if self.out != before:
+            self._judge_again(outgoing=True)
+
+    def _judge_again(self, *, outgoing: bool) -> None:
+        """Judge the routes of one direction again, so that their verdicts agree with the link's."""
+        for route in tuple(self._link.routes.values()):
+            if route.outgoing == outgoing:
+                route.judge_again()
+
+    def judge(self, topics: Collection[Asked], arrived: float, *, full: bool) -> None:
         """Judge the direction from here. Called once a second.
 
         Args:
@@ -108,7 +156,7 @@ class LinkFullness:
             was = not was
             if not was:
                 self.out = None
-                self._log(Level.INFO, EventCode.LINK_ROOM, f"the link to {peer} is no longer full")
+                self._log(Level.INFO, EventCode.LINK_ROOM, f"the link to {self._link.peer_name} is no longer full")
         if not was:
             self.out, self._record = None, FullRecord()
             return
@@ -119,7 +167,7 @@ class LinkFullness:
         names = tuple(sanitize_text(each.remote_topic, TEXT_LENGTH) for each in most)
         self._record = FullRecord(round(figures[0]), round(figures[1]), names)
         if begins:
-            self._log(Level.WARNING, EventCode.LINK_FULL, self.out.warning(f"to {peer}"))
+            self._log(Level.WARNING, EventCode.LINK_FULL, self.out.warning(f"to {self._link.peer_name}"))
 
     @property
     def undecided(self) -> bool:
@@ -133,9 +181,10 @@ class LinkFullness:
         self._sent = self._record
         return self._record
 
-    def take_record(self, record: FullRecord, peer: str) -> None:
+    def take_record(self, record: FullRecord) -> None:
         """Take the peer's record of what it sends; impossible figures are limited."""
         before, self.into = self.into, None
+        peer = self._link.peer_name
         if record.asked:
             asked = _within(record.asked)
             self.into = Fullness(min(_within(record.carried), asked), asked, record.topics[:_NAMED])
@@ -143,16 +192,15 @@ class LinkFullness:
                 self._log(Level.WARNING, EventCode.LINK_FULL, self.into.warning(f"from {peer}"))
         elif before is not None:
             self._log(Level.INFO, EventCode.LINK_ROOM, f"the link from {peer} is no longer full")
+        self._judge_again(outgoing=False)
 
-    def disconnected(self) -> None:
-        """Forget everything: the next connection may go another way."""
-        self.out = self.into = None
-        self._other = self._stalled = self._silent = 0
-        self._ticks.clear()
-        self._sent = self._record = FullRecord()
+    def _log(self, level: Level, code: EventCode, text: str) -> None:
+        self._link.log(level, code, text, link_status=True)
 
-    def warning(self, peer: str) -> str:
-        """Return the warning for an operator, or an empty string."""
+    @property
+    def warning(self) -> str:
+        """The warning for an operator, or an empty string."""
+        peer = self._link.peer_name
         out = self.out.warning(f"to {peer}") if self.out is not None else ""
         into = self.into.warning(f"from {peer}") if self.into is not None else ""
         return "; ".join(filter(None, (out, into)))
@@ -160,72 +208,3 @@ class LinkFullness:
 
 def _within(figure: float) -> float:
     return max(0.0, min(figure, _FASTEST)) if math.isfinite(figure) else 0.0
-
-
-class FullnessWatch:
-    """Decides for one link whether it is full."""
-
-    def __init__(
-        self,
-        context: Context,
-        routes: Callable[[], Iterable[Route]],
-        carriers: Callable[[], Collection[ChannelCarrier]],
-        fullness: LinkFullness,
-    ) -> None:
-        self.sending, self.receiving = Throughput(), Throughput()
-        self._context = context
-        self._routes = routes
-        self._carriers = carriers
-        self._fullness = fullness
-        self._arrived = self._received = 0
-
-    def judge(self, scheduler: Scheduler, peer: str = "", *, lossy: bool = False) -> None:
-        """Judge once a second, while linked.
-
-        Args:
-            lossy: the path loses packets, which explains why less arrives than is asked for.
-        """
-        now, at = self._context.now(), self._context.wall()
-        asked, called = [], 0.0
-        for route in self._routes():
-            if route.duplex:
-                called += route.meter.bytes_per_second
-            elif isinstance(route, OutgoingRoute) and route.channel is not None and route.connected:
-                rate = route.traffic.measure(now)
-                # What waits for a path that takes nothing says nothing about the others.
-                if rate and route.channel.moves:
-                    asked.append(Asked(route.topic, route.remote_topic, rate))
-        arrived, self._arrived = scheduler.arrived - self._arrived, scheduler.arrived
-        full = scheduler.waits_for(now) >= _NEVER_EMPTY
-        self.sending.measure(arrived, now, at, full=full)
-        before = self._fullness.out
-        # While the window grows, what waits behind it says nothing about the link. And a benchmark fills it on purpose.
-        overloaded = full and not lossy and not scheduler.held_by_growing_window and not self._is_measured()
-        self._fullness.judge(asked, max(0.0, arrived - called), full=overloaded, peer=peer)
-        received = sum(each.received_bytes for each in self._carriers())
-        self.receiving.measure(received - self._received, now, at, full=False)
-        self._received = received
-        if self._fullness.out != before:
-            self._judge_again(outgoing=True)
-
-    def take_record(self, record: FullRecord, peer: str) -> None:
-        """Take the peer's record of what it sends."""
-        self._fullness.take_record(record, peer)
-        self._judge_again(outgoing=False)
-
-    def _judge_again(self, *, outgoing: bool) -> None:
-        """Judge the routes of one direction again, so that their verdicts agree with the link's."""
-        for route in self._routes():
-            if route.outgoing == outgoing:
-                route.judge_again()
-
-    def disconnected(self) -> None:
-        """Forget the connection: the next one may go another way."""
-        self._arrived = self._received = 0
-        self._fullness.disconnected()
-        self.sending.disconnected()
-        self.receiving.disconnected()
-
-    def _is_measured(self) -> bool:
-        """Whether a benchmark is open, which fills the link on purpose."""
-        return any(route.purpose.fills_link for route in self._routes())

@@ -12,9 +12,12 @@ from rsb_bridge.channel.datagram_channel import datagram_channel
 from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.link.extension import Denied, Extension, LinkError
+from rsb_bridge.link.fullness import LinkFullness
 from rsb_bridge.link.link_bench import LinkBench
+from rsb_bridge.link.link_fault import LinkFault
 from rsb_bridge.link.link_patterns import LinkPatterns
 from rsb_bridge.link.link_views import LinkViews
+from rsb_bridge.link.path_watch import PathWatch
 from rsb_bridge.link.proposed_routes import ProposedTopics
 from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_table import RouteTable
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.reason import Reason
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import TopicInfo
+    from rsb_bridge.model.verdict import LinkCause
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import FullRecord, PathRecord
 
@@ -159,7 +163,7 @@ def _reports(
 class RouteReports(Extension):
     """Exchanges the routes' counts with the peer once a second. Early ones go together, at most ten times a second."""
 
-    def __init__(self, link: BaseLink) -> None:
+    def __init__(self, link: Link) -> None:
         self.messages = {Report: self._receive, ReportParts: self._receive}
         self._link = link
         self._due: set[Route] = set()
@@ -191,9 +195,9 @@ class RouteReports(Extension):
 
     def _receive(self, report: Report | ReportParts) -> Slices:
         if report.full is not None:
-            self._link.fullness_watch.take_record(report.full, self._link.peer_name)
+            self._link.fullness.take_record(report.full)
         if report.path is not None:
-            self._link.path.take_record(report.path, self._link.peer_name)
+            self._link.path.take_record(report.path)
         return entries_in_slices(report_entries(report), self._receive_entry)
 
     def _receive_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:
@@ -214,9 +218,16 @@ class Link(BaseLink):
         views: pictures of topics, for viewers of both sides.
     """
 
+    path: PathWatch
+    fullness: LinkFullness
+
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         super().__init__(context, name, is_client=is_client, encrypted=encrypted)
-        # First: Neighbours goes ahead of the proposals, as it decides what would loop (PROTOCOL.md, 3).
+        # Before the link's fullness: a path that loses packets is not taken for a full one.
+        self.path = self.extend(PathWatch(self))
+        self.fullness = self.extend(LinkFullness(self, self.path))
+        self.fault = self.extend(LinkFault(self, self.path, self.fullness))
+        # Before the proposals: Neighbours decides what would loop (PROTOCOL.md, 3).
         self.neighbourhood = self.extend(Neighbourhood(self))
         self.route_channels = self.extend(RouteChannels(self))
         self.open_channel = self.route_channels.open
@@ -232,6 +243,10 @@ class Link(BaseLink):
         self.bench = self.extend(LinkBench(self, self.table))
         self.views = self.extend(LinkViews(self, self.table))
         context.demands.register(self)
+
+    @property
+    def cause(self) -> LinkCause:
+        return self.fault.cause
 
     @property
     @abstractmethod
@@ -304,11 +319,11 @@ class Link(BaseLink):
             peer_version=peer.version if peer else "",
             peer_domain=peer.domain_id if peer else None,
             use_name=self.use_name,
-            cause=self.fault.cause,
+            cause=self.cause,
             warning=self.fault.warning,
             warning_since=self.fault.warning_since(),
-            capacity_out=self.fullness_watch.sending.capacity,
-            capacity_in=self.fullness_watch.receiving.capacity,
+            capacity_out=self.fullness.sending.capacity,
+            capacity_in=self.fullness.receiving.capacity,
             loss_out=self.path.loss.share if self.linked else None,
             loss_in=self.path.into.lost,
             full_out=self.fullness.out,

@@ -13,20 +13,21 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
+from rsb_bridge.channel.datagram_channel import DatagramSender
+from rsb_bridge.link.extension import Extension
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.faults import PathFault, PathFaultText
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.telemetry.meters import Shortest
-from rsb_bridge.transport.streams import PacketCounts
+from rsb_bridge.transport.streams import PacketCounts, Stream
 from rsb_bridge.wire.records import PathRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Collection, Mapping
 
-    from rsb_bridge.channel.datagram_channel import DatagramSender
-    from rsb_bridge.link.keepalive import Keepalive
-    from rsb_bridge.transport.streams import Stream
+    from rsb_bridge.link.base_link import BaseLink
 
 # Numbers without a source are round figures. `bench.banners` counts how often banners change with them.
 _TICKS = 20
@@ -112,41 +113,60 @@ def steady(shown: float, share: float) -> float:
     return round(share, 2 if share < 0.1 else 1)
 
 
-class PathWatch:
+class PathWatch(Extension):
     """Watches the path of one link.
 
     Attributes:
+        fault: the path's, or None.
         loss: the packets from here that are lost.
         into: the peer's record of the direction to here.
     """
 
-    def __init__(self, log: Callable[[Level, EventCode, str], None], changed: Callable[[], None]) -> None:
+    def __init__(self, link: BaseLink) -> None:
+        self._link = link
+        self.loss = PacketLoss()
+        self._observed_at = float("-inf")
+        self._begin()
+
+    def _begin(self) -> None:
         self.fault: PathFault | None = None
         self.into = PathRecord()
-        self._log, self._changed = log, changed
-        self.loss = PacketLoss()
         self._large = False
         self._stalled_at = float("-inf")
         self._probe: tuple[int, int] | None = None  # answered pings and lost packets when the probe began
         self._counts: dict[object, PacketCounts] = {}  # of each carrier, when it last made progress
         self._pings: deque[float] = deque(maxlen=_PINGS)
         self._shortest = Shortest()
-        self._observed_at = float("-inf")
         self._record = self._sent = PathRecord()
         self._logged = False
+
+    def disconnected(self) -> None:
+        self._begin()  # but for the losses: they count for the next connection, if that comes soon
+
+    def tick(self) -> None:
+        link = self._link
+        if link.control is None:
+            return
+        counts = {each: each.packets() for each in link.carriers() if isinstance(each, Stream)}
+        routes = link.routes.values()
+        stalled = self.observe(
+            link.control.stream,
+            {stream: packets for stream, packets in counts.items() if packets is not None},
+            [route.channel for route in routes if isinstance(route.channel, DatagramSender)],
+            large_vanish=any(isinstance(each, OutgoingRoute) and each.large_vanish for each in routes),
+        )
+        for stream in stalled:
+            stream.abort(STALLED)
 
     def observe(
         self,
         control: Stream,
         streams: Mapping[Stream, PacketCounts],
         senders: Collection[DatagramSender],
-        pings: Keepalive,
-        peer: str,
-        now: float,
         *,
         large_vanish: bool,
     ) -> list[Stream]:
-        """Observe the path. Called once a second, while linked.
+        """Observe the path, once a second.
 
         Args:
             streams: the packets of all streams, as far as they are known.
@@ -156,6 +176,7 @@ class PathWatch:
         Returns:
             The streams that are stalled, to be opened again.
         """
+        pings, now, peer = self._link.keepalive, self._link.context.now(), self._link.peer_name
         if now - self._observed_at > _FORGOTTEN_AFTER:  # after a shorter gap, the losses of the last connection count
             self.loss.clear()
         self._observed_at = now
@@ -166,7 +187,12 @@ class PathWatch:
         else:
             self.loss.count(sent, lost)
         own = streams[control].lost if control in streams else 0
-        stalled = self._probe_sizes(control, streams, pings, own, now, vanish=large_vanish)
+        large = {
+            stream: counts
+            for stream, counts in streams.items()
+            if stream is not control and counts.tries >= _STALLED and counts.waiting >= _LARGE
+        }
+        stalled = self._probe_sizes(large, pings.answered_pings, own, now, vanish=large_vanish)
         share = self.loss.share
         # Losses of any packets explain that large ones are lost: a lower MTU would be the wrong advice.
         self._record = PathRecord(
@@ -177,7 +203,7 @@ class PathWatch:
             silent = PathFaultText.SILENT(peer=peer)
         elif pings.control_is_silent:
             silent = PathFaultText.HELD(peer=peer)
-        self._judge(peer, silent)
+        self._judge(silent)
         return stalled
 
     def _gained(
@@ -212,21 +238,18 @@ class PathWatch:
         return min(self._pings) - shortest > max(_QUEUE, _QUEUE_PART * shortest)
 
     def _probe_sizes(
-        self,
-        control: Stream,
-        streams: Mapping[Stream, PacketCounts],
-        pings: Keepalive,
-        lost: int,
-        now: float,
-        *,
-        vanish: bool,
+        self, stalled: Mapping[Stream, PacketCounts], answered: int, lost: int, now: float, *, vanish: bool
     ) -> list[Stream]:
-        """Find out whether large packets are lost, and return the streams to open again for that."""
-        stalled = {
-            stream: counts
-            for stream, counts in streams.items()
-            if stream is not control and counts.tries >= _STALLED and counts.waiting >= _LARGE
-        }
+        """Find out whether large packets are lost.
+
+        Args:
+            stalled: the streams whose large packets the kernel sends again and again.
+            answered: pings so far.
+            lost: packets of the control connection so far.
+
+        Returns:
+            The streams to open again for that.
+        """
         if not stalled and not vanish:
             self._probe = None
             if now - self._stalled_at > _LARGE_AGAIN_AFTER:
@@ -234,24 +257,24 @@ class PathWatch:
             return []
         self._stalled_at = now
         if self.loss.lossy or self._probe is None or self._probe[1] != lost:
-            self._probe = pings.answered_pings, lost  # small packets are lost as well
+            self._probe = answered, lost  # small packets are lost as well
             return []
-        if pings.answered_pings - self._probe[0] < _SMALL_PASSED:
+        if answered - self._probe[0] < _SMALL_PASSED:
             return []
         fresh = [stream for stream, counts in stalled.items() if counts.acknowledged < _LARGE]
         self._large = self._large or vanish or bool(fresh)
         # Large packets have crossed these: perhaps a firewall has forgotten the connection.
         return [stream for stream in stalled if stream not in fresh]
 
-    def take_record(self, record: PathRecord, peer: str) -> None:
+    def take_record(self, record: PathRecord) -> None:
         """Take the peer's record of the direction to here."""
         self.into = record
         # Only `observe` knows whether the peer is silent; until then, it stays as it was.
-        self._judge(peer, self.fault.text if self.fault is not None and self.fault.cause is LinkCause.SILENT else "")
+        self._judge(self.fault.text if self.fault is not None and self.fault.cause is LinkCause.SILENT else "")
 
-    def _judge(self, peer: str, silent: str) -> None:
+    def _judge(self, silent: str) -> None:
         """Find the present fault; `silent` says that nothing comes, or is empty."""
-        before = self.fault
+        before, peer = self.fault, self._link.peer_name
         out, into = self._record, self.into
         if lossy := max(out.lossy, into.lossy):
             way = _way(out=out.lossy > 0, into=into.lossy > 0)
@@ -265,15 +288,17 @@ class PathWatch:
         else:
             self.fault = None
         if self.fault != before:
-            self._changed()
+            for route in tuple(self._link.routes.values()):
+                route.judge_again()  # so that their verdicts agree with the link's
         if self.fault is None and self._logged:
             self._logged = False
-            self._log(Level.INFO, EventCode.LINK_PATH_RESTORED, PathFaultText.GONE(peer=peer))
+            text = PathFaultText.GONE(peer=peer)
+            self._link.log_of_peer(Level.INFO, EventCode.LINK_PATH_RESTORED, text, link_status=True)
         elif self.fault is None or self.fault.cause is LinkCause.SILENT:  # which the link's end tells
             return
         elif before is None or before.cause is not self.fault.cause or not self._logged:
             self._logged = True
-            self._log(Level.WARNING, EventCode.LINK_PATH_FAULT, self.fault.text)
+            self._link.log_of_peer(Level.WARNING, EventCode.LINK_PATH_FAULT, self.fault.text, link_status=True)
 
     def next_record(self) -> PathRecord | None:
         """Return the record for the peer, or None if it has not changed since the last one."""
@@ -281,16 +306,6 @@ class PathWatch:
             return None
         self._sent = self._record
         return self._record
-
-    def disconnected(self) -> None:
-        """Forget the connection. Its losses count for the next one, if that comes soon."""
-        self.fault, self.into = None, PathRecord()
-        self._large, self._probe, self._stalled_at = False, None, float("-inf")
-        self._counts.clear()
-        self._pings.clear()
-        self._shortest = Shortest()
-        self._record = self._sent = PathRecord()
-        self._logged = False
 
 
 def _way(*, out: bool, into: bool) -> str:
