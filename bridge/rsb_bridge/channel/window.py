@@ -25,49 +25,24 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
-FIRST = 4 * 1024
-"""Bytes in transit at the beginning, plus one turn: 0.8 s of 5 kB/s, as `Ages.late`. On the simulated tunnel of
-5 kB/s in tests/channel/test_window.py, the oldest of the first messages were 1.1 to 1.4 s old, with 8 KiB 1.7 to 2.0 s,
-and with 16 KiB 2.9 to 3.5 s."""
-LEAST = 2 * 1024
-"""Bytes of the smallest window: four receipts of `FIRST_RECEIPT`. Once that tunnel is full, messages are 0.5 to 0.7 s
-old at most; 1 KiB changes nothing, and with 4 KiB they are 0.8 to 2.0 s old."""
-_PARTS = 4
-"""The sender asks for a receipt after each such part of the window. A round figure: 1 to 8 parts carried 91 to 100 % on
-the simulated paths, in no order. In the tunnel, 4 cost 5 receipts a second, and 8 cost 10."""
-FIRST_RECEIPT = 512
-"""Bytes after which a receiver sends a receipt by itself: few, to measure the round trip before a queue builds up."""
-_RECEIPTS_APART = 0.005
-"""s between two messages with receipts: at most 200 a second, however many streams have news. A round figure, far below
-the ages that the window tells apart (0.1 s and more)."""
+# Where these were measured: bench/README.md, *Constants of the window*.
+FIRST = 4 * 1024  # bytes in transit at the beginning, plus one turn: 0.8 s of 5 kB/s, as `Ages.late`
+LEAST = 2 * 1024  # bytes of the smallest window: four receipts of `FIRST_RECEIPT`
+_PARTS = 4  # the sender asks for a receipt after each such part of the window
+FIRST_RECEIPT = 512  # bytes after which a receiver reports at first: few, to know the round trip before a queue grows
+_RECEIPTS_APART = 0.005  # s between messages with receipts: far below the ages that the window tells apart (0.1 s)
 
-_FARTHEST, _FARTHEST_PINGED = 2.0, 4.0
-"""Longest round trips (s) of a path without a queue: by itself, and if pings took as long; more counts as waiting. Both
-are round figures: a simulated path of 2 s carries a topic without pings, and one of 3 s only with them."""
-_FIRST_LASTS = 0.8
-"""s that the first bytes may take: `FIRST` at 5 kB/s. On a path whose pings take longer, more bytes take no longer than
-these."""
-_LONGEST_BACK = 5.0
-"""s; a peer that claims more gains nothing by it. A round figure."""
-_NOT_SHORTER = 0.75
-"""If data that is sent after the window has shrunk still takes this share of the time, something else is in the way: in
-the link's own queue, half of the window takes half of the time. From 0.5 to 1, the simulated paths show no difference.
-With 0.3, messages in the tunnel are 1.5 s old instead of 0.6; with 2, a path that takes 1 s longer carries 8 % of a
-topic."""
-_LONGEST_OTHER = 1.2
-"""s on the path that are accepted as somebody else's: more may be queues of this link's other topics. After a simulated
-path has become 1 s longer each way, 93 % of a topic of 25 kB/s cross with 0.6, 8 % with 0, and all with this."""
-_SILENT = 2.0
-"""s without a receipt after which the path has stalled: a receiver acknowledges the last bytes within a second. A topic
-of 1 MB/s on a simulated path of 10 MB/s that stalls for 4 s has 2 MB in transit then, and 4 MB without this."""
-_MEASURED_OVER = 1.0
-"""s over which the rate counts: a receiver sends a receipt at least once in it. A round figure: from 0.25 to 4 s, the
-simulated paths show no difference."""
-_MARKS_PER_WINDOW, _MARK_EVERY = 64, 0.02
-"""A mark after each such part of the window, or after so many s: ages are exact to the smaller of the two. Round
-figures: 4 to 1,024 marks, and 2 to 200 ms, make no difference on the simulated paths."""
-_MOST_MARKS, _LAST_RECEIPTS = 1024, 64
-"""Entries that are kept: a peer that acknowledges nothing, or each byte, takes no more memory."""
+# Of the way there and back (s); more counts as waiting.
+_FARTHEST, _FARTHEST_PINGED = 2.0, 4.0  # without a queue: by itself, and if pings took as long
+_FIRST_LASTS = 0.8  # that the first bytes may take; where pings take longer, more bytes take no longer than these
+_LONGEST_BACK = 5.0  # a peer that claims more gains nothing by it
+_LONGEST_OTHER = 1.2  # accepted as somebody else's: more may be queues of this link's other topics
+_NOT_SHORTER = 0.75  # part of the time that data takes after the window has shrunk, if the queue is not the link's
+
+_SILENT = 2.0  # s without a receipt after which the path has stalled: the last bytes are acknowledged within a second
+_MEASURED_OVER = 1.0  # s over which the rate counts: a receiver sends a receipt at least once in it
+_MARKS_PER_WINDOW, _MARK_EVERY = 64, 0.02  # a mark after each such part, or so many s: ages are as exact
+_MOST_MARKS, _LAST_RECEIPTS = 1024, 64  # kept, whatever a peer acknowledges
 
 
 class Window:
@@ -183,7 +158,6 @@ class Window:
 
     @property
     def awaits_receipts(self) -> bool:
-        """Whether bytes are unacknowledged."""
         return bool(self._marks)
 
     def check(self, sent: int, now: float) -> None:
@@ -228,13 +202,12 @@ class ReceiptCounter:
     """
 
     def __init__(self, every: float = FIRST_RECEIPT) -> None:
-        """Begin with a receipt after every `every` bytes."""
         self.count = self._sent = 0
         self._every = every
         self.due = every
 
     def set_interval(self, every: int) -> None:
-        """Send a receipt after every `every` bytes from now on."""
+        """Have a receipt sent after every `every` bytes from now on."""
         self._every = max(1, every)  # a peer may ask for 0
         self.due = self._sent + self._every
 
@@ -246,7 +219,6 @@ class ReceiptCounter:
 
     @property
     def has_news(self) -> bool:
-        """Whether bytes came since the last receipt."""
         return self.count != self._sent
 
 
@@ -301,13 +273,11 @@ class ReceiptBook:
         self._soon()
 
     def forget(self, stream: int) -> None:
-        """Drop the entries of a stream that is over."""
         self._counters.pop(stream, None)
         self._received.pop(stream, None)
         self._every.pop(stream, None)
 
     def close(self) -> None:
-        """Drop all entries at the end of the connection."""
         self._given_up.clear()
         self._counters.clear()
         self._received.clear()
