@@ -29,31 +29,19 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.window import ReceiptBook, Window
     from rsb_bridge.wire.framing import Message
 
-_UNIT = 16
-"""Virtual bytes of one byte with a weight of 1, so that all weights divide it."""
-LEAST_CHUNK, _MOST_CHUNK, _CHUNKS_PER_WINDOW = 1400, 128 * 1024, 32
-"""Bytes of a message in one turn: a part of the window, so that on a slow link another route's turn comes soon (2 kB/s:
-0.7 s for the least), and on a fast one sealing and headers cost little.
+_UNIT = 16  # virtual bytes of one byte with a weight of 1, so that all weights divide it
 
-The least fills a packet. On the simulated links of tests/channel/test_scheduler.py, small messages next to images were
-2.5 s old at 5 kB/s with 16 KiB, and 0.7 s with this. A joystick next to maps waited up to 0.11 s at 700 kB/s with 4 in
-place of 32, 0.02 s with 32, and 0.01 s with 256. The most: bench/README.md, *Large messages*."""
-_LEAST_WRITE, _WRITES_PER_WINDOW = 16 * 1024, 16
-"""Bytes that are written together: small frames of many routes in one call. Round figures: 2 to 64 writes in a window
-made no difference on the simulated links of tests/channel/test_scheduler.py."""
+# Where these were measured: bench/README.md, *Constants of the scheduler*.
+# Bytes of a message in one turn: a part of the window, so that on a slow link another route's turn comes soon, and on a
+# fast one sealing and headers cost little. The least fills a packet.
+LEAST_CHUNK, _MOST_CHUNK, _CHUNKS_PER_WINDOW = 1400, 128 * 1024, 32
+_LEAST_WRITE, _WRITES_PER_WINDOW = 16 * 1024, 16  # bytes written together: small frames of many routes in one call
+# s of the present rate that count as the window for chunks and writes while routes wait: where a kernel's short buffer
+# holds them back (RFCOMM), the window itself is never full and grows to seconds.
 _BUSY_WINDOW = 0.5
-"""s of the present rate that count as the window for chunks and writes while routes wait. Where a kernel's short buffer
-holds the routes back (RFCOMM), the window itself is never full and grows to seconds. On the simulated radios of
-tests/channel/test_scheduler.py, of 50 and 700 kB/s, a joystick next to maps then waits up to 0.23 and 0.13 s for the
-end of a write; with this limit it waits 0.16 and 0.02 s."""
-_A_PASS = 1024 * 1024
-"""Bytes that are sealed in one pass of the I/O loop before other links have their turn: 0.4 ms with AES-GCM, 3 ms with
-ChaCha20 on a Cortex-A72 (`bench.ciphers`, bench/README.md, *Attached consoles*)."""
-_STALLED = 1.5
-"""Seconds without a receipt after which the link delivers nothing: receivers acknowledge the last bytes within 1 s. The
-half second more is a round figure; below 1 s, each stream with few bytes would count as stuck."""
-_BEHIND = 1.0
-"""s for which a route has had turns without an end before it seems to get less than it asks for. A round figure."""
+_A_PASS = 1024 * 1024  # bytes sealed in one pass of the I/O loop before other links have their turn
+_STALLED = 1.5  # s without a receipt after which nothing gets through: the last bytes are acknowledged within 1 s
+_BEHIND = 1.0  # s of turns without an end after which a route seems to get less than it asks for
 
 
 class Carrier(Protocol):
@@ -122,7 +110,6 @@ class Scheduler:
     # --- streams
 
     def add(self, carrier: Carrier) -> None:
-        """Use a further stream."""
         carrier.time = self._time  # else what joins it while it is congested would begin in the past
         self._carriers.append(carrier)
 
@@ -142,7 +129,6 @@ class Scheduler:
         self.run()
 
     def close(self) -> None:
-        """End with the connection."""
         self._carriers.clear()
         if self._next_pass is not None:
             self._next_pass.cancel()
@@ -176,7 +162,6 @@ class Scheduler:
         heapq.heappush(end.via.queue, (end.start, self._order, end))
 
     def leave(self, end: SendingEnd) -> None:
-        """Remove a route's end from the queue."""
         if end.queued:
             end.queued = False  # its entry stays in the heap, which gives only its first one: `_next` drops it
             self._waiting -= 1
@@ -193,7 +178,6 @@ class Scheduler:
         end.start = start + size * _UNIT // end.route.weight
 
     def write(self, carrier: StreamCarrier, data: bytes | memoryview) -> None:
-        """Send bytes on a stream."""
         carrier.write(data, self.count(len(data)))
 
     def count(self, size: int) -> float:
@@ -421,7 +405,6 @@ class SendingEnd:
 
     @property
     def batch_bytes(self) -> int:
-        """Bytes to send at once."""
         return self._scheduler.chunk
 
     @property
@@ -431,7 +414,6 @@ class SendingEnd:
 
     @property
     def moves(self) -> bool:
-        """Whether what it sends on delivers."""
         return self._scheduler.delivers(self.via)
 
     def still(self, now: float) -> float:
@@ -483,7 +465,6 @@ class SendingEnd:
         raise NotImplementedError
 
     def leave(self) -> None:
-        """Take no more turns."""
         self._messages.clear()
         self._asked = False
         self._scheduler.leave(self)
