@@ -15,37 +15,33 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.scheduler import Scheduler, SendingEnd
     from rsb_bridge.transport.transport import DatagramSocket
 
-_FIRST_PACE = 128e6
-"""Bytes/s before anything has arrived, about 1 Gbit/s; the link's window grows from little meanwhile."""
-LEAST_ON_PATH = 32 * 1024
-"""Bytes that may be on any path: a slow one is left to the link's window, and a receipt for less costs too much.
-A round figure: nothing was measured."""
-_GROWING, _PROBING, _DRAINING = 2.9, 1.25, 0.75
-"""Paces in ratio to the path's rate: until it grows no more; in the first of `_SPANS` spans; and in the second. They
-are BBR's (2 / ln 2, 5/4, 3/4). On the simulated radio of 20 Mbit/s in tests/channel/test_pacing.py, probing at 1.05
-finds 64 % of the rate, and 1.25 all. Without draining, its queue holds 0.03 to 0.06 s at the median instead of 0.02."""
-_SPANS, _GROWS, _FULL_AFTER, _OVERFLOWS = 8, 1.25, 3, 0.8
-"""It grows no more after so many spans in which it has grown by less, or once less than this part arrives. All but the
-last are BBR's. Without the last, a simulated switch of 40 MB/s lost 41 % in the second quarter of a second instead of
-12 %; from 0.5 to 0.95 it made no difference."""
-_SPAN, _ROUND_TRIPS = 0.005, 2.0
-"""A span takes so many s and round trips, at least: radios deliver in lumps. On the simulated radio, 0.5 to 50 ms and 1
-or 2 round trips make no difference; with 4, its queue of 0.16 s was nearly full in one of two runs."""
-_REMEMBERED, _REMEMBERED_SPANS = 1.0, 10
-"""The greatest rate counts for so many s and spans, at least. Ten are BBR's; 0.1 to 10 s, and 3 to 30 spans, make no
-difference on the simulated radio."""
-_QUEUE = 0.05
-"""The path may hold what crosses in so many s and in two of its shortest round trips, since a radio's vary. At p99 the
-simulated radio's queue of 0.16 s then holds 0.07 s, and with 0.2 it is full."""
-_SHORTEST_COUNTS = 10.0
-"""s for which the shortest round trip counts, as in BBR: a path may change to a longer one."""
-_ENOUGH = 20
-"""Datagrams of a span that tell how many get lost by chance: of fewer, a single one is more than 5 %."""
+# Where these were measured: bench/README.md, *Constants of datagrams*.
+# Of the path's rate (`PathRate`). Those with a star are BBR's.
+_FIRST_PACE = 128e6  # bytes/s before anything has arrived; the link's window grows from little meanwhile
+_GROWING, _PROBING, _DRAINING = 2.9, 1.25, 0.75  # * paces in ratio to the rate: at first; in the first span; the second
+_SPANS = 8  # * of one round of probing and draining
+_GROWS, _FULL_AFTER = 1.25, 3  # * it grows no more after so many spans in which it has grown by less
+_OVERFLOWS = 0.8  # nor once less than this part arrives
+_SPAN, _ROUND_TRIPS = 0.005, 2.0  # s and round trips of a span, at least: radios deliver in lumps
+_REMEMBERED, _REMEMBERED_SPANS = 1.0, 10  # * s and spans, at least, for which the greatest rate counts
+_SHORTEST_COUNTS = 10.0  # * s for which the shortest round trip counts: a path may change to a longer one
+_QUEUE = 0.05  # s: what crosses in it may wait on the path, besides two round trips
+LEAST_ON_PATH = 32 * 1024  # bytes that may be on any path: a slow one is left to the link's window
+_ENOUGH = 20  # datagrams of a span that tell how many get lost by chance: of fewer, a single one is more than 5 %
+_SLOWER = 0.9  # part of the sent rate below which arrivals show the path's rate, and not only that it carries as much
 
+# Of the pace (`Pacer`)
+_PAUSE = 0.001  # s that the I/O loop's timers resolve
+_NO_PAUSE = 0.005  # s in which a busy I/O loop may not come to send although something waits
+_LEAST_BURST, _BURST_LASTS = 16 * 1024, 0.005  # bytes at once after a pause: so many, or what crosses in so many s
+WINDOW = 2  # the part of the receiver's buffer that one route may fill: its routes share it, small datagrams cost more
+_PATIENCE = 0.25  # s without a receipt, or two round trips if they take longer
 
-_SLOWER = 0.9
-"""Datagrams that arrive at less than this part of the rate at which they were sent show the path's rate; at more, only
-that it carries as much. A round figure: probing and draining differ from the pace by a quarter."""
+# Of receipts and write-offs (`DatagramCarrier`)
+_ASKS_EVERY = 0.25  # s after which the next datagram asks for a receipt: the sender learns soon that none comes
+_PARTS = 4  # it also asks after each such part of what may be in transit, as the window of the streams does
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.4, 0.8  # s until a datagram that tries whether any arrives is written off
+_NEW = 2.0  # s after the first datagram in which the first receipt may still come
 
 
 class PathRate:
@@ -203,21 +199,6 @@ class _Least:
         return values[0][1]
 
 
-_PAUSE = 0.001
-"""s; what the I/O loop's timers resolve."""
-_NO_PAUSE = 0.005
-"""s in which a busy I/O loop may not come to send although something waits. On the simulated paths of
-tests/channel/test_pacing.py, 0.5 to 5 ms make no difference. With 50 ms, images at 25 Hz are spread over the time
-between them: one of 60 kB takes 49 ms on a path of 100 Mbit/s instead of 25."""
-_LEAST_BURST, _BURST_LASTS = 16 * 1024, 0.005
-"""Bytes that go at once after a pause: so many, or what crosses in so many s. Round figures: on the same paths, 1.4 to
-256 kB and 1 to 50 ms change no image's time, and a radio's queue by 0.02 s at p99."""
-WINDOW = 2
-"""The part of the receiver's buffer that one route may fill: its routes share it, and small datagrams cost more."""
-_PATIENCE = 0.25
-"""s, or two round trips if they take longer: after `_ASKS_EVERY`, a receipt is asked for. A round figure."""
-
-
 class Pacer:
     """The pace of a socket's datagrams. It sends nothing itself; times are in s, on one clock.
 
@@ -338,18 +319,6 @@ class Pacer:
             self._burst = max(_LEAST_BURST, self.path.pace * _BURST_LASTS)
 
 
-_ASKS_EVERY = 0.25
-"""s after which the next datagram asks for a receipt, so that the sender learns soon that none comes. Nothing was
-measured."""
-_PARTS = 4
-"""The sender asks for a receipt after each such part of what may be in transit, as for the window of the streams."""
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.4, 0.8
-"""s until a datagram that tries whether any arrives is written off: 1.8 kB/s, which a link of 5 kB/s has room for."""
-_NEW = 2.0
-"""s after the first datagram in which the first receipt may still come: a round trip through a full tunnel of 5 kB/s
-takes up to 2 s (`bench.robot`)."""
-
-
 class Datagrams(Protocol):
     """The UDP channel whose datagrams take turns, as far as its carrier knows it."""
 
@@ -426,11 +395,9 @@ class DatagramCarrier:
 
     @property
     def window(self) -> int:
-        """Bytes that may be in the receiver's buffer, or 0 if unknown."""
         return self._pacer.window
 
     def room(self) -> int:
-        """Return the bytes that may be sent now; none if it is 0 or less."""
         self._now = self._loop.time()
         room = self._pacer.room(self._now, self._scheduler.waits_since)
         return room if self.proven else min(room, LEAST - self._pacer.in_transit)
@@ -514,11 +481,9 @@ class DatagramCarrier:
         self._scheduler.run()
 
     def writable(self) -> None:
-        """Go on: the socket takes datagrams again."""
         self._scheduler.run()
 
     def close(self) -> None:
-        """Take no more turns."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
