@@ -40,25 +40,21 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Receipts
 
 _OF_ROUTES = (DATA, MOVED, RESUMED)
-_KIND_AND_ROUTE = struct.Struct(">BxI")
-"""The part of `HEADER` that tells a frame's route."""
+_KIND_AND_ROUTE = struct.Struct(">BxI")  # the part of `HEADER` that tells a frame's route
 LARGE = 16 * 1024
-"""Bytes of a message from which on its route uses the stream for large messages: more than 6 ms of a link of 20
-Mbit/s, and about as much as TCP keeps unsent. Others were not measured. Messages of 20 and 40 kB share a stream with
-the largest, and without priorities their p99 rose from 0.4 and 0.5 s to 0.9 (bench/README.md, *Thin links*)."""
+"""Bytes of a message that takes the stream for large ones (bench/README.md, *Constants of data streams*)."""
+
+# Of lost streams. Round figures.
 _MOST_CUTS, _CUTS_WITHIN = 3, 15.0
 """Losses of a pair within so many s after which its routes go on: where each stream is lost at once, they open again
-with delays of their own. Round figures; three, because a firewall that forgets both shows it one by one."""
-_SHORTEST_PAUSE = 5.0
-"""s until a stream is opened that no route of this side waits for. A round figure."""
-_LONGEST_PAUSE = 60.0
-"""s between attempts to open a stream that the other side refuses, or the path does not carry. A round figure."""
+with delays of their own. Three, because a firewall that forgets both shows it one by one."""
+_SHORTEST_PAUSE, _LONGEST_PAUSE = 5.0, 60.0
+"""s until a stream is opened that no route of this side waits for, and that the other side may refuse."""
 _DEAD_AFTER, _UNHEARD = 10.0, 2.5
 """s without a receipt for bytes that the kernels have exchanged, after which a stream is given up, as long as the
 control connection, which brings the receipts, was never silent for so many s: something acknowledges, and passes
-nothing on. Receipts come once a second. Round figures."""
-_AWAITED_FOR = 10.0
-"""s that routes wait for a new stream, as long as a client tries to open one (`client_link`)."""
+nothing on. Receipts come once a second."""
+_AWAITED_FOR = 10.0  # s that routes wait for a new stream, as long as a client tries to open one (`client_link`)
 
 
 class RouteNumbers(Protocol):
@@ -83,6 +79,7 @@ class DataStream(StreamHandler):
         acknowledged: bytes that have arrived.
         over: whether it is lost or closed.
         resumed: bytes with which routes have said that they go on on it.
+        counter: counts received bytes.
     """
 
     def __init__(self, stream: Stream, number: int, pair: StreamPair) -> None:
@@ -97,8 +94,8 @@ class DataStream(StreamHandler):
         self._written_off = 0  # the first bytes, which count as acknowledged in the window
         self._pair = pair
         self._frames = FrameReader(CONTROL_LIMIT, pair.keys.budget)
-        self._counter = ReceiptCounter()
-        pair.book.add(number, self._counter)
+        self.counter = ReceiptCounter()
+        pair.book.add(number, self.counter)
         self._held: Sequence[memoryview] = ()
         self._asked = 0
 
@@ -127,10 +124,6 @@ class DataStream(StreamHandler):
     def closed(self, reason: Reason) -> None:
         # Its routes have lost it, also if this side gave it up.
         self._pair.cut(self, reason if reason.broke else Reason(reason.text, EndCode.BROKE))
-
-    def given_up(self) -> None:
-        """End, as the other side has given it up."""
-        self._pair.cut(self, Reason("given up by the other side", EndCode.BROKE))
 
     def end(self, reason: str) -> None:
         """Close it; nothing more is heard of it."""
@@ -203,14 +196,10 @@ class DataStream(StreamHandler):
 
     def count(self, size: int) -> None:
         """Count received bytes, and send a receipt if one is due."""
-        counter = self._counter
+        counter = self.counter
         counter.count += size
         if counter.count >= counter.due:
             self._pair.book.report()
-
-    def set_interval(self, every: int) -> None:
-        """Send a receipt after every `every` bytes from now on."""
-        self._counter.set_interval(every)
 
     def receipt(self, count: int) -> int:
         """Take the peer's receipt of the first `count` bytes; return how many are no longer in transit by it."""
@@ -234,7 +223,7 @@ def take_receipts(receipts: Receipts, streams: Iterable[DataStream], scheduler: 
     by_number = {each.number: each for each in streams}
     for number, every in receipts.every:
         if number in by_number:
-            by_number[number].set_interval(every)
+            by_number[number].counter.set_interval(every)
     # Together: by the receipt of a quiet stream alone, the bytes that a busy one has sent since its last receipt would
     # seem to wait on the path.
     received = [(by_number[number], count) for number, count in receipts.received if number in by_number]
@@ -244,7 +233,7 @@ def take_receipts(receipts: Receipts, streams: Iterable[DataStream], scheduler: 
             stream.ask(every)
     for number in receipts.given_up:
         if number in by_number:
-            by_number[number].given_up()
+            by_number[number].closed(Reason("given up by the other side", EndCode.BROKE))
 
 
 class StreamPair:
@@ -289,7 +278,6 @@ class StreamPair:
 
     @property
     def ready(self) -> bool:
-        """Whether both streams are open."""
         return not any(self.lacks())
 
     def lacks(self) -> tuple[bool, bool]:
@@ -307,8 +295,7 @@ class StreamPair:
         return added
 
     def streams(self) -> tuple[DataStream, ...]:
-        """Return the open streams, each once."""
-        # On RFCOMM one stream is both.
+        """Return the open streams, each once: on RFCOMM one stream is both."""
         return tuple(dict.fromkeys(each for each in (self.small, self.large) if each is not None and not each.over))
 
     def carry(self, route_id: int, end: StreamSender | StreamReceiver) -> None:
@@ -476,7 +463,6 @@ class _StreamEnd:
         self._pair.forget(self._route_id)
 
     def lost(self, reason: Reason) -> None:
-        """Report the end of the streams to the route."""
         self.route.channel_lost(reason)
 
     def uses(self, stream: DataStream) -> bool:
