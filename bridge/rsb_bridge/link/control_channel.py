@@ -27,36 +27,31 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.data_stream import DataStream
     from rsb_bridge.model.reason import Reason
-    from rsb_bridge.wire.codec import ReportParts
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.messages import ControlMessage, UrgentMessage
 
 _E = TypeVar("_E")
 
-ENTRIES = 64
-"""Entries of one slice: to decode an entry of a report and to judge its route takes about 20 microseconds."""
-BYTES = 8 << 10
-"""Bytes of one slice, or one entry: 8 KiB of short texts take about 4 ms to decode."""
-
-
 Slices: TypeAlias = "Generator[int, None, int]"
 """Work in slices: yields how many entries a slice had, and returns how many the last one had."""
-_MOST_WAITING = 8 * CONTROL_LIMIT
-"""Bytes; a thousand routes' reports are a fifth of one frame, and 6 s of silence end the link."""
-_AT_ONCE = 8
-"""Units of work that are done before the I/O loop does other work. An event is one, as it may create a DDS endpoint,
-which takes 0.5 ms; further ones are each further endpoint, each `_BYTES_A_UNIT` and each `_ENTRIES_A_UNIT` of it.
-Nothing more is done after a whole slice of a message (`entries_in_slices`)."""
-_BYTES_A_UNIT = 1 << 10
-"""Bytes of any message that are decoded in 0.5 ms."""
-_ENTRIES_A_UNIT = 8  # so a slice (`ENTRIES`) is all that is done at once
-_MESSAGES, _MESSAGES_A_SECOND = 4096, 500.0
-"""As many as a thousand routes take when they are opened, and what may come after them for ever."""
-_BYTES, _BYTES_A_SECOND = 4 * CONTROL_LIMIT, CONTROL_LIMIT
-"""Bytes of control messages that are handled at once, and then in a second. They take 0.5 s of CPU time at most."""
+
+# Of one slice, at most. It takes about 4 ms: an entry of a report 20 microseconds to decode and judge, 8 KiB of short
+# texts 4 ms to decode.
+ENTRIES, BYTES = 64, 8 << 10
+
+# Units of work that are done before the I/O loop does other work, each about 0.5 ms. An event is one, as it may create
+# a DDS endpoint; further ones are each further endpoint, each `_BYTES_A_UNIT` and each `_ENTRIES_A_UNIT` of it. Nothing
+# more is done after a whole slice.
+_AT_ONCE, _BYTES_A_UNIT, _ENTRIES_A_UNIT = 8, 1 << 10, 8
+
+# What a peer may have this side do: at once, and then in a second, for ever.
+_MESSAGES, _MESSAGES_A_SECOND = 4096, 500.0  # a thousand routes take as many when they are opened
+_BYTES, _BYTES_A_SECOND = 4 * CONTROL_LIMIT, CONTROL_LIMIT  # 0.5 s of CPU time at most
+# Entries of reports and lists. A thousand routes report once a second, and up to ten times as often at high rates; a
+# steady flood takes a fifth of the thread's time.
 _ENTRIES, _ENTRIES_A_SECOND = 40_000, 10_000.0
-"""Entries of reports and lists that are handled at once, and then in a second. A thousand routes report once a second,
-and up to ten times as often at high rates. A steady flood of entries takes a fifth of the thread's time."""
+
+_MOST_WAITING = 8 * CONTROL_LIMIT  # unsent bytes: a thousand routes' reports are a fifth of one frame
 
 
 def entries_in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> Slices:
@@ -183,7 +178,6 @@ class ControlChannel(StreamHandler):
 
     @property
     def _waits(self) -> bool:
-        """Whether there is something left to do."""
         return bool(self._events) or self._work is not None
 
     def _act(self) -> None:
@@ -211,7 +205,7 @@ class ControlChannel(StreamHandler):
             self._loop.call_later(max(0.0, delay), self._go_on)  # even at once: other links have their turn before
 
     def _do_slice(self, work: Slices, now: float) -> int:
-        """Do one slice of a message's work. Returns how many entries that had."""
+        """Do one slice of a message's work; return how many entries that had."""
         try:
             entries = next(work)
         except StopIteration as end:
@@ -235,7 +229,7 @@ class ControlChannel(StreamHandler):
             self.stream.resume_reading()
 
     def _act_on(self, event: Event) -> int:
-        """Act on an event. Returns the units of work that it was (`_AT_ONCE`)."""
+        """Act on an event; return the units of work that it was."""
         match event:
             case MessageReceived(content):
                 try:
@@ -243,29 +237,24 @@ class ControlChannel(StreamHandler):
                 except ProtocolError as error:
                     self._broken(error)
                     return 1
-                return self._take_message(message) + len(content) // _BYTES_A_UNIT
+                self._work = self._handlers[type(message)](message)
+                endpoints = len(message.sources) if isinstance(message, Describe) else 1
+                return endpoints + len(content) // _BYTES_A_UNIT
             case DataFrame(frame):
-                self._take_data(frame)
+                assert self.data is not None  # they come on multiplexed connections only
+                try:
+                    self.data.count(frame_size(frame))
+                    self.data.receive((frame,))
+                except (ProtocolError, SealError) as error:
+                    self._broken(error)
             case Failed(reason):
-                self.abort(f"the peer broke the format: {reason}")
+                self._broken(reason)
             case StreamRefused(_, reason):
                 self.abort(reason)
         return 1
 
-    def _take_message(self, message: ControlMessage | ReportParts) -> int:
-        self._work = self._handlers[type(message)](message)
-        return len(message.sources) if isinstance(message, Describe) else 1
-
-    def _broken(self, error: ProtocolError | SealError) -> None:
-        self.abort(f"the peer broke the format: {error}")
-
-    def _take_data(self, frame: memoryview) -> None:
-        assert self.data is not None  # `DataFrame`s come on multiplexed connections only
-        try:
-            self.data.count(frame_size(frame))
-            self.data.receive((frame,))
-        except (ProtocolError, SealError) as error:
-            self._broken(error)
+    def _broken(self, reason: object) -> None:
+        self.abort(f"the peer broke the format: {reason}")
 
     def writable(self) -> None:
         self._flush()
