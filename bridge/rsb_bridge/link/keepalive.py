@@ -18,19 +18,14 @@ if TYPE_CHECKING:
 
 ChannelCarrier: TypeAlias = "Stream | UdpChannel"
 """Carries bytes of a connection, and counts them."""
-DEAD_AFTER = 5.0
-"""s without a byte from the peer until the link is given up. A round figure: five pings in a row went unanswered."""
-_ALONE = 2
-"""Times the patience that the control connection alone may be silent: on a thin link, its pings wait behind data. A
-round figure."""
-_KERNELS = 1.0
-"""s by which the kernel is more patient with a connection: it would end it as timed out, without the cause `silent`."""
-_LONGEST_PING = 3600.0
-"""s; a ping that takes longer means that a clock was set."""
-_UNANSWERED = 600
-"""Pings that are remembered, ten minutes' worth; later answers do not count for the clock. A round figure."""
-_ANSWERS, _ANSWERS_A_SECOND = 10, 4.0
-"""A peer pings once a second; after a pause of its process, several times at once."""
+
+# Round figures.
+DEAD_AFTER = 5.0  # s without a byte from the peer until the link is given up: five pings in a row went unanswered
+_ALONE = 2  # times that for the control connection alone: on a thin link, its pings wait behind data
+_KERNELS = 1.0  # s by which the kernel is more patient: it would end a connection without the cause `silent`
+_LONGEST_PING = 3600.0  # s; a ping that takes longer means that a clock was set
+_UNANSWERED = 600  # pings that are remembered: ten minutes' worth. Later answers do not count for the clock
+_ANSWERS, _ANSWERS_A_SECOND = 10, 4.0  # a peer pings once a second; after a pause of its process, several times at once
 
 
 class Keepalive:
@@ -50,7 +45,7 @@ class Keepalive:
     def __init__(
         self, context: Context, carriers: Callable[[], Collection[ChannelCarrier]], patience: float | None = None
     ) -> None:
-        """Begin.
+        """Measure from now on.
 
         Args:
             carriers: gives the present carriers of the connection's bytes.
@@ -120,7 +115,6 @@ class Keepalive:
         self._watch_silence()
 
     def stop(self) -> None:
-        """Stop watching."""
         self._on_silence = None
         if self._watchdog is not None:
             self._watchdog.cancel()
@@ -179,7 +173,6 @@ class Keepalive:
         return Pong(n=ping.n, sent=ping.sent, received=now, answered=now, shift=self._context.stamps.shift)
 
     def answered(self, pong: Pong) -> None:
-        """Record the peer's answer to a ping."""
         self.answered_pings = max(self.answered_pings, min(pong.n, self._pings))  # a peer may name any number
         self.clock.add(pong.sent, pong.received, pong.answered, self._context.wall_ns())
         # The ping has the time on the wall clock, which may be set; that on the clock of stamps was kept here.
