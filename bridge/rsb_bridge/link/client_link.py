@@ -37,34 +37,29 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Hello, Propose
     from rsb_bridge.wire.sealing import CipherSuite
 
-_HANDSHAKE_TIMEOUT = 10.0
-"""s for an answer, as long as a server waits for a handshake (`pending_connections`)."""
-_FIRST_DELAY = 0.5
-"""s before the first further attempt. A round figure; `_LONGEST_DELAY_UNREACHED` bounds the next ones."""
-_JITTER = 0.5
-"""Share of a delay: all clients of a server lose it at the same moment, and must not all come back at another. The
-first attempts of 200 clients come within 0.5 s; with a fifth, it was 0.2 s."""
-_LONGEST_DELAY_UNREACHED = 1.0
-"""s between attempts while the server is not reached, before jitter: once it is back, the link must be up within 3 s,
-with handshake and DDS discovery."""
-_MOVED_AND_QUIET = 1.5
-"""s without a byte (pings come every second) after which a connection is closed whose source address this machine no
-longer has: the client calls again after 2 s, and not only after the 6 s of a silent link."""
-_LONGEST_DELAY = 8.0
-"""s between attempts while the server refuses, before jitter: its answer seldom changes soon. A round figure, on which
-servers rely: they forget a client that has not tried for longer (`refused_clients.FORGOTTEN_AFTER`)."""
-_ROUNDS = 3
-"""Times that data streams are opened if others are lost meanwhile. A round figure."""
+_HANDSHAKE_TIMEOUT = 10.0  # s for an answer, as long as a server waits for a handshake (`pending_connections`)
 _KEY_CHANGED = "the client has another key now"
+
+# s between attempts, before jitter.
+_FIRST_DELAY = 0.5  # before the first further attempt: a round figure
+_LONGEST_DELAY_UNREACHED = 1.0  # once the server is back, the link must be up within 3 s, with handshake and discovery
+# While the server refuses: its answer seldom changes soon. A round figure, on which servers rely: they forget a client
+# that has not tried for longer (`refused_clients.FORGOTTEN_AFTER`).
+_LONGEST_DELAY = 8.0
+_LONGEST_RETRY_AFTER = 60.0  # that a server may ask for (PROTOCOL.md, 3): a wrong figure must not keep it away
+# Share of a delay: all clients of a server lose it at one moment, and must not all come back at another. The first
+# attempts of 200 clients come within 0.5 s; with a fifth, it was 0.2 s.
+_JITTER = 0.5
+# Attempts that come soon although another client has this one's name. They take about 4.5 s, in which one that is dead
+# has lost it (`server_link._SILENT`).
 _NAME_MAY_BE_FREED = 5
-"""Attempts that come soon although another client has this one's name. They take about 4.5 s, in which one that is dead
-has lost it (`server_link._SILENT`)."""
-_DUPLICATES_LOGGED_EVERY = 60.0
-"""s between lines about one more client of this one's name, while there is another already. A round figure."""
-_UDP_RETRIED_AFTER = 1.0
-"""s until a socket for datagrams that could not be opened is tried again. A round figure: its topics wait as long."""
-_LONGEST_RETRY_AFTER = 60.0
-"""s that a server may have this side wait (PROTOCOL.md, 3); a wrong figure must not keep it away."""
+
+# s without a byte (pings come every second) after which a connection is closed whose source address this machine no
+# longer has: the client calls again after 2 s, and not only after the 6 s of a silent link.
+_MOVED_AND_QUIET = 1.5
+_ROUNDS = 3  # times that data streams are opened if others are lost meanwhile: a round figure
+_UDP_RETRIED_AFTER = 1.0  # s until a socket for datagrams is tried again: its topics wait as long. A round figure
+_DUPLICATES_LOGGED_EVERY = 60.0  # s between lines about one more client of this one's name: a round figure
 
 
 class ClientLink(Link):
@@ -147,7 +142,7 @@ class ClientLink(Link):
         await self._ended.wait()
 
     async def _connect(self, key: Key | None) -> Failure | None:
-        """Connect to the server, or to the announced one that proves the key; return the failure, or None."""
+        """Connect to the server, or to the announced one that proves the key. Return the failure, if any."""
         secret = key.secret if key else None
 
         def begin(suite: CipherSuite | None) -> ClientConnection:
@@ -165,8 +160,7 @@ class ClientLink(Link):
 
     async def _find(self, hosts: list[str], begin: Callable[[CipherSuite | None], ClientConnection]) -> Failure | None:
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
-        remedied = partial(with_remedy, name=self.name, has_key=True)
-        proven, failures, unproven = await self._search.find(hosts, begin, remedied)
+        proven, failures, unproven = await self._search.find(hosts, begin)
         if proven:  # else the failure counts them
             self._note_unproven(unproven)
         accepting = [each for each in proven if each.refusal is None]
@@ -181,8 +175,15 @@ class ClientLink(Link):
         if accepting:
             return Failure(self.transport.several([str(each.stream.address[0]) for each in accepting]))
         # A refusal with the key is the server's; anybody may have sent the failures.
-        refusals = [each.refusal for each in proven if each.refusal is not None]
+        refusals = [self._with_remedy(each.refusal) for each in proven if each.refusal is not None]
+        failures = [self._with_remedy(each) for each in failures]
         return refusals[0] if refusals else failure_of_search(self.transport, hosts, failures)
+
+    def _with_remedy(self, failure: Failure) -> Failure:
+        if failure.code is None:
+            return failure
+        text = with_remedy(failure.code, failure.reason, name=self.name, has_key=self.key is not None)
+        return failure._replace(reason=text)
 
     def _note_unproven(self, count: int) -> None:
         """Tell the operator once that servers are announced that do not prove the key."""
@@ -202,24 +203,25 @@ class ClientLink(Link):
         sample_secret: bytes | None = None,
     ) -> Failure | None:
         """Connect, and wait for the answer. Return the failure, or None if the server accepted the stream."""
-        remedied = partial(with_remedy, name=self.name, has_key=self.key is not None)
         address = transport.format_address((host, port))
-        attempt = ConnectAttempt(connection, address, remedied, let_in, sample_secret)
+        attempt = ConnectAttempt(connection, address, let_in, sample_secret)
         try:
             await transport.connect(host, port, attempt, rank)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
-                return await asyncio.shield(attempt.outcome)  # `silence` goes on waiting for it
+                failure = await asyncio.shield(attempt.outcome)  # `silence` goes on waiting for it
         except OSError as error:
             # The answer came as the time ran out, so the link is up. A further connection would end it, and so on for
             # minutes.
             if attempt.outcome.done():
-                return attempt.outcome.result()
-            if attempt.connects and isinstance(error, TimeoutError):
+                failure = attempt.outcome.result()
+            elif attempt.connects and isinstance(error, TimeoutError):
                 is_new = self.peer is None and self.status.cause is not LinkCause.NO_ANSWER
-                return await attempt.silence(probe=is_new)
-            return _not_connected(transport.format_address((host, port)), error)
+                failure = await attempt.silence(probe=is_new)
+            else:
+                failure = _not_connected(address, error)
         finally:
             attempt.end()
+        return None if failure is None else self._with_remedy(failure)
 
     def _linked(
         self, connection: ClientConnection, stream: Stream, event: Established | Accepted, more: list[Event]
@@ -451,12 +453,8 @@ class ClientLink(Link):
 
 
 def _not_connected(address: str, error: OSError) -> Failure:
-    """Return the reason why an address cannot be reached, and what to check."""
     if isinstance(error, TimeoutError):  # the kernel's own timeout is one, too
-        return Failure(
-            f"{address}: no answer: check that it is on, server_ip, and firewalls",
-            LinkCause.TIMED_OUT,
-        )
+        return Failure(f"{address}: no answer: check that it is on, server_ip, and firewalls", LinkCause.TIMED_OUT)
     message = os_error_message(error)
     if isinstance(error, socket.gaierror):
         remedy = "correct server_ip in this side's session file (a numeric address needs no name server)"

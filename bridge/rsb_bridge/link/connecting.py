@@ -36,6 +36,7 @@ class Failure(NamedTuple):
     """The reason why the server did not accept a stream.
 
     Attributes:
+        reason: in words; of a refusal, the server's, without a remedy.
         cause: the same as a code.
         code: of the server's refusal, or None if it did not refuse.
     """
@@ -56,7 +57,6 @@ class ConnectAttempt(StreamHandler):
     Args:
         connection: the state machine of the handshake, or of a route's data preamble.
         address: of the server, for messages.
-        refusal_message: gives the text for operators about a refusal.
         sample_secret: both sides have it already, or None.
 
     Attributes:
@@ -67,7 +67,6 @@ class ConnectAttempt(StreamHandler):
         self,
         connection: ClientConnection | DataConnection,
         address: str,
-        refusal_message: Callable[[RefusalCode, str], str],
         let_in: LetIn,
         sample_secret: bytes | None = None,
     ) -> None:
@@ -75,7 +74,6 @@ class ConnectAttempt(StreamHandler):
         self.outcome: asyncio.Future[Failure | None] = asyncio.get_running_loop().create_future()
         self._connection = connection
         self._address = address
-        self._refusal_message = refusal_message
         self._let_in = let_in
         self._stream: Stream | None = None
         self._probing = False
@@ -108,9 +106,9 @@ class ConnectAttempt(StreamHandler):
                     return
                 case StreamRefused():
                     stream.close("refused")  # after the remaining bytes
-                    self._finish(failure_of(event, self._address, self._refusal_message))
+                    self._finish(_failure_of(event, self._address))
                 case Failed():
-                    self._finish(failure_of(event, self._address, self._refusal_message))
+                    self._finish(_failure_of(event, self._address))
                 case _:
                     pass
 
@@ -138,7 +136,7 @@ class ConnectAttempt(StreamHandler):
                         return answer
         if self._heard:
             return Failure(_not_a_bridge(self._address, ""), LinkCause.NOT_A_BRIDGE)
-        return Failure(no_answer(self._address), LinkCause.NO_ANSWER)
+        return _no_answer(self._address)
 
     @property
     def _heard(self) -> bool:
@@ -154,21 +152,15 @@ class ConnectAttempt(StreamHandler):
             self.outcome.set_result(outcome)
 
 
-def no_answer(address: str) -> str:
-    """Return the text for operators about a server that does not answer."""
+def _no_answer(address: str) -> Failure:
     remedy = "check there that rsb-console runs and does not hang (ss -lntp there)"
-    return f"{address} accepts, but does not answer: {remedy}"
+    return Failure(f"{address} accepts, but does not answer: {remedy}", LinkCause.NO_ANSWER)
 
 
-def failure_of(event: Event, address: str, refusal_message: Callable[[RefusalCode, str], str]) -> Failure:
-    """Return the failure that an event of the handshake means.
-
-    Args:
-        refusal_message: gives the text for operators about a refusal.
-    """
+def _failure_of(event: Event, address: str) -> Failure:
     match event:
         case StreamRefused(code, message):
-            return Failure(refusal_message(code, message), CAUSES.get(code, LinkCause.REFUSED), code)
+            return Failure(message, CAUSES.get(code, LinkCause.REFUSED), code)
         case Failed(_, str() as foreign):
             return Failure(_not_a_bridge(address, foreign), LinkCause.NOT_A_BRIDGE)
         case Failed(reason):
@@ -197,7 +189,7 @@ def unproven_servers(count: int) -> str:
 
 def failure_of_search(transport: StreamTransport, hosts: list[str], failures: list[Failure]) -> Failure:
     """Return the failure of a search in which no announced server proved the key."""
-    silent = Failure(no_answer(transport.format_address((hosts[0], 0))), LinkCause.NO_ANSWER)
+    silent = _no_answer(transport.format_address((hosts[0], 0)))
     failure = next((each for each in failures if each.refused), (*failures, silent)[0])
     if len(hosts) == 1:
         return failure
@@ -234,28 +226,11 @@ class ProvenServer:
 
 
 class _Try(StreamHandler):
-    """One stream to one announced server, which strangers may answer, too.
+    """One stream to an announced server, which strangers may answer, too."""
 
-    Args:
-        address: the same, for messages.
-        refusal_message: gives the text for operators about a refusal.
-        asked_for: called if an answer asks for another cipher suite.
-    """
-
-    def __init__(
-        self,
-        connection: ClientConnection,
-        host: str,
-        address: str,
-        refusal_message: Callable[[RefusalCode, str], str],
-        asked_for: Callable[[CipherSuite], None],
-        finish: Callable[[ProvenServer | Failure], None],
-    ) -> None:
+    def __init__(self, search: _HostSearch, connection: ClientConnection) -> None:
+        self._search = search
         self._connection = connection
-        self._host, self._address = host, address
-        self._refusal_message = refusal_message
-        self._asked_for = asked_for
-        self._finish = finish
         self._stream: Stream | None = None
         self._refusal: Failure | None = None
         self._over = False
@@ -275,14 +250,14 @@ class _Try(StreamHandler):
         if connection.proven:
             self._prove(self._stream, connection, events)
         elif not events and connection.suite is not self._connection.suite:
-            self._asked_for(connection.suite)
+            self._search.ask(connection.suite)
         elif events and self._refusal is None:
-            self._refusal = failure_of(events[-1], self._address, self._refusal_message)
+            self._refusal = _failure_of(events[-1], self._search.address)
             asyncio.get_running_loop().call_later(_REFUSED_AFTER, self._end, self._refusal)
 
     def _prove(self, stream: Stream, connection: ClientConnection, events: list[Event]) -> None:
         refusal = None
-        if connection.at not in ("", self._host):
+        if connection.at not in ("", self._search.host):
             return  # a stranger relays another server's answer
         stream.adopt()
         stream.authenticate(connection.sample_secret, opener=True)
@@ -290,19 +265,19 @@ class _Try(StreamHandler):
             stream.trust()
             stream.pause_reading()  # what follows is for the handler that the stream gets with `confirm`
         else:
-            refusal = failure_of(events[0], self._address, self._refusal_message)
+            refusal = _failure_of(events[0], self._search.address)
             stream.write(connection.data_to_send())
             stream.close("refused")
         self._over = True
-        self._finish(ProvenServer(stream, connection, events, refusal))
+        self._search.finish(ProvenServer(stream, connection, events, refusal))
 
     def closed(self, reason: Reason) -> None:
-        self._end(self._refusal or Failure(f"{self._address}: {reason.text} before the handshake finished"))
+        self._end(self._refusal or Failure(f"{self._search.address}: {reason.text} before the handshake finished"))
 
     def _end(self, failure: Failure) -> None:
         if not self._over:
             self.give_up()
-            self._finish(failure)
+            self._search.finish(failure)
 
     def give_up(self) -> None:
         """Close the stream, unless the server has proven the key."""
@@ -310,6 +285,68 @@ class _Try(StreamHandler):
             self._over = True
             if self._stream is not None:
                 self._stream.abort("not accepted")
+
+
+class _HostSearch:
+    """The search for the key behind one announced host, with a stream for each cipher suite.
+
+    Args:
+        begin: begins a handshake, with the suite that a server asks for.
+    """
+
+    def __init__(
+        self, transport: StreamTransport, host: str, begin: Callable[[CipherSuite | None], ClientConnection]
+    ) -> None:
+        self.host = host
+        self.address = transport.format_address((host, 0))
+        self._transport = transport
+        self._begin = begin
+        self._tries: list[_Try] = []
+        self._asked: asyncio.Queue[CipherSuite | None] = asyncio.Queue()
+        self._offered: set[CipherSuite | None] = set()
+        self._outcome: asyncio.Future[ProvenServer] = asyncio.get_running_loop().create_future()
+
+    def ask(self, suite: CipherSuite | None) -> None:
+        """Try once more with a suite that an answer asks for, forged or not."""
+        if suite not in self._offered:
+            self._offered.add(suite)
+            self._asked.put_nowait(suite)
+
+    def finish(self, result: ProvenServer | Failure) -> None:
+        """Take the first result of a stream."""
+        if self._outcome.done():
+            if isinstance(result, ProvenServer):
+                result.give_up()
+        elif isinstance(result, ProvenServer):
+            self._outcome.set_result(result)
+        else:
+            self._outcome.set_exception(UnprovenError(result))
+
+    async def run(self) -> ProvenServer:
+        """Return the server once it proves the key; raise UnprovenError if it does not."""
+        self._asked.put_nowait(None)
+        trying = asyncio.create_task(self._try_all())
+        try:
+            return await self._outcome
+        except asyncio.CancelledError:
+            # The search may end in the moment in which the server proves the key.
+            outcome = self._outcome
+            if outcome.done() and not outcome.cancelled() and outcome.exception() is None:
+                outcome.result().give_up()
+            raise
+        finally:
+            trying.cancel()
+            for each in self._tries:
+                each.give_up()
+
+    async def _try_all(self) -> None:
+        while True:
+            each = _Try(self, self._begin(await self._asked.get()))
+            self._tries.append(each)
+            try:
+                await self._transport.connect(self.host, 0, each)
+            except OSError as error:
+                self.finish(Failure(f"{self.address}: {os_error_message(error)}"))
 
 
 class ServerSearch:
@@ -324,73 +361,18 @@ class ServerSearch:
         self._trials: Trials[ProvenServer] = Trials(now, patience)
 
     async def find(
-        self,
-        hosts: Collection[str],
-        connect: Callable[[CipherSuite | None], ClientConnection],
-        refusal_message: Callable[[RefusalCode, str], str],
+        self, hosts: Collection[str], begin: Callable[[CipherSuite | None], ClientConnection]
     ) -> tuple[list[ProvenServer], list[Failure], int]:
         """Find the servers that prove the key.
 
         Args:
             hosts: all that are announced.
-            connect: begins a handshake, with the suite that a server asks for.
-            refusal_message: gives the text for operators about a refusal.
+            begin: begins a handshake, with the suite that a server asks for.
 
         Returns:
             The servers, the failures of others, and how many others there are.
         """
-
-        async def attempt(host: str) -> ProvenServer:
-            return await self._attempt(host, connect, refusal_message)
-
-        proven, failures, others = await self._trials.search(hosts, attempt, ProvenServer.give_up)
+        proven, failures, others = await self._trials.search(
+            hosts, lambda host: _HostSearch(self._transport, host, begin).run(), ProvenServer.give_up
+        )
         return list(proven.values()), [failure.args[0] for failure in failures], others
-
-    async def _attempt(
-        self,
-        host: str,
-        connect: Callable[[CipherSuite | None], ClientConnection],
-        refusal_message: Callable[[RefusalCode, str], str],
-    ) -> ProvenServer:
-        outcome: asyncio.Future[ProvenServer] = asyncio.get_running_loop().create_future()
-        address = self._transport.format_address((host, 0))
-        tries: list[_Try] = []
-        asked: asyncio.Queue[CipherSuite | None] = asyncio.Queue()
-        offered: set[CipherSuite | None] = set()
-        asked.put_nowait(None)
-
-        def ask(suite: CipherSuite | None) -> None:
-            if suite not in offered:
-                offered.add(suite)
-                asked.put_nowait(suite)
-
-        def finish(result: ProvenServer | Failure) -> None:
-            if outcome.done():
-                if isinstance(result, ProvenServer):
-                    result.give_up()
-            elif isinstance(result, ProvenServer):
-                outcome.set_result(result)
-            else:
-                outcome.set_exception(UnprovenError(result))
-
-        async def begin_all() -> None:
-            while True:  # once more for each other suite that an answer asks for, forged or not
-                each = _Try(connect(await asked.get()), host, address, refusal_message, ask, finish)
-                tries.append(each)
-                try:
-                    await self._transport.connect(host, 0, each)
-                except OSError as error:
-                    finish(Failure(f"{address}: {os_error_message(error)}"))
-
-        beginning = asyncio.create_task(begin_all())
-        try:
-            return await outcome
-        except asyncio.CancelledError:
-            # The search may end in the moment in which the server proves the key.
-            if outcome.done() and not outcome.cancelled() and outcome.exception() is None:
-                outcome.result().give_up()
-            raise
-        finally:
-            beginning.cancel()
-            for each in tries:
-                each.give_up()

@@ -123,7 +123,7 @@ class Server:
             return ClientConnection(hello, secret, suite or CipherSuite.AESGCM)
 
         search = ServerSearch(self._transport, self.context.now, _PROVES_WITHIN)
-        proven, _, _ = await search.find(hosts, begin, lambda _, message: message)
+        proven, _, _ = await search.find(hosts, begin)
         for each in proven:
             each.give_up()
         return [str(each.stream.address[0]) for each in proven]
