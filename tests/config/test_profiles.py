@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -11,10 +13,10 @@ from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.transports import NO_PROFILE, PROFILES, profile_of
+from rsb_bridge.model.transports import NO_PROFILE, PROFILES, LinkProfile, profile_of
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.rate_limit import RateLimit
-from rsb_bridge.route.sending import Outbox
+from rsb_bridge.route.sending import Outbox, QueueLimits
 from rsb_bridge.transport.registry import default_transports
 from rsb_console.command.check import summary
 
@@ -79,12 +81,15 @@ def test_queues() -> None:
     """Best effort waits for less, reliable for longer."""
     transport = default_transports()["tcp"]
     proposal = proposal_of(Topic("/scan", "transmit"), transport, client_name="robot1", use_name=False)
-    outbox = Outbox(transport, proposal, RouteLedger(), lambda *_: None)
-    best_effort = Qos(reliability="best_effort")
-    live, plain, lte = (
-        outbox.limits(qos, 0, False, 0.0, profile)
-        for qos, profile in ((best_effort, PROFILES["lte"]), (Qos(), NO_PROFILE), (Qos(), PROFILES["lte"]))
-    )
+    channel: Any = SimpleNamespace(free=False, behind=lambda now: False, still=lambda now: 0.0)
+
+    def limits(qos: Qos, profile: LinkProfile) -> QueueLimits:
+        peer, arming = SimpleNamespace(profile=profile), SimpleNamespace(required=False)
+        route: Any = SimpleNamespace(transport=transport, proposal=proposal, qos=qos, peer=peer, arming=arming)
+        return Outbox(route, RouteLedger()).limits(channel, 0, 0.0)
+
+    live = limits(Qos(reliability="best_effort"), PROFILES["lte"])
+    plain, lte = limits(Qos(), NO_PROFILE), limits(Qos(), PROFILES["lte"])
     assert (live.older_than, live.size) == (1.0, 256 * 1024)
     assert (plain.younger_than, lte.younger_than, lte.size) == (5.0, 15.0, plain.size)
 

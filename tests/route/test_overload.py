@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from tests.route.test_loop_filter import Channel
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.sending import Outbox, Overload, QueueLimits
 from rsb_bridge.transport.registry import default_transports
@@ -23,9 +25,16 @@ AUTO = Qos(depth=500)
 """As the engine chooses it before it knows the rate."""
 
 
-def outbox(qos: Qos | None = None) -> Outbox:
-    proposal = Propose(route=1, topic="/t", remote_topic="/t", from_client=True, qos=qos)
-    return Outbox(default_transports()["tcp"], proposal, RouteLedger(), lambda *_: None)
+def outbox(qos: Qos | None = None, *, own: Qos | None = None) -> Outbox:
+    """Make the queue of a route with a QoS, which its own session may name."""
+    route: Any = SimpleNamespace(
+        transport=default_transports()["tcp"],
+        proposal=Propose(route=1, topic="/t", remote_topic="/t", from_client=True, qos=own),
+        qos=qos or AUTO,
+        arming=SimpleNamespace(required=False),
+        peer=SimpleNamespace(profile=NO_PROFILE),
+    )
+    return Outbox(route, RouteLedger())
 
 
 class FullChannel(Channel):
@@ -33,23 +42,36 @@ class FullChannel(Channel):
 
     batch_bytes = 1
 
+    def __init__(self, free: bool, *, behind: bool = False) -> None:
+        super().__init__()
+        self._free, self._behind = free, behind
+
+    @property
+    def free(self) -> bool:
+        return self._free
+
+    def behind(self, now: float) -> bool:
+        return self._behind and now > 1.0
+
     def send(self, batch: Sequence[Message]) -> None:
         super().send(batch)
         self.congested = True
 
 
 def flood(
-    box: Outbox, seconds: int, free: bool, qos: Qos = AUTO, *, turn_every: int = 0, behind: bool = False
+    box: Outbox, seconds: int, free: bool, *, turn_every: int = 0, behind: bool = False
 ) -> tuple[QueueLimits, list[bytes]]:
     """Queue 10 numbered messages a second. Return the limits at the end, and the sent messages."""
-    limits, channel = box.limits(qos, 0, free, 0.0), FullChannel()
+    full = FullChannel(free, behind=behind)
+    channel = cast("SendingChannel", full)
+    limits = box.limits(channel, 0, 0.0)
     for tick in range(10 * seconds):
-        limits = box.limits(qos, 0, free, tick / 10, behind=behind and tick > 10)
+        limits = box.limits(channel, 0, tick / 10)
         box.add([(b"%d" % tick, 0, 0)], tick / 10, b"", limits)
         if turn_every and not tick % turn_every:
-            channel.congested = False
-            box.flush(cast("SendingChannel", channel), tick / 10)
-    return limits, [payload for payload, _ in channel.sent]
+            full.congested = False
+            box.flush(channel, tick / 10)
+    return limits, [payload for payload, _ in full.sent]
 
 
 def test_overload_keeps_only_new_messages() -> None:
@@ -70,15 +92,15 @@ def test_stall_keeps_messages_for_seconds() -> None:
 def test_live_topic_sends_what_is_newest_once_some_have_to_be_left_out() -> None:
     """Otherwise each one would wait for the whole depth of the queue."""
     qos = Qos(reliability="best_effort", depth=5)
-    _, sent = flood(outbox(), 20, False, qos, turn_every=3, behind=True)
+    _, sent = flood(outbox(qos), 20, False, turn_every=3, behind=True)
     assert sent[-3:] == [b"191", b"194", b"197"]
-    _, sent = flood(outbox(qos), 20, False, qos, turn_every=3, behind=True)
+    _, sent = flood(outbox(qos, own=qos), 20, False, turn_every=3, behind=True)
     assert sent[-1] == b"194", "a depth that is promised is kept"
 
 
 def test_live_topic_loses_nothing_in_a_stall_below_a_second() -> None:
-    box, channel = outbox(), FullChannel()
-    limits = box.limits(Qos(reliability="best_effort", depth=5), 0, False, 0.0)
+    box, channel = outbox(Qos(reliability="best_effort", depth=5)), FullChannel(False)
+    limits = box.limits(cast("SendingChannel", channel), 0, 0.0)
     box.add([(b"%d" % number, 0, 0) for number in range(5)], 0.0, b"", limits)
     box.flush(cast("SendingChannel", channel), 0.9)
     assert channel.sent == [(b"0", 0)]
@@ -92,10 +114,10 @@ def test_live_topic_loses_nothing_in_a_stall_below_a_second() -> None:
 @pytest.mark.parametrize("free", [True, False])
 def test_live_topic_sends_nothing_old(free: bool) -> None:
     """Whether the link is slow, stopped or has only begun."""
-    box = outbox()
-    flood(box, 10, free, Qos(reliability="best_effort"))
+    flood(box := outbox(Qos(reliability="best_effort")), 10, free)
     assert box.waits(9.9) <= 1.0
-    flood(box := outbox(Qos(reliability="best_effort", depth=50)), 10, free, Qos(reliability="best_effort", depth=50))
+    qos = Qos(reliability="best_effort", depth=50)
+    flood(box := outbox(qos, own=qos), 10, free)
     assert box.waits(9.9) > 4.0
 
 
@@ -103,15 +125,14 @@ def test_live_topic_sends_nothing_old(free: bool) -> None:
     ("own", "qos"), [(Qos(depth=20), Qos(depth=20)), (None, Qos(depth=20, durability="transient_local"))]
 )
 def test_depths_that_are_promised_are_kept(own: Qos | None, qos: Qos) -> None:
-    box = outbox(own)
-    limits, _ = flood(box, 10, False, qos)
+    box = outbox(qos, own=own)
+    limits, _ = flood(box, 10, False)
     assert limits.depth == 20
     assert len(box) >= 20
 
 
 def test_keep_all_keeps_all() -> None:
-    box = outbox()
-    flood(box, 10, False, Qos(history="keep_all"))
+    flood(box := outbox(Qos(history="keep_all")), 10, False)
     assert len(box) == 100
 
 

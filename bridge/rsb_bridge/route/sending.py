@@ -14,7 +14,6 @@ from rsb_bridge.model.by_hand import END_NONE
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
-from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
 from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
@@ -24,12 +23,10 @@ from rsb_bridge.route.topic_verdict import USE_TCP
 from rsb_bridge.wire.framing import CONTENT_LIMIT, HISTORY, MESSAGE_LIMIT, ZSTD, Message
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.model.qos import Qos
-    from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.gates import Sift
     from rsb_bridge.route.history_depth import Histories, Sample
@@ -39,24 +36,16 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
-_LOOKS_EVERY, STANDS_STILL = 1.0, 0.3
-"""s at least between the two looks at a queue that an overload takes, and s without a receipt after which the link
-stands still. Round figures. On simulated radios that stall twice in a row, 15 to 46 messages were lost without the
-second."""
-_WAITS = 1.0
-"""s that an overloaded topic's queue keeps a message, unless it is the only one."""
-_FRESH = 0.1
-"""The same for a live topic whose turns are not enough: what waits ahead only makes each one late. On the Wi-Fi of
-`bench.robot`, a camera's pictures came after 0.54 s with a queue of ten, and after 0.30 s with this. With the newest
-alone they came after 0.22 s, but a topic that has nothing to send for a moment loses its turns: by Zenoh, 26 % of them
-crossed instead of 44."""
-_LASTS = 10.0
-"""s for which a topic that has dropped messages in spite of turns is overloaded. A round figure, longer than a tunnel
-of 2 kB/s keeps its window closed."""
+# Of an overload. Where these were measured: bench/README.md, *Constants of a topic's queue*.
+_LOOKS_EVERY = 1.0  # s at least between the two looks at a queue that it takes
+STANDS_STILL = 0.3  # s without a receipt after which the link stands still
+_WAITS = 1.0  # s that an overloaded topic's queue keeps a message, unless it is the only one
+_FRESH = 0.1  # the same for a live topic whose turns are not enough: what waits ahead only makes each one late
+_LASTS = 10.0  # s of overload after drops in spite of turns: longer than a tunnel of 2 kB/s keeps its window closed
+
 _SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
 _BATCH = 16
-_ZSTD_LEVEL = 3
-"""It packs a map to 0.14 of its size in 2.4 ns a byte (bench/README)."""
+_ZSTD_LEVEL = 3  # packs a map to 0.14 of its size in 2.4 ns a byte (bench/README.md)
 _PUBLISHER = attrgetter("header.publisher")
 
 
@@ -137,7 +126,7 @@ class SendQueue:
         return taken
 
     def clear(self) -> int:
-        """Remove all messages; returns how many they were."""
+        """Remove all messages; return how many they were."""
         count = len(self.waiting)
         self.waiting.clear()
         self._size = 0
@@ -225,30 +214,19 @@ def remedy_for_size(transport: Transport, proposal: Propose) -> str:
 
 
 class Outbox:
-    """The queue before a channel, which counts what it drops in the ledger.
-
-    Args:
-        failed: called for a message that the transport does not carry.
+    """The queue before a route's channel, which counts what it drops in the ledger.
 
     Attributes:
         largest: bytes of the longest message that the transport carries.
         leaving: asked of messages right before the channel gets them.
     """
 
-    def __init__(
-        self,
-        transport: Transport,
-        proposal: Propose,
-        ledger: RouteLedger,
-        failed: Callable[[EventCode, str], None],
-    ) -> None:
+    def __init__(self, route: TopicRoute[SendingChannel], ledger: RouteLedger) -> None:
         self.leaving: Sift[Message] | None = None
-        self._transport = transport
-        self._proposal = proposal
-        self._automatic = proposal.qos is None
+        self._route = route
+        self._automatic = route.proposal.qos is None
         self._ledger = ledger
-        self._failed = failed
-        self.largest = transport.largest_message
+        self.largest = route.transport.largest_message
         self._queue = SendQueue()
         self._overload = Overload()
         self._limits = QueueLimits(0, 0.0, 0)  # by which messages were last added
@@ -303,43 +281,28 @@ class Outbox:
         return 0.0 if oldest is None else now - oldest
 
     def clear(self) -> int:
-        """Remove all messages; returns how many they were."""
+        """Remove all messages; return how many they were."""
         self._overload.reset()
         return self._queue.clear()
 
-    @property
-    def newest_only(self) -> QueueLimits:
-        """The limits of a queue in which a message makes those before it worthless."""
-        return QueueLimits(1, 0.0, QUEUE_BYTES + self.largest)
-
-    def limits(
-        self,
-        qos: Qos | None,
-        depth: int,
-        free: bool,
-        now: float,
-        profile: LinkProfile = NO_PROFILE,
-        *,
-        behind: bool = False,
-        still: float = 0.0,
-    ) -> QueueLimits:
+    def limits(self, channel: SendingChannel, depth: int, now: float) -> QueueLimits:
         """Return the queue's limits at `now` (s). While the channel takes messages, only the age of best effort counts.
 
         Args:
-            qos: of the route, or None if it is unknown.
             depth: messages that the publisher of a latched topic keeps, or 0.
-            free: whether the channel takes messages.
-            behind: whether the channel's turns are not enough.
-            still: s without a receipt on the link.
         """
-        self._overload.judge(now, self._queue.oldest_since, len(self._queue), still)
+        route, size = self._route, QUEUE_BYTES + self.largest
+        if route.arming.required and route.on_end not in ("", END_NONE):
+            # It is a state: after a stall, a robot would follow all the old ones before the present one.
+            return QueueLimits(1, 0.0, size)
+        self._overload.judge(now, self._queue.oldest_since, len(self._queue), channel.still(now))
+        qos, profile = route.qos, route.peer.profile
         best_effort = qos is not None and qos.reliability == "best_effort"
-        size = QUEUE_BYTES + self.largest
         if best_effort:
-            size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
+            size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if route.transport.slow else size)
         if best_effort and self._automatic and qos is not None and not qos.latched:
-            return QueueLimits(0, 0.0, size, _FRESH if behind else _WAITS)
-        if qos is None or qos.history == "keep_all" or free:
+            return QueueLimits(0, 0.0, size, _FRESH if channel.behind(now) else _WAITS)
+        if qos is None or qos.history == "keep_all" or channel.free:
             return QueueLimits(0, 0.0, size)
         automatic = self._automatic and not best_effort
         # A latched topic keeps its depth, because late joiners get its history.
@@ -351,9 +314,10 @@ class Outbox:
     def too_large(self, size: int) -> None:
         """Count a message of so many bytes, which the transport does not carry, and tell operators."""
         self._ledger.drop("too large", 1)
-        sizes = f"{size / 1e6:,.1f} MB, more than {self._transport.name} carries ({self.largest / 1e6:.1f})"
-        remedy = remedy_for_size(self._transport, self._proposal)
-        self._failed(EventCode.ROUTE_TOO_LARGE, f"a message has {sizes}: {remedy}")
+        transport = self._route.transport
+        sizes = f"{size / 1e6:,.1f} MB, more than {transport.name} carries ({self.largest / 1e6:.1f})"
+        remedy = remedy_for_size(transport, self._route.proposal)
+        self._route.notices.message_error(EventCode.ROUTE_TOO_LARGE, f"a message has {sizes}: {remedy}")
 
 
 class OutgoingPath:
@@ -380,7 +344,7 @@ class OutgoingPath:
         self._throttle = Throttle(route.limit.rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
         self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
-        self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error)
+        self._outbox = Outbox(route, ledger)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
         compose_when_switched(route, self._compose)
 
@@ -537,13 +501,7 @@ class OutgoingPath:
         traffic.bytes += size
         if outbox.pass_on(messages, size, channel):
             return
-        if route.arming.required and route.on_end not in ("", END_NONE):
-            # It is a state: after a stall, a robot would follow all the old ones before the present one.
-            limits = outbox.newest_only
-        else:
-            profile, behind, still = route.peer.profile, channel.behind(now), channel.still(now)
-            limits = outbox.limits(route.qos, depth, channel.free, now, profile, behind=behind, still=still)
-        outbox.add(messages, now, publisher, limits)
+        outbox.add(messages, now, publisher, outbox.limits(channel, depth, now))
         self.flush()
 
     def flush(self) -> None:
