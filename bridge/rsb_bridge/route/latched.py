@@ -32,30 +32,23 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.headers import HistoryHeader
 
-PUBLISHER_COST = 1 << 20
-"""Bytes that are counted with each publisher, which bounds their number. DDS needs about 170 kB."""
-MESSAGE_COST = 256  # bytes, for what DDS keeps with each message: an estimate
-_ALONE = 16
-"""Messages of a growing history for which there is a publisher each, so that each can be dropped alone: as many as the
-sender probes each message for (`history_depth`)."""
-_DISCOVERED_WITHIN = 10.0
-"""Seconds that subscribers have to discover a new publisher: a busy machine needs several. A stopped subscriber
-discovers none, and others wait for it."""
-_GIVEN_UP_AFTER = 30.0
-"""Seconds that a closing publisher has to deliver its messages: DDS forgets a stopped subscriber after 20."""
-_LOOKS_AGAIN_AFTER = 0.02  # s until DDS is asked again who has discovered what: a round figure
-_AT_ONCE, _GOES_ON_AFTER = 100, 0.005
-"""Messages that waited are published so many at once, and the next ones after so many s: 20,000 a second, which an
-rclpy subscriber can take. All at once they overran a subscriber that keeps 500."""
-_MANY = 5000
-"""Messages that may wait; what is more than these goes at once, so that they come to an end at any rate."""
-_ACKNOWLEDGED_WITHIN = 0.5
-"""Seconds that a message of a discovered publisher has to arrive, until that of another one may follow: no longer, as a
-stopped subscriber acknowledges none. From 2 kHz on, messages wait for so long once (bench/README)."""
-_ASKED = 4
-"""Publishers asked for their subscribers: the oldest, which have been discovered by all."""
-_GONE_AFTER = 10.0
-"""Seconds that a history outlives its publisher: the sender may have just started, and not have discovered it yet."""
+# Bytes that are counted in the link's budget.
+PUBLISHER_COST = 1 << 20  # with each publisher, which bounds their number: DDS needs about 170 kB
+MESSAGE_COST = 256  # for what DDS keeps with each message: an estimate
+
+# Of what subscribers here have discovered and received. Times in s; bench/README.md, *Latched topics*.
+_DISCOVERED_WITHIN = 10.0  # for a new publisher: a busy machine needs several. Others wait for a stopped subscriber
+_GIVEN_UP_AFTER = 30.0  # for the last messages of a closing publisher: DDS forgets a stopped subscriber after 20
+_ACKNOWLEDGED_WITHIN = 0.5  # until another publisher may follow: a stopped subscriber acknowledges nothing
+_ASKED = 4  # publishers asked for their subscribers: the oldest, which have been discovered by all
+_LOOKS_AGAIN_AFTER = 0.02  # until DDS is asked again who has discovered what: a round figure
+
+# Of messages that waited: so many at once, and the next ones after so many s, which an rclpy subscriber can take. All
+# at once they overran one that keeps 500. What is more than `_MANY` goes at once: they come to an end at any rate.
+_AT_ONCE, _GOES_ON_AFTER, _MANY = 100, 0.005, 5000
+
+_ALONE = 16  # messages of a growing history with a publisher each: the sender probes each for as many (`history_depth`)
+_GONE_AFTER = 10.0  # s that a history outlives its publisher, which a sender that has just started may not know yet
 
 
 Dropped: TypeAlias = Callable[[Refused | RosError], None]
@@ -152,7 +145,7 @@ class LatchedTopic:
         failed: Callable[[Exception], None],
         aside: Aside | None = None,
     ) -> None:
-        """Create a first publisher, so that the topic is there before its first message.
+        """Make a first publisher, so that the topic is there before its first message.
 
         Args:
             advertise: makes a publisher with a depth; may raise RosError.
@@ -192,7 +185,6 @@ class LatchedTopic:
         return any(history.newest for history in self._histories.values())
 
     def close(self) -> None:
-        """Close all publishers: nothing is kept any more."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
