@@ -27,24 +27,18 @@ if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.path_watch import PathWatch
 
-_TICKS = 4
-"""Ticks that have to agree before a link counts as full, or as no longer full. A round figure."""
+# Ticks, one a second. Round figures.
+_TICKS = 4  # that have to agree before a link counts as full, or as no longer full
+_STALLS = 2  # without a byte that are a stall: a full link still carries some, and one receipt may be late
+_AFTER_STALL = 6  # after a stall in which the arriving bytes say nothing about the link's capacity
+_AVERAGED_OVER = 6  # over which bytes are averaged, so that a map each few seconds is no demand that comes and goes
+
+# Share of the asked bytes: a link that carries that much is not full. The rest is what the two figures may differ by,
+# since asked messages are counted as they come, and arriving bytes as they are. Nothing was measured.
 _CARRIED_SHARE = 0.95
-"""Share of the asked bytes: a link that carries that much is not full. The rest is what the two figures may differ by,
-since asked messages are counted as they come, and arriving bytes as they are. Nothing was measured."""
-_STALLS = 2
-"""Ticks without a byte that are a stall: a full link still carries some, and one receipt may be late."""
-_AFTER_STALL = 6
-"""Ticks after a stall in which the arriving bytes say nothing about the link's capacity. A round figure."""
-_AVERAGED_OVER = 6
-"""Ticks over which asked and arriving bytes are averaged, so that a map each few seconds is no demand that comes and
-goes. A round figure."""
-_NEVER_EMPTY = 1.0
-"""s for which something has waited all the time on a full link. A round figure."""
-_NAMED = 3
-"""Topics that the warning names."""
-_FASTEST = 1e12
-"""bytes/s: a peer may report any figure."""
+_NEVER_EMPTY = 1.0  # s for which something has waited all the time on a full link: a round figure
+_NAMED = 3  # topics that the warning names
+_FASTEST = 1e12  # bytes/s: a peer may report any figure
 
 
 class Asked(NamedTuple):

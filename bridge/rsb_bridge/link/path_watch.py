@@ -30,33 +30,29 @@ if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
 
 # Numbers without a source are round figures. `bench.banners` counts how often banners change with them.
-_TICKS = 20
-"""Ticks over which the share is averaged."""
-_COUNTED = 10
-"""The most packets of a tick that count: a gap loses a whole window at once, and is not a lossy path."""
-_ENOUGH, _LOSES_IN = 30, 4
-"""Packets, and ticks with a loss, before a path counts as lossy."""
-_LOSSY_ABOVE, _WHOLE_BELOW = 0.05, 0.02
-"""Shares, the same as for a topic's messages (`rsb_bridge.telemetry.watches`)."""
-_FORGOTTEN_AFTER = 10.0
-"""s without a link after which it may go another way."""
+_FORGOTTEN_AFTER = 10.0  # s without a link after which it may go another way
+
+# Of the share of lost packets.
+_TICKS = 20  # over which it is averaged
+_COUNTED = 10  # packets of a tick that count: a gap loses a whole window at once, and is not a lossy path
+_ENOUGH, _LOSES_IN = 30, 4  # packets, and ticks with a loss, before a path counts as lossy
+_LOSSY_ABOVE, _WHOLE_BELOW = 0.05, 0.02  # shares, the same as for a topic's messages (`rsb_bridge.telemetry.watches`)
+
+# Of pings.
 _PINGS = 3  # the last ones: one or two may be late by chance
+# s, and part of the shortest ping of an hour, by which all of the last pings take longer if a queue has built up on the
+# path. If only packets are lost, some pings meet no loss.
 _QUEUE, _QUEUE_PART = 0.015, 0.25
-"""s, and part of the shortest ping of an hour, by which all of the last pings take longer if a queue has built up on
-the path. If only packets are lost, some pings meet no loss."""
-_SILENT_AFTER = 2.5
-"""s without a byte, while pings come once a second."""
+_SILENT_AFTER = 2.5  # s without a byte, while pings come once a second
+
+# Of large packets.
+# Times in a row that the kernel has sent a stream's oldest bytes again. It gives the stream up after 6 s, of which the
+# pings that have to be answered meanwhile take three.
 _STALLED = 2
-"""Times in a row that the kernel has sent a stream's oldest bytes again. It gives the stream up after 6 s, of which the
-pings that have to be answered meanwhile take three."""
-_LARGE = 1000
-"""Bytes: fewer cross any path that carries pings."""
-_SMALL_PASSED = 3
-"""Pings that are answered while large packets are not."""
-_LARGE_AGAIN_AFTER = 10.0
-"""s without a stalled stream after which large packets count as passing again."""
-STALLED = "nothing gets through it, though pings are answered"
-"""The reason why a stalled stream is opened again."""
+_LARGE = 1000  # bytes: fewer cross any path that carries pings
+_SMALL_PASSED = 3  # pings that are answered while large packets are not
+_LARGE_AGAIN_AFTER = 10.0  # s without a stalled stream after which large packets count as passing again
+STALLED = "nothing gets through it, though pings are answered"  # why a stalled stream is opened again
 
 
 _NOTHING = PacketCounts(0, 0, 0, 0, 0)
@@ -100,7 +96,6 @@ class PacketLoss:
             self.lossy = steady(0.0, share)
 
     def clear(self) -> None:
-        """Begin again."""
         self.share, self.lossy = None, 0.0
         self._skipped = 0
         self._ticks.clear()
