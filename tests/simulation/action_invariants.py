@@ -177,7 +177,7 @@ def offered(run: Run, flow: ActionFlow | ServiceFlow) -> bool:
 
 
 def in_flight(route: CallsRoute) -> int:
-    waiting = len(route.action.waiting) if isinstance(route, CallingActionRoute) else 0
+    waiting = len(route.waiting) if isinstance(route, CallingActionRoute) else 0
     return len(pending_calls(route)) + waiting
 
 
@@ -207,8 +207,7 @@ def left_at_rest(route: CallsRoute) -> list[str]:
         "frames": len(waiting_frames(route)),
     }
     if isinstance(route, CallingActionRoute):
-        caller = route.action
-        tables |= {"waiting calls": len(caller.waiting), "running goals": len(caller.goals.running())}
+        tables |= {"waiting calls": len(route.waiting), "running goals": len(route.goals.running())}
     if isinstance(route, ProvidingActionRoute):
         tables |= {"kept answers": len(kept_answers(route.answers)), "numbers": len(numbers_of(route.answers))}
         tables |= {"running goals": len(route.goals.running())}

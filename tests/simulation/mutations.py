@@ -34,7 +34,7 @@ from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.calling_action import CallerAction, CallingActionRoute
+from rsb_bridge.route.calls.calling_action import CallingActionRoute
 from rsb_bridge.route.calls.kept_calls import AnswerAction, KeptAnswers, KeptCalls
 from rsb_bridge.route.calls.pending_calls import PendingCalls
 from rsb_bridge.route.combined_verdict import CombinedVerdict
@@ -262,7 +262,7 @@ MUTATIONS = (
     Mutation("a result goes to the first caller",
              ((KeptAnswers, "answered", _answer_oldest),), "got the result of another goal", ACTIONS, 1, 1.0),
     Mutation("who waits for a result is given up when the link drops",
-             ((CallerAction, "keep", nothing),), "waits for its result", _GOALS, 1, 0.05, cancelled_while_cut),
+             ((CallingActionRoute, "_keep", nothing),), "waits for its result", _GOALS, 1, 0.05, cancelled_while_cut),
     Mutation("what a server answered is not kept when the link drops",
              ((KeptAnswers, "interrupted", _forget_all),),
              "is unknown, and nothing explains that", _GOALS, 1, 0.05, cancelled_while_cut),

@@ -97,12 +97,12 @@ def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
         Answers(),
     )
     offers_of(route).servers[SEND_GOAL] = server
-    route.action.goals.asked(goal(1))
+    route.goals.asked(goal(1))
     kept = KeptCall(SEND_GOAL, b"caller", GOAL, 0.0, again=again)
     route._begin(CallerCall(SEND_GOAL, len(GOAL), 0.0, server, b"caller", kept), GOAL, lease=0, stamp=0)
     route.deliver([(CallFrame(What.REFUSED, SEND_GOAL, 1, 0, why.encode()).pack(), 0, 0)])
     assert server.answered == ([b"caller"] if rejected else [])
-    assert [each.state for each in route.action.goals.snapshot(set())] == ["rejected" if rejected else "unknown"]
+    assert [each.state for each in route.goals.snapshot(set())] == ["rejected" if rejected else "unknown"]
 
 
 def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..., Context], loop: VirtualLoop) -> None:

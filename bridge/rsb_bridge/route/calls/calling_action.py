@@ -35,57 +35,19 @@ _FOR_NOW = (Refused.PAUSED, Refused.DISARMED, Refused.UNHEARD, Refused.PROVIDER_
 _UNREACHABLE = "the action could not be reached"
 
 
-class CallerAction:
-    """Goals of an action, and the calls that wait for the end of an interruption.
-
-    Args:
-        timeout: s that a call without a goal waits at most.
-
-    Attributes:
-        goals: all that are known.
-        waiting: calls that are sent once the action can be reached.
-        interrupted_at: when the last interruption began, in s.
-    """
-
-    def __init__(self, context: Context, timeout: float) -> None:
-        self.goals = Goals(context.wall, context.now)
-        self.waiting = KeptCalls(timeout)
-        self.interrupted_at = 0.0
-        self._now = context.now
-
-    def asked(self, call: KeptCall) -> None:
-        """Note that a call is sent for the first time."""
-        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
-            self.goals.asked(goal)
-
-    def unanswered(self, call: KeptCall) -> None:
-        """Note that a call has no answer."""
-        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
-            self.goals.unanswered(goal)
-
-    def keep(self, call: CallerCall) -> bool:
-        """Have a pending call wait until it can be sent again. Return False if it cannot be kept."""
-        if call.kept is None:
-            return False
-        return self.waiting.keep(call.kept._replace(again=True, stamp=0), self._now())
-
-    def awaits_end(self, *, linked: bool) -> bool:
-        """Return whether callers may still ask about goals although the action cannot be reached."""
-        if self.waiting:
-            return True
-        return not linked and bool(self.goals.running()) and self._now() < self.interrupted_at + INTERRUPTION
-
-
 class CallingActionRoute(CallingRoute):
     """Offers an action here.
 
     Attributes:
-        action: goals and waiting calls.
+        goals: all that are known.
+        waiting: calls that are sent once the action can be reached.
     """
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self.action = CallerAction(context, self.call_timeout)
+        self.goals = Goals(context.wall, context.now)
+        self.waiting = KeptCalls(self.call_timeout)
+        self._interrupted_at = 0.0  # s
 
     @property
     def on_end(self) -> str:
@@ -98,7 +60,7 @@ class CallingActionRoute(CallingRoute):
         had_server = self._has_providers
         super().provided(provide)
         if had_server and not self._has_providers:
-            self.action.goals.server_gone()
+            self.goals.server_gone()
         # Else calls that were refused for now wait for the next tick.
         if self._reach:
             self._send_waiting()
@@ -111,22 +73,22 @@ class CallingActionRoute(CallingRoute):
 
     def _owed(self) -> set[int]:
         owed = super()._owed()
-        return owed | {SEND_GOAL} if self.action.waiting.requests(SEND_GOAL) else owed
+        return owed | {SEND_GOAL} if self.waiting.requests(SEND_GOAL) else owed
 
     def _withdraw(self) -> None:
         if self._reach:
-            self.action.interrupted_at = self.context.now()
+            self._interrupted_at = self.context.now()
         super()._withdraw()
 
     def _outliving(self) -> tuple[int, ...]:
         # While the link is up this may be short, as when the action is disarmed; otherwise `tick` closes the rest.
-        expected = len(self._pending) or len(self.action.waiting) or self.action.goals.running()
+        expected = len(self._pending) or len(self.waiting) or self.goals.running()
         return _OUTLIVING if self.peer.linked or expected else ()
 
     def destroy(self) -> None:
         """End the route for good, and give up the calls that wait."""
         super().destroy()
-        for call in self.action.waiting.release():
+        for call in self.waiting.release():
             self._give_up_waiting(call, "the route was removed")
 
     # --- calls and answers
@@ -146,20 +108,20 @@ class CallingActionRoute(CallingRoute):
         call.kept = KeptCall(
             call.lane, call.caller, payload, call.asked_at, again=False, instance=self.peer.instance, stamp=stamp
         )
-        self.action.asked(call.kept)
+        if call.lane == SEND_GOAL and (goal := goal_of(payload)) is not None:
+            self.goals.asked(goal)
 
     def _answer_caller(self, call: CallerCall, frame: CallFrame) -> None:
         if call.kept is not None and (goal := goal_of(call.kept.payload)) is not None:
-            self.action.goals.response(call.lane, goal, frame.content)
+            self.goals.response(call.lane, goal, frame.content)
         super()._answer_caller(call, frame)
 
     def _answer_lost(self, call: CallerCall) -> None:
-        if call.kept is not None:
-            self.action.unanswered(call.kept)  # a goal may have been accepted
+        self._unanswered(call.kept)  # a goal may have been accepted
 
     def _end_refused(self, call: CallerCall, why: Refused) -> None:
         """Keep a call if a later attempt may succeed, or end it."""
-        if call.lane in _OUTLIVING and why in _FOR_NOW and self.action.keep(call):
+        if call.lane in _OUTLIVING and why in _FOR_NOW and self._keep(call):
             return
         super()._end_refused(call, why)
         if (kept := call.kept) is None or call.lane != SEND_GOAL:
@@ -167,25 +129,33 @@ class CallingActionRoute(CallingRoute):
         if why is Refused.NOT_ARRIVED or (why is not Refused.LOST and not kept.again):
             self._reject(call.server, call.caller, kept.payload)
         else:
-            self.action.unanswered(kept)  # the goal may run, even if only the second attempt was refused
+            self._unanswered(kept)  # the goal may run, even if only the second attempt was refused
 
     def _expired(self, number: int, call: CallerCall) -> None:
-        if call.kept is not None:
-            self.action.unanswered(call.kept)
+        self._unanswered(call.kept)
         super()._expired(number, call)
 
     def _is_kept(self, call: CallerCall) -> bool:
-        if self.action.keep(call):
+        if self._keep(call):
             return True
-        if call.kept is not None:
-            self.action.unanswered(call.kept)
+        self._unanswered(call.kept)
         return False
 
+    def _unanswered(self, call: KeptCall | None) -> None:
+        if call is not None and call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
+            self.goals.unanswered(goal)
+
     def _take_message(self, frame: CallFrame) -> None:
-        self.action.goals.message(frame.lane, frame.content)
+        self.goals.message(frame.lane, frame.content)
         super()._take_message(frame)
 
     # --- calls that wait
+
+    def _keep(self, call: CallerCall) -> bool:
+        """Have a pending call wait until it can be sent again; return False if it cannot be kept."""
+        if call.kept is None:
+            return False
+        return self.waiting.keep(call.kept._replace(again=True, stamp=0), self.context.now())
 
     def _keep_requests(self, lane: int, requests: Sequence[Request]) -> None:
         """Keep requests until the action can be reached."""
@@ -193,38 +163,38 @@ class CallingActionRoute(CallingRoute):
         for request in requests:
             self._asked_for(len(request.payload))
             call = KeptCall(lane, request.caller, request.payload, now, again=False)
-            if not self.action.waiting.keep(call, now):
+            if not self.waiting.keep(call, now):
                 self._give_up_waiting(call)
 
     def _send_waiting(self) -> None:
         """Send all calls that wait, cancels first."""
         now, instance = self.context.now(), self.peer.instance
-        for kept in self.action.waiting.release():
+        for kept in self.waiting.release():
             size = frame_size(kept.payload)
             if kept.lane == SEND_GOAL and kept.instance != instance:
                 self._give_up_waiting(kept)  # only the process that it was sent to knows whether it arrived
             elif kept.lane not in self._offers.servers:
-                if not self.action.waiting.keep(kept, now):
+                if not self.waiting.keep(kept, now):
                     self._give_up_waiting(kept)
             elif (why := self.peer.budget.asked.take(size, now)) is None:
                 server, sent = self._offers.servers[kept.lane], kept._replace(instance=instance)
                 call = CallerCall(kept.lane, size, kept.asked, server, kept.caller, sent)
                 what = What.AGAIN if kept.again else What.CALL
                 self._begin(call, kept.payload, lease=0, stamp=kept.stamp, what=what)
-            elif not self.action.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
+            elif not self.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
                 self.failures.refused(why)
-                self.action.unanswered(kept)
+                self._unanswered(kept)
         self.flush()
 
     def _give_up_waiting(self, call: KeptCall, why: str = _UNREACHABLE) -> None:
         """Give up a call that waited, or cannot wait."""
         self.failures.lost(1, why)
-        self.action.unanswered(call)
+        self._unanswered(call)
 
     def _reject(self, server: ServiceServer, caller: bytes, request: bytes) -> None:
         """Answer that a goal is not accepted: it did not begin, and will not."""
         if (goal := goal_of(request)) is not None:
-            self.action.goals.answered(goal, accepted=False)
+            self.goals.answered(goal, accepted=False)
         try:
             server.answer(caller, rejection_of(request))
         except RosError as error:
@@ -236,18 +206,26 @@ class CallingActionRoute(CallingRoute):
         super().tick()
 
     def _expire_waiting(self) -> None:
-        if expired := self.action.waiting.expire(self.context.now()):
+        if expired := self.waiting.expire(self.context.now()):
             self.calls.expired += len(expired)
             self.failures.say("a call about a goal waited too long for the action to be reached again")
             for call in expired:
-                self.action.unanswered(call)
+                self._unanswered(call)
         self._give_up_results()
-        if self._reach and self.action.waiting:
+        if self._reach and self.waiting:
             self._send_waiting()
         elif self._reach and self._offers.types.keys() - self._reach - self._owed():
             self.advance()  # nobody waits for the answer to a goal any more
-        elif not self._reach and self._offers.types and not self.action.awaits_end(linked=self.peer.linked):
+        elif not self._reach and self._offers.types and not self._awaits_end:
             self._offers.close()
+
+    @property
+    def _awaits_end(self) -> bool:
+        """Whether callers may still ask about goals although the action cannot be reached."""
+        if self.waiting:
+            return True
+        lasts = self.context.now() < self._interrupted_at + INTERRUPTION
+        return not self.peer.linked and bool(self.goals.running()) and lasts
 
     def _give_up_results(self) -> None:
         """Expire requests for the results of goals that have been over for as long as other calls may take."""
@@ -255,7 +233,7 @@ class CallingActionRoute(CallingRoute):
             if call.kept is None or call.lane != GET_RESULT:
                 continue
             goal = goal_of(call.kept.payload)
-            over_for = self.action.goals.over_for(goal) if goal is not None else None
+            over_for = self.goals.over_for(goal) if goal is not None else None
             if over_for is not None and over_for > self.call_timeout:
                 self._pending.end(number)
                 self._expired(number, call)
@@ -263,10 +241,10 @@ class CallingActionRoute(CallingRoute):
     # --- snapshot
 
     def snapshot(self) -> RouteSnapshot:
-        return replace(super().snapshot(), goals=self.action.goals.snapshot(self._awaited()))
+        return replace(super().snapshot(), goals=self.goals.snapshot(self._awaited()))
 
     def _awaited(self) -> set[bytes]:
         """Return the goals whose results callers wait for."""
         kept = [call.kept for _, call in self._pending.items() if call.kept is not None and call.lane == GET_RESULT]
-        requests = [*(each.payload for each in kept), *self.action.waiting.requests(GET_RESULT)]
+        requests = [*(each.payload for each in kept), *self.waiting.requests(GET_RESULT)]
         return {goal for request in requests if (goal := goal_of(request)) is not None}
