@@ -7,10 +7,12 @@ from collections import defaultdict, deque
 from dataclasses import dataclass, field
 from itertools import count
 from random import Random
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
+from tests.support.offline import FakePeer
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
@@ -19,7 +21,6 @@ from rsb_bridge.model.session import Session
 from rsb_bridge.ros.ros_interface import RawMessage, TopicSpec
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
-from rsb_bridge.route.peer import TypeBudget
 from rsb_bridge.route.source_publishers import bounded
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.telemetry.event_log import EventLog
@@ -230,16 +231,15 @@ class Route:
         return LatchedTopic(self.context.loop, self.far.advertise, self.budget, depth, unexpected)
 
     def make_subscription(self) -> TopicSubscription:
-        return TopicSubscription(
-            self.context,
-            self.context.ros,
-            "robot1",
-            cast("OutgoingPath", self),
-            TypeBudget(),
-            self.meter,
-            lambda *_: pytest.fail("the subscription did not fail"),
-            self.tell,
+        route: Any = SimpleNamespace(
+            ends=self.context.ros,
+            peer=FakePeer(),
+            meter=self.meter,
+            arming=SimpleNamespace(required=False),
+            log=lambda *_: pytest.fail("the subscription did not fail"),
         )
+        loop_filter: Any = SimpleNamespace(alive_left_out=lambda qos: 0)
+        return TopicSubscription(self.context, route, cast("OutgoingPath", self), loop_filter, self.tell)
 
     def open(self) -> None:
         qos = msgspec.structs.replace(LATCHED, lifespan=self.near.lifespan)

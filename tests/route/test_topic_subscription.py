@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import pytest
+from tests.support.offline import FakePeer
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, auto_depth
 from rsb_bridge.ros.ros_interface import Liveliness, TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.peer import TypeBudget
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.telemetry.meters import RateMeter
 
@@ -74,6 +75,10 @@ class Owner:
     def __init__(self) -> None:
         self.meter = RateMeter(0.0)
         self.events: list[EventCode] = []
+        self.peer = FakePeer()
+        self.arming = SimpleNamespace(required=False)
+        self.notices = SimpleNamespace(record=lambda text: None)
+        self.ends: Any = None
 
     def log(self, level: object, code: EventCode, text: str) -> None:
         self.events.append(code)
@@ -82,8 +87,10 @@ class Owner:
 def make_subscription(
     context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
 ) -> TopicSubscription:
+    owner.ends = context.ros
+    loop_filter: Any = SimpleNamespace(alive_left_out=lambda qos: 0)
     subscription = TopicSubscription(
-        context, context.ros, "robot1", cast("OutgoingPath", Path()), TypeBudget(), owner.meter, owner.log, lambda: None
+        context, cast("Any", owner), cast("OutgoingPath", Path()), loop_filter, lambda: None
     )
     spec = TopicSpec("/fast", "std_msgs/msg/String", "", qos)
     subscription.begin(spec, automatic=automatic, expected_rate=expected_rate, known={})

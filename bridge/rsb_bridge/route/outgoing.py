@@ -148,18 +148,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._described: Describe | None = None
         self._loop_filter = LoopFilter(context, self.ends, peer, self.advance)
         self._path = OutgoingPath(context, self, self._ledger, self._loop_filter)
-        self._subscription = TopicSubscription(
-            context,
-            self.ends,
-            peer.name,
-            self._path,
-            peer.budget.types,
-            self.meter,
-            self._log_subscription,
-            self._look_who_is_present,
-            lambda: self.arming.lease if self.arming.required else None,
-            self._loop_filter.alive_left_out,
-        )
+        self._subscription = TopicSubscription(context, self, self._path, self._loop_filter, self._look_who_is_present)
         self._resolver = Resolver(context, proposal)
         self._health = Health()
         self.delays = SendersDelay()
@@ -303,11 +292,6 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if told != self._told:
             self._told = told
             self.peer.send(told)
-
-    def _log_subscription(self, level: Level, code: EventCode, text: str) -> None:
-        if level is Level.ERROR:
-            self.notices.record(text)
-        self.log(level, code, text)
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Drop the waiting messages, here and at the peer."""

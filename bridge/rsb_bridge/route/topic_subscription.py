@@ -21,16 +21,16 @@ from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Hashable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
+    from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RouteEnds, Subscription, TopicSpec
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription, TopicSpec
     from rsb_bridge.route.history_depth import Bounds
-    from rsb_bridge.route.lease import LeaseHalf
-    from rsb_bridge.route.peer import TypeBudget
+    from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.sending import OutgoingPath
-    from rsb_bridge.telemetry.meters import RateMeter
+    from rsb_bridge.route.topic_route import TopicRoute
 
 
 _LOOKS_EVERY = 1.0
@@ -49,12 +49,8 @@ class TopicSubscription:
     what their publishers keep for late joiners, and none that the peer has.
 
     Args:
-        origin: messages that this node publishes under the same origin are left out.
         path: gets the messages; after `close` it drops messages that are still in the ROS queue.
-        meter: of the topic's messages so far.
         found: called after the histories know more depths, or `alive` has changed.
-        marks: gives the lease that messages are marked with, or None if they are not marked.
-        alive_left_out: returns how many publishers may be alive that do not count, for a subscription of a QoS.
 
     Attributes:
         spec: the present opening's topic, with the QoS that publishers offer or an operator wants; or None before.
@@ -64,29 +60,20 @@ class TopicSubscription:
     def __init__(
         self,
         context: Context,
-        ends: RouteEnds,
-        origin: Hashable,
+        route: TopicRoute[SendingChannel],
         path: OutgoingPath,
-        types: TypeBudget,
-        meter: RateMeter,
-        log: Callable[[Level, EventCode, str], None],
+        loop_filter: LoopFilter,
         found: Callable[[], None],
-        marks: Callable[[], LeaseHalf | None] = lambda: None,
-        alive_left_out: Callable[[Qos], int] = lambda _: 0,
     ) -> None:
         self.spec: TopicSpec | None = None
         self.histories: Histories | None = None
         self._liveliness: _Liveliness | None = None
         self._context = context
-        self._ends = ends
-        self._origin = origin
+        self._route = route
         self._path = path
-        self._type = TypeUse(context.ros, types)
-        self._meter = meter
-        self._log = log
+        self._loop_filter = loop_filter
+        self._type = TypeUse(context.ros, route.peer.budget.types)
         self._found = found
-        self._marks = marks
-        self._alive_left_out = alive_left_out
         self._automatic = False
         self._expected_rate: float | None = None
         self._receiver = _Receiver(path.offer)
@@ -139,7 +126,7 @@ class TopicSubscription:
                 self._subscription,
                 self._ask_anew,
                 self.spec.qos.liveliness_lease_duration,
-                partial(self._alive_left_out, self.spec.qos),
+                partial(self._loop_filter.alive_left_out, self.spec.qos),
                 self._found,
             )
 
@@ -207,12 +194,12 @@ class TopicSubscription:
         # Only then: a new subscription of a volatile topic misses what is published until DDS has matched it.
         if depth >= 2 * before:
             text = f"DDS lost messages: the subscription gets a depth of {depth:,} instead of {before:,}"
-            self._log(Level.INFO, EventCode.ROUTE_DEEPENED, text)
+            self._route.log(Level.INFO, EventCode.ROUTE_DEEPENED, text)
             self._subscription.reopen()
 
     def _qos(self) -> Qos:
         assert self.spec is not None
-        qos, meter = self.spec.qos, self._meter
+        qos, meter = self.spec.qos, self._route.meter
         if qos.latched:
             return msgspec.structs.replace(qos, history="keep_all")  # each publisher keeps what it keeps
         if not self._automatic:
@@ -231,27 +218,30 @@ class TopicSubscription:
         self._depth = spec.qos.depth
         put = partial(self._context.ros_queue.put, receiver)
         sink: Callable[[Sequence[RawMessage]], None] = put
-        if (lease := self._marks()) is not None:
-            marked = Marker(lease, self._context.ros.turns, BATCH).marked
+        arming = self._route.arming
+        if arming.required and arming.lease is not None:
+            marked = Marker(arming.lease, self._context.ros.turns, BATCH).marked
 
             def put_marked(batch: Sequence[RawMessage]) -> None:
                 put(marked(batch))
 
             sink = put_marked
-        return self._ends.subscribe(spec, sink, self._origin, on_failure)
+        # What this node publishes for the same peer is left out.
+        return self._route.ends.subscribe(spec, sink, self._route.peer.name, on_failure)
 
     def _ask_anew(self) -> Subscription:
         """Subscribe once more, only to be told who is alive."""
         assert self.spec is not None
         qos = msgspec.structs.replace(self.spec.qos, history="keep_last", depth=1)
-        return self._ends.subscribe(self.spec._replace(qos=qos), _ignored, self._origin)
+        return self._route.ends.subscribe(self.spec._replace(qos=qos), _ignored, self._route.peer.name)
 
     def _changed(self) -> None:
         if self.failure:
-            self._log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, self.failure)
+            self._route.notices.record(self.failure)
+            self._route.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, self.failure)
         else:
             text = f"subscribed again ({self.spec.type_name if self.spec is not None else ''})"
-            self._log(Level.INFO, EventCode.ROUTE_CONNECTED, text)
+            self._route.log(Level.INFO, EventCode.ROUTE_CONNECTED, text)
 
     def _probe(self, take: Callable[[Sequence[RawMessage]], None]) -> Subscription:
         if self._subscription is None:
