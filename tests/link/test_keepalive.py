@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from tests.support.virtual_time import set_clock
 
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.link.link import LinkTraffic
 from rsb_bridge.wire.messages import Pong
 
 if TYPE_CHECKING:
@@ -92,15 +94,15 @@ def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, context: Contex
 
 @pytest.mark.parametrize("late", [0.0, 0.25, 2.4])
 def test_a_tick_that_comes_late_makes_no_rate_high(late: float, loop: VirtualLoop, context: Context) -> None:
-    carrier: Any = Carrier(loop)
-    keepalive = Keepalive(context, lambda: [carrier])
+    carrier = Carrier(loop)
+    traffic = LinkTraffic(cast("Any", SimpleNamespace(context=context, carriers=lambda: [carrier])))
     for _ in range(20):
         wait(loop, 1.0 + late)
         carrier.receive(round(1000 * (1.0 + late)))
         carrier.sent_bytes += round(500 * (1.0 + late))
-        keepalive.tick()
-    assert keepalive.rx.rate == pytest.approx(1000, rel=0.01)
-    assert keepalive.tx.rate == pytest.approx(500, rel=0.01)
+        traffic.tick()
+    assert traffic.rx.rate == pytest.approx(1000, rel=0.01)
+    assert traffic.tx.rate == pytest.approx(500, rel=0.01)
 
 
 def test_a_profile_s_patience(loop: VirtualLoop, context: Context) -> None:

@@ -358,7 +358,7 @@ class BaseLink(ABC):
         self._is_silent = False
         self.connections += 1
         self.linked_at = self.context.now()
-        self.keepalive = self.keepalive.next(self.profile.patience)
+        self.keepalive = Keepalive(self.context, self.carriers, self.profile.patience)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.keepalive.watch(control.stream, partial(self._silent, control))
         self.status.up(self.context.clock.steady())

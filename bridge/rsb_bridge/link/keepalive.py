@@ -1,11 +1,11 @@
-"""Pings a peer: measures silence, round trip and clock offset, and counts the bytes of the link."""
+"""Pings a peer: measures silence, round trip and clock offset."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.model.budgets import TokenBucket
-from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
+from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.streams import Stream
 from rsb_bridge.wire.messages import Ping, Pong
 
@@ -29,17 +29,13 @@ _ANSWERS, _ANSWERS_A_SECOND = 10, 4.0  # a peer pings once a second; after a pau
 
 
 class Keepalive:
-    """One connection's pings and byte counts.
+    """One connection's pings.
 
     Attributes:
         answered_pings: number of the newest answered ping.
         ping_delay: delay (s) of the peer's last ping by its clock, or 0 if it is unknown.
         clock: round trip and clock offset.
         stamps: offset of the clock by which the peer stamps messages, and which nobody sets.
-        rx: wire bytes/s received.
-        tx: wire bytes/s sent.
-        rx_bytes: wire bytes received over this and earlier connections, as of the last second.
-        tx_bytes: wire bytes sent over this and earlier connections, as of the last second.
     """
 
     def __init__(
@@ -55,13 +51,10 @@ class Keepalive:
         self.clock = ClockOffset()
         self.stamps = ClockOffset()
         self._sent_at: dict[int, int] = {}  # ns by the clock of stamps, by the ping's number
-        self.rx_bytes = self.tx_bytes = 0
         self._context = context
         self._carriers = carriers
         self._patience = patience
         self._began = context.now()
-        self.rx, self.tx = Smoothed(self._began), Smoothed(self._began)
-        self._received = self._sent = 0
         self._pings = self.answered_pings = 0
         self._pinged_at = self._began
         self.ping_delay = 0.0
@@ -69,12 +62,6 @@ class Keepalive:
         self._on_silence: Callable[[], None] | None = None
         self._control: ChannelCarrier | None = None
         self._watchdog: asyncio.TimerHandle | None = None
-
-    def next(self, patience: float | None) -> Keepalive:
-        """Return the keepalive of the link's next connection, which goes on counting bytes."""
-        following = Keepalive(self._context, self._carriers, patience)
-        following.rx_bytes, following.tx_bytes = self.rx_bytes, self.tx_bytes
-        return following
 
     @property
     def quiet(self) -> float:
@@ -132,18 +119,8 @@ class Keepalive:
             self._on_silence()
 
     def tick(self) -> Ping:
-        """Note the byte counts once a second, and return the ping to send."""
-        now, carriers = self._context.now(), self._carriers()
-        received = sum(each.received_bytes for each in carriers)
-        sent = sum(each.sent_bytes for each in carriers)
-        # The sums fall when a carrier closes.
-        more_received, more_sent = max(0, received - self._received), max(0, sent - self._sent)
-        self.rx.add(more_received, now)
-        self.tx.add(more_sent, now)
-        self.rx_bytes += more_received
-        self.tx_bytes += more_sent
-        self._received, self._sent = received, sent
-        for each in carriers:
+        """Tell the kernel what is known of the peer, once a second, and return the ping to send."""
+        for each in self._carriers():
             if isinstance(each, Stream):
                 if self._patience is not None:  # each second, as streams come and go; a repetition costs nothing
                     each.give_up_after(self._patience + _KERNELS)

@@ -24,7 +24,7 @@ from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import LinkSnapshot
 from rsb_bridge.tasks import in_slices
-from rsb_bridge.telemetry.meters import ClockOffset
+from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.codec import ReportParts, report_entries
 from rsb_bridge.wire.messages import Neighbours, Report
@@ -48,6 +48,39 @@ _REPORTED_AT_ONCE = 250
 """Routes in one message, which must not exceed its limit even with the longest texts (PROTOCOL.md section 1)."""
 _EARLY = 0.1
 """Seconds from `RouteReports.add` to the report: messages that a killed receiver had not reported count as unknown."""
+
+
+class LinkTraffic(Extension):
+    """The bytes of a link, with all headers.
+
+    Attributes:
+        rx: bytes/s received.
+        tx: bytes/s sent.
+        rx_bytes: received over all connections, as of the last second.
+        tx_bytes: sent over all connections, as of the last second.
+    """
+
+    def __init__(self, link: BaseLink) -> None:
+        self._link = link
+        self.rx_bytes = self.tx_bytes = 0
+        self.connected()
+
+    def connected(self) -> None:
+        now = self._link.context.now()
+        self.rx, self.tx = Smoothed(now), Smoothed(now)
+        self._received = self._sent = 0
+
+    def tick(self) -> None:
+        now, carriers = self._link.context.now(), self._link.carriers()
+        received = sum(each.received_bytes for each in carriers)
+        sent = sum(each.sent_bytes for each in carriers)
+        # The sums fall when a carrier closes.
+        more_received, more_sent = max(0, received - self._received), max(0, sent - self._sent)
+        self.rx.add(more_received, now)
+        self.tx.add(more_sent, now)
+        self.rx_bytes += more_received
+        self.tx_bytes += more_sent
+        self._received, self._sent = received, sent
 
 
 class Neighbourhood(Extension):
@@ -223,6 +256,7 @@ class Link(BaseLink):
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         super().__init__(context, name, is_client=is_client, encrypted=encrypted)
+        self.traffic = self.extend(LinkTraffic(self))
         # Before the link's fullness: a path that loses packets is not taken for a full one.
         self.path = self.extend(PathWatch(self))
         self.fullness = self.extend(LinkFullness(self, self.path))
@@ -294,8 +328,8 @@ class Link(BaseLink):
     def snapshot(self) -> LinkSnapshot:
         """Return the link as it is now."""
         now = self.context.now()
-        keepalive, keys, peer = self.keepalive, self.keys, self.peer
-        clock = keepalive.clock if self.linked else ClockOffset()  # figures of a dead connection are out of date
+        traffic, keys, peer = self.traffic, self.keys, self.peer
+        clock = self.clock if self.linked else ClockOffset()  # figures of a dead connection are out of date
         current_key, next_key = self.fingerprints
         return LinkSnapshot(
             name=self.name,
@@ -312,10 +346,10 @@ class Link(BaseLink):
             rtt=clock.rtt,
             clock_offset=clock.offset,
             clock_uncertainty=clock.uncertainty,
-            rx_bytes_per_second=keepalive.rx.rate if self.linked else 0.0,
-            tx_bytes_per_second=keepalive.tx.rate if self.linked else 0.0,
-            rx_bytes_total=keepalive.rx_bytes,
-            tx_bytes_total=keepalive.tx_bytes,
+            rx_bytes_per_second=traffic.rx.rate if self.linked else 0.0,
+            tx_bytes_per_second=traffic.tx.rate if self.linked else 0.0,
+            rx_bytes_total=traffic.rx_bytes,
+            tx_bytes_total=traffic.tx_bytes,
             peer_version=peer.version if peer else "",
             peer_domain=peer.domain_id if peer else None,
             use_name=self.use_name,
