@@ -18,7 +18,7 @@ from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.wire.codec import decode_urgent, encode
-from rsb_bridge.wire.messages import Ping, Pong, Receipts
+from rsb_bridge.wire.messages import Ping, Pong
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
@@ -231,11 +231,10 @@ class BaseLink(ABC):
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self._channels: DataChannels | None = None
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
-        # Methods of this link, as each connection has another keepalive and other channels.
+        # Not the keepalive's own methods, as each connection has another one.
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
             Pong: self._on_pong,
-            Receipts: self._on_receipts,
         }
         self._extensions: list[Extension] = []
 
@@ -467,9 +466,6 @@ class BaseLink(ABC):
 
     def _on_pong(self, pong: Pong) -> None:
         self.keepalive.answered(pong)
-
-    def _on_receipts(self, receipts: Receipts) -> None:
-        self.channels.handle_receipts(receipts)
 
     # --- time and figures
 

@@ -27,7 +27,7 @@ from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.codec import ReportParts, report_entries
-from rsb_bridge.wire.messages import Neighbours, Report
+from rsb_bridge.wire.messages import Neighbours, Receipts, Report
 from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
@@ -118,11 +118,15 @@ class RouteChannels(Extension):
     """
 
     def __init__(self, link: BaseLink) -> None:
+        self.messages = {Receipts: self._take_receipts}
         self.awaiting: dict[tuple[str, int], dict[int, Route]] = {}
         self._link = link
 
     def disconnected(self) -> None:
         self.awaiting.clear()
+
+    def _take_receipts(self, receipts: Receipts) -> None:
+        self._link.channels.handle_receipts(receipts)
 
     def open(self, route: Route) -> None:
         """Open the channel of a route, or begin to."""
