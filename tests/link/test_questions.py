@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage
 
 
+def link_for(send: Callable[..., object], spawn: Callable[..., object]) -> Any:
+    return SimpleNamespace(context=SimpleNamespace(ros=NoRos()), shows=lambda *_: True, send=send, spawn=spawn)
+
+
 class Side:
     """One side's questions; an answer is found after 1 s."""
 
@@ -30,7 +35,7 @@ class Side:
         self.sent: list[ControlMessage] = []
         self.found: list[int] = []
         self._loop = loop
-        self.questions: Questions[bytes] = Questions(self.sent.append, self.spawn, 5.0)
+        self.questions: Questions[bytes] = Questions(link_for(self.sent.append, self.spawn), 5.0)
 
     def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
         return self._loop.create_task(work)
@@ -57,7 +62,7 @@ def side(loop: VirtualLoop) -> Side:
 
 async def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop) -> None:
     sent: list[Any] = []
-    lists = TopicLists(NoRos(), lambda *_: True, sent.append, loop.create_task)
+    lists = TopicLists(link_for(sent.append, loop.create_task))
     asking = [asyncio.ensure_future(lists.ask()) for _ in range(3)]
     await asyncio.sleep(0.0)
     assert sent == [ListTopics(1)]
@@ -75,7 +80,7 @@ async def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop)
 async def test_a_list_that_takes_long_serves_those_who_ask_meanwhile(loop: VirtualLoop) -> None:
     """On a thin link, each further list would come after the one that is under way."""
     sent: list[Any] = []
-    lists = TopicLists(NoRos(), lambda *_: True, sent.append, loop.create_task)
+    lists = TopicLists(link_for(sent.append, loop.create_task))
     gives_up = asyncio.ensure_future(lists.ask())
     await asyncio.sleep(1.0)
     gives_up.cancel()

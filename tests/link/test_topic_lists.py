@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -67,13 +68,18 @@ class Pair:
     ) -> None:
         self.said: list[int] = []
         self._through = through
-        ros: Any = graph
         self._tasks: list[asyncio.Task[None]] = []
-        self.asking = TopicLists(ros, shows, self._to(lambda: self.answering), self._spawn)
-        self.answering = TopicLists(ros, shows, self._to(lambda: self.asking), self._spawn)
 
-    def _to(self, side: Callable[[], TopicLists]) -> Callable[[ControlMessage], None]:
-        return lambda message: take(side(), self._crossed(message))
+        def lists(other: Callable[[], TopicLists]) -> TopicLists:
+            link: Any = SimpleNamespace(
+                context=SimpleNamespace(ros=graph),
+                shows=shows,
+                send=lambda message: take(other(), self._crossed(message)),
+                spawn=self._spawn,
+            )
+            return TopicLists(link)
+
+        self.asking, self.answering = lists(lambda: self.answering), lists(lambda: self.asking)
 
     def _spawn(self, work: Any) -> None:
         self._tasks.append(asyncio.ensure_future(work))

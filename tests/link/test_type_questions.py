@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -75,7 +76,15 @@ class Side:
         self.known = TypeDescriptions(self.ros, lambda: self.time)
         self.tasks: list[asyncio.Task[None]] = []
         self.has_sent = asyncio.Event()
-        self.questions = TypeQuestions(self.known, lambda _: Route(), self._send, self._spawn)  # type: ignore[arg-type, return-value]
+        link: Any = SimpleNamespace(
+            context=SimpleNamespace(descriptions=self.known),
+            ids=SimpleNamespace(open_route=lambda _: Route()),
+            linked=True,
+            send=self._send,
+            spawn=self._spawn,
+        )
+        self.link = link
+        self.questions = TypeQuestions(link)
 
     def _send(self, message: Any) -> None:
         self.sent.append(message)
@@ -86,7 +95,7 @@ class Side:
 
     async def ask(self, answer: bytes | None) -> str:
         """Ask, and have the peer answer, or the link end if the answer is None."""
-        asking = asyncio.ensure_future(self.questions.describe(Route(), linked=True))  # type: ignore[arg-type]
+        asking = asyncio.ensure_future(self.questions.describe(Route()))  # type: ignore[arg-type]
         await self.has_sent.wait()
         assert self.sent == [AskType(route=3)]
         if answer is None:
@@ -100,7 +109,8 @@ async def test_an_answer_that_proves_itself_is_kept() -> None:
     side = Side()
     assert await side.ask(zstandard.compress(TEXT.encode())) == TEXT
     take(side.questions, TypeText(route=3, text=b"late"))
-    assert await side.questions.describe(Route(), linked=False) == TEXT  # type: ignore[arg-type]
+    side.link.linked = False
+    assert await side.questions.describe(Route()) == TEXT  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -124,8 +134,10 @@ async def test_any_other_is_as_none(answer: bytes) -> None:
 async def test_a_peer_that_cannot_answer_is_not_taken_for_one_that_lacks_the_type() -> None:
     with pytest.raises(LinkError, match="the link was lost"):
         await Side().ask(None)
+    side = Side()
+    side.link.linked = False
     with pytest.raises(LinkError, match=pattern(Denied.TYPE_NOT_HERE, type_name="a_msgs/msg/B")):
-        await Side().questions.describe(Route(), linked=False)  # type: ignore[arg-type]
+        await side.questions.describe(Route())  # type: ignore[arg-type]
 
 
 async def test_answers_are_given_one_at_a_time() -> None:

@@ -75,7 +75,7 @@ class RouteInspector:
 
     async def describe(self, command: DescribeType) -> str:
         link, route = self._find(command.key)
-        return await link.type_questions.describe(route, linked=link.linked)
+        return await link.type_questions.describe(route)
 
     async def template(self, command: Template) -> str:
         route = _callable(self._find(command.key)[1])

@@ -273,10 +273,8 @@ class Link(BaseLink):
         self.table = self.extend(RouteTable(self))
         self.proposed = ProposedTopics(self, self.table)
         self.patterns = self.extend(LinkPatterns(self, self.table, self.proposed))
-        self.topic_lists = self.extend(TopicLists(context.ros, self.shows, self.send, self.spawn))
-        self.type_questions = self.extend(
-            TypeQuestions(context.descriptions, self.ids.open_route, self.send, self.spawn)
-        )
+        self.topic_lists = self.extend(TopicLists(self))
+        self.type_questions = self.extend(TypeQuestions(self))
         self.table.compare_types = self.type_questions.compare
         self.bench = self.extend(LinkBench(self, self.table))
         self.views = self.extend(LinkViews(self, self.table))

@@ -140,7 +140,7 @@ class LinkBench(Extension):
         self._budget = BenchBudget(self._now)
         self._request = 0
         self.messages = {BenchAsk: self._asked, BenchAnswer: self._answered}
-        self._questions: Questions[BenchAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
+        self._questions: Questions[BenchAnswer] = Questions(link, _ANSWERED_WITHIN)
         self._used_at = 0.0
         self._stopped_until = float("-inf")
         self._busy = False

@@ -91,7 +91,7 @@ class LinkViews(Extension):
         self._table = table
         self._internal = InternalRoutes(link, table, VIEW, PictureSource, PictureSink)
         self.messages = {Look: self._asked, LookAnswer: self._answered}
-        self._questions: Questions[LookAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
+        self._questions: Questions[LookAnswer] = Questions(link, _ANSWERED_WITHIN)
         self._request = 0
         self._number = 0
         self._drawing: dict[int, tuple[TopicView, asyncio.Task[None]]] = {}

@@ -29,24 +29,19 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterator, Sequence
+    from collections.abc import Awaitable, Callable, Collection, Iterator, Sequence
 
     from rsb_bridge.cdr.description import TypeVersion
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.control_channel import Slices
-    from rsb_bridge.model.session import Kind
-    from rsb_bridge.ros.ros_interface import RosInterface
-    from rsb_bridge.ros.type_descriptions import TypeDescriptions
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
 T = TypeVar("T")
 
-QUESTIONS_KEPT = 8
-"""Unanswered questions of the peer of one kind; further ones are ignored (PROTOCOL.md, 3)."""
-_MOST_TYPES = 2 * MOST_LANES
-"""Types of one route, each with a line of an answer."""
-_ANSWERED_WITHIN = 10.0
-"""s: the other side may have to ask three nodes, which take 2.5 s each (`ros.type_descriptions`)."""
+QUESTIONS_KEPT = 8  # unanswered questions of the peer of one kind; further ones are ignored (PROTOCOL.md, 3)
+_MOST_TYPES = 2 * MOST_LANES  # of one route, each with a line of an answer
+_ANSWERED_WITHIN = 10.0  # s: the other side may have to ask three nodes, 2.5 s each (`ros.type_descriptions`)
 
 
 @dataclass(slots=True, eq=False)
@@ -70,14 +65,8 @@ class Questions(Generic[T]):
         answered_within: seconds that the peer has for an answer.
     """
 
-    def __init__(
-        self,
-        send: Callable[[ControlMessage], None],
-        spawn: Callable[[Coroutine[None, None, None]], object],
-        answered_within: float,
-    ) -> None:
-        self._send = send
-        self._spawn = spawn
+    def __init__(self, link: BaseLink, answered_within: float) -> None:
+        self._link = link
         self._answered_within = answered_within
         self._asked: dict[int, _Asked[T]] = {}
         self._to_answer: dict[int, Callable[[], Awaitable[ControlMessage]]] = {}  # the first is being answered
@@ -97,7 +86,7 @@ class Questions(Generic[T]):
             asked = self._asked[number] = _Asked(asyncio.get_running_loop().create_future())
         if asked.to_send:
             asked.to_send = False
-            self._send(question)
+            self._link.send(question)
         asked.askers += 1
         try:
             async with asyncio.timeout(self._answered_within):
@@ -132,7 +121,7 @@ class Questions(Generic[T]):
         self._to_answer[number] = find
         if not self._answering:
             self._answering = True
-            self._spawn(self._answer())
+            self._link.spawn(self._answer())
 
     async def _answer(self) -> None:
         try:
@@ -141,7 +130,7 @@ class Questions(Generic[T]):
                 message = await find()
                 if self._to_answer.get(number) is find:  # otherwise the question's connection is over
                     del self._to_answer[number]
-                    self._send(message)
+                    self._link.send(message)
         finally:
             self._to_answer.clear()
             self._answering = False
@@ -158,18 +147,11 @@ class Questions(Generic[T]):
 class TypeQuestions(Extension):
     """Asks the peer for descriptions of routes' types, and answers the same questions."""
 
-    def __init__(
-        self,
-        known: TypeDescriptions,
-        open_route: Callable[[int], Route | None],
-        send: Callable[[ControlMessage], None],
-        spawn: Callable[[Coroutine[None, None, None]], object],
-    ) -> None:
-        self._known = known
-        self._spawn = spawn
-        self._open_route = open_route
+    def __init__(self, link: BaseLink) -> None:
+        self._link = link
+        self._known = link.context.descriptions
         self.messages = {AskType: self._asked, TypeText: self._answered}
-        self._questions: Questions[bytes] = Questions(send, spawn, _ANSWERED_WITHIN)
+        self._questions: Questions[bytes] = Questions(link, _ANSWERED_WITHIN)
 
     def disconnected(self) -> None:
         self._questions.disconnected()
@@ -182,7 +164,7 @@ class TypeQuestions(Extension):
 
     async def _find(self, route_id: int) -> TypeText:
         texts: list[str] = []
-        route = self._open_route(route_id)
+        route = self._link.ids.open_route(route_id)
         types, topic = ((), "") if route is None else (dict.fromkeys(route.message_types), route.local_topic)
         for each in types:
             text = await self._known.find(each.name, each.type_hash, topic) if each.type_hash else None
@@ -190,11 +172,8 @@ class TypeQuestions(Extension):
                 texts.append(text)
         return TypeText(route=route_id, text=zstandard.compress("\n".join(texts).encode()) if texts else b"")
 
-    async def describe(self, route: Route, *, linked: bool) -> str:
+    async def describe(self, route: Route) -> str:
         """Return the description of a route's type.
-
-        Args:
-            linked: whether the peer can be asked.
 
         Raises:
             LinkError: neither side has the description, or this one has none and the peer cannot be asked, or does not
@@ -203,7 +182,7 @@ class TypeQuestions(Extension):
         if not route.type_hash:
             raise LinkError("its type is not known yet" if not route.type_name else "its type's version is not known")
         text = await self._known.find(route.type_name, route.type_hash, route.local_topic)
-        if text is None and not (linked and route.id):
+        if text is None and not (self._link.linked and route.id):
             raise LinkError(Denied.TYPE_NOT_HERE(type_name=route.type_name))
         if text is None:
             self._keep(await self._questions.ask(route.id, AskType(route=route.id)), {route.type_hash})
@@ -227,7 +206,7 @@ class TypeQuestions(Extension):
             there = {type_hash: self._known.known(type_hash) for type_hash in here}
             tell("; ".join(filter(None, (difference_of_texts(here[key], text) for key, text in there.items() if text))))
 
-        self._spawn(compare())
+        self._link.spawn(compare())
 
     def _keep(self, compressed: bytes, type_hashes: Collection[str]) -> None:
         """Keep the texts in an answer that describe these types."""
@@ -250,25 +229,13 @@ _MOST_BYTES = CONTROL_LIMIT - 4096  # the rest is for what is around the entries
 
 
 class TopicLists(Extension):
-    """Asks the peer for the names in its graph, and answers the same question.
+    """Asks the peer for the names in its graph, and answers the same question."""
 
-    Args:
-        shows: whether the peer may know of a name of a kind; called on another thread.
-    """
-
-    def __init__(
-        self,
-        ros: RosInterface,
-        shows: Callable[[str, Kind], bool],
-        send: Callable[[ControlMessage], None],
-        spawn: Callable[[Coroutine[None, None, None]], object],
-    ) -> None:
-        self._ros = ros
-        self._shows = shows
-        self._spawn = spawn
+    def __init__(self, link: BaseLink) -> None:
+        self._link = link
         self._request = 0  # the number of the last question
         self.messages = {ListTopics: self._asked, TopicList: self._answered}
-        self._questions: Questions[tuple[TopicEntry, ...]] = Questions(send, spawn, _LISTED_WITHIN)
+        self._questions: Questions[tuple[TopicEntry, ...]] = Questions(link, _LISTED_WITHIN)
 
     def disconnected(self) -> None:
         self._questions.disconnected()
@@ -292,8 +259,8 @@ class TopicLists(Extension):
         # For a longer text the other side would end the connection (PROTOCOL.md, 3).
         shown = [
             entry
-            for entry in graph_of(self._ros, CALLED)
-            if max(len(entry.topic), len(entry.type_name)) <= TEXT_LENGTH and self._shows(entry.topic, entry.kind)
+            for entry in graph_of(self._link.context.ros, CALLED)
+            if max(len(entry.topic), len(entry.type_name)) <= TEXT_LENGTH and self._link.shows(entry.topic, entry.kind)
         ]
         most = MOST_TOPICS
         while True:
@@ -313,7 +280,7 @@ class TopicLists(Extension):
         """
         if not self._questions.awaited(self._request):
             self._request += 1
-            self._spawn(self._outwait(self._request))
+            self._link.spawn(self._outwait(self._request))
         entries = await self._questions.ask(self._request, ListTopics(self._request))
         return [
             TopicInfo(e.topic, e.type, e.type_hash, e.qos, e.publishers, e.subscriptions, kind)
