@@ -75,7 +75,7 @@ man: $(STAMP)
 
 system:
 	@.ci/system.sh
-$(STAMP): pyproject.toml
+$(STAMP): pyproject.toml $(wildcard extras/rsb_extras/*/__init__.py)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; say which with PYTHON=..."; exit 1; }
 	@[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
 	@$(PYTHON) .ci/install.py $(BIN)/python '.[$(EXTRAS)]'

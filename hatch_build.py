@@ -1,4 +1,4 @@
-"""The description for the package index: README.md, with absolute addresses in place of those within the repository."""
+"""The description for the package index, README.md with absolute addresses, and the features that are in this tree."""
 
 from __future__ import annotations
 
@@ -22,8 +22,14 @@ def absolute(text: str, repository: str) -> str:
     return LINK.sub(link, text)
 
 
+def features(root: str) -> dict[str, str]:
+    """Return the entry points of the features, one for each folder of `extras/rsb_extras`."""
+    folders = sorted(each.parent.name for each in Path(root, "extras/rsb_extras").glob("*/__init__.py"))
+    return {name: f"rsb_extras.{name}:FEATURE" for name in folders}
+
+
 class Hook(MetadataHookInterface):
-    """Adds the description to the metadata."""
+    """Adds the description and the features to the metadata."""
 
     def update(self, metadata: dict[str, Any]) -> None:
         text = Path(self.root, "README.md").read_text(encoding="utf-8")
@@ -31,3 +37,4 @@ class Hook(MetadataHookInterface):
             "content-type": "text/markdown",
             "text": absolute(text, metadata["urls"]["Repository"]),
         }
+        metadata["entry-points"] = {"rsb_console.feature": features(self.root)}

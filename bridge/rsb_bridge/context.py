@@ -14,7 +14,7 @@ from rsb_bridge.model.clock import Clock, StampClock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import operator
 from rsb_bridge.model.demands import RunningDemands
-from rsb_bridge.model.purposes import PURPOSES
+from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.internal_ends import InternalEnds
@@ -29,6 +29,7 @@ from rsb_bridge.view.renderer import Renderer
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
+    from enum import StrEnum
 
     from rsb_bridge.model.demands import DemandSource
     from rsb_bridge.model.purposes import Purpose
@@ -92,7 +93,7 @@ class Context:
     names_changed: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
-        self.internal = {each.name: InternalEnds(each) for each in PURPOSES.values() if not each.in_graph}
+        self.internal = {each.name: InternalEnds(each) for each in purposes().values() if not each.in_graph}
         self.now = self.loop.time
         self.stamps = StampClock(self.clock)
         self.limited = RateLimitedEventLog(self.events, self.now)
@@ -126,9 +127,7 @@ class Context:
         about: About = {"topic": source.name, "who": who, "old": origin}
         self.events.add(Level.WARNING, EventCode.OPERATOR_ARM_DROPPED, text, **about)
 
-    def log(
-        self, level: Level, code: EventCode, text: str, *, link_status: bool = False, **about: Unpack[About]
-    ) -> None:
+    def log(self, level: Level, code: StrEnum, text: str, *, link_status: bool = False, **about: Unpack[About]) -> None:
         """Add an event. A link's event is dropped if the link has used up its share (`RateLimitedEventLog`)."""
         if about.get("link"):
             self.limited.add(level, code, text, link_status=link_status, **about)

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from textual.binding import Binding
+
+from rsb_bridge.feature import installed
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
 
 
 class Group(StrEnum):
@@ -39,6 +44,8 @@ class Action:
         needs_topic: whether it acts on the topic under the cursor.
         in_footer: whether the footer shows it.
         also: other words by which the palette finds it.
+        run: of a feature, what it does: a coroutine function of the main screen
+            (`rsb_console.screens.main.MainScreen`); else None.
     """
 
     id: str
@@ -51,6 +58,7 @@ class Action:
     needs_topic: bool = False
     in_footer: bool = False
     also: str = ""
+    run: Callable[[Any], Awaitable[None]] | None = None
 
 
 # No Ctrl+S, Q, A, B, J or Enter, and no Alt: terminals and multiplexers take these for themselves.
@@ -135,6 +143,7 @@ ACTIONS: tuple[Action, ...] = (
     Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
     Action("quit", "q", "quit", "Quit; the bridge stops, unless it runs in another process",
            Group.CONSOLE, in_footer=True),
+    *(action for feature in installed() for action in feature.actions()),
 )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from textual.theme import Theme
 from rsb_bridge.config.files import is_there, replace_file, why_not_written
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS
+from rsb_console.look.topic_column import ADDED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -63,6 +64,7 @@ TOPIC_COLUMNS = {
     "AGE": "since the last message",
     "HISTORY": "rate in the last seconds",
     "LAST FAILURE": "of the calls",
+    **{column.title: column.shows for column in ADDED},
 }
 """Columns of the topics that an operator may leave out, and what they show; state and topic stay."""
 _SETTING = r"^{name}\s*:[^#\n]*?(?P<comment>\s*#.*)?$"

@@ -14,7 +14,7 @@ from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.attached_console import TicketClock
-from rsb_bridge.control.protocol import RequestProblem
+from rsb_bridge.control.protocol import AnyCommand, RequestProblem
 from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
@@ -73,7 +73,7 @@ def test_what_moves_a_robot_expires() -> None:
 
 
 def test_what_changes_a_bridge_states_its_effect() -> None:
-    kinds: list[Any] = [kind for kind in typing.get_args(commands.AnyCommand) if inspect.isclass(kind)]
+    kinds: list[Any] = [kind for kind in typing.get_args(AnyCommand) if inspect.isclass(kind)]
     changing = [kind for kind in kinds if kind.right in (commands.Right.CHANGE, commands.Right.TAKE)]
     assert [kind for kind in changing if not {"always", "effect"} & vars(kind).keys()] == []
 

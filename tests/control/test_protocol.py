@@ -17,7 +17,7 @@ from tests.control.test_strangers import CHANGES
 from tests.support.wording import pattern, says
 
 from rsb_bridge.control import protocol
-from rsb_bridge.control.protocol import ControlProtocolError, StateChange
+from rsb_bridge.control.protocol import AnyCommand, ControlProtocolError, StateChange
 from rsb_bridge.control.states import EncodedRoutes, Sender, StateReceiver
 from rsb_bridge.model import commands
 from rsb_bridge.model.benchmark import BenchmarkStep
@@ -28,7 +28,7 @@ from rsb_bridge.wire.protocol_error import Broken
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
 
-COMMANDS: tuple[commands.AnyCommand, ...] = (
+COMMANDS: tuple[AnyCommand, ...] = (
     *CHANGES,
     commands.Publish("/t", "{x: 1}", "T", 5, "{}", 0.25),
     commands.Bench(BenchmarkStep()),
@@ -53,7 +53,7 @@ def fed(data: bytes, *, to_bridge: bool, at_once: int = 1 << 20) -> list[Any]:
 @pytest.mark.parametrize("at_once", [1, 7, 1000])
 def test_every_command_comes_through_whole(at_once: int) -> None:
     messages = [protocol.CommandRequest(number, command, undo=True) for number, command in enumerate(COMMANDS)]
-    assert {type(command) for command in COMMANDS} == set(get_args(commands.AnyCommand))
+    assert {type(command) for command in COMMANDS} == set(get_args(AnyCommand))
     assert fed(b"".join(map(protocol.encode, messages)), to_bridge=True, at_once=at_once) == messages
 
 

@@ -19,6 +19,7 @@ from rsb_bridge.config.keys import Key
 from rsb_bridge.control import sealed
 from rsb_bridge.control.protocol import (
     CONSOLES,
+    AnyCommand,
     CommandFailed,
     CommandRequest,
     ConsoleHello,
@@ -31,7 +32,7 @@ from rsb_bridge.model import commands
 from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import AnyCommand, Right
+from rsb_bridge.model.commands import Right
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire import events

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.link.link import Link
-    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.messages import ControlMessageBase
 
 TOPICS = 200
 STREAMS = 2
@@ -142,7 +142,7 @@ def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
         loop, handle = link.context.loop, link.handlers[Ping]
         together = [0]
 
-        def counted(message: ControlMessage) -> None:
+        def counted(message: ControlMessageBase) -> None:
             together[-1] += isinstance(message, Ping)
             handle(message)
 
@@ -166,7 +166,7 @@ def test_who_sends_ever_more_messages_waits(bridge: Bridge) -> None:
         link = link_of(server)
         handled, handle = [0], link.handlers[Ping]
 
-        def counted(message: ControlMessage) -> None:
+        def counted(message: ControlMessageBase) -> None:
             handled[0] += isinstance(message, Ping)
             handle(message)
 

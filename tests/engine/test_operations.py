@@ -13,9 +13,10 @@ from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.protocol import AnyCommand
 from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import AnyCommand, History, Restart, Stop, acting
+from rsb_bridge.model.commands import History, Restart, Stop, acting
 from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import LinkCause

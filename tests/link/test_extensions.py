@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import pytest
 
 from rsb_bridge.link.roles import ClientRole, ServerRole
-from rsb_bridge.wire.codec import ReportParts
-from rsb_bridge.wire.messages import ControlMessage
+from rsb_bridge.wire.codec import ReportParts, control_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +23,6 @@ def link(request: pytest.FixtureRequest, make_context: Callable[..., Context]) -
 
 
 def test_each_control_message_has_one_handler(link: Link) -> None:
-    assert set(link.handlers) == {*get_args(ControlMessage), ReportParts}
-    registered = [each for extension in link._extensions for each in extension.messages]
+    assert set(link.handlers) == {*control_messages(), ReportParts}
+    registered = [each for extension in link.extensions._all for each in extension.messages]
     assert len(registered) == len(set(registered))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from tests.support.virtual_time import VirtualLoop
 
-    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.messages import ControlMessageBase
 
 
 def link_for(send: Callable[..., object], spawn: Callable[..., object]) -> Any:
@@ -32,7 +32,7 @@ class Side:
     """One side's questions; an answer is found after 1 s."""
 
     def __init__(self, loop: VirtualLoop) -> None:
-        self.sent: list[ControlMessage] = []
+        self.sent: list[ControlMessageBase] = []
         self.found: list[int] = []
         self._loop = loop
         self.questions: Questions[bytes] = Questions(link_for(self.sent.append, self.spawn), 5.0)
@@ -43,8 +43,8 @@ class Side:
     def asked(self, number: int) -> None:
         self.questions.answer(number, self._finder(number))
 
-    def _finder(self, number: int) -> Callable[[], Coroutine[None, None, ControlMessage]]:
-        async def find() -> ControlMessage:
+    def _finder(self, number: int) -> Callable[[], Coroutine[None, None, ControlMessageBase]]:
+        async def find() -> ControlMessageBase:
             self.found.append(number)
             await asyncio.sleep(1.0)
             return TypeText(route=number)
@@ -159,7 +159,7 @@ async def test_the_next_connection_gets_no_answers_of_the_last(side: Side) -> No
 
 
 async def test_a_failure_ends_what_waits(side: Side) -> None:
-    async def fails() -> ControlMessage:
+    async def fails() -> ControlMessageBase:
         raise ValueError("broken")
 
     side.questions.answer(1, fails)

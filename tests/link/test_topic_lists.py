@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import TopicInfo
-    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.messages import ControlMessageBase
 
 FIBONACCI = {
     "/fibonacci/_action/send_goal": "test_msgs/action/Fibonacci_SendGoal",
@@ -64,7 +64,7 @@ class Pair:
         self,
         graph: NoRos,
         shows: Callable[[str, Kind], bool] = lambda *_: True,
-        through: Callable[[ControlMessage], ControlMessage] = lambda message: message,
+        through: Callable[[ControlMessageBase], ControlMessageBase] = lambda message: message,
     ) -> None:
         self.said: list[int] = []
         self._through = through
@@ -84,7 +84,7 @@ class Pair:
     def _spawn(self, work: Any) -> None:
         self._tasks.append(asyncio.ensure_future(work))
 
-    def _crossed(self, message: ControlMessage) -> Any:
+    def _crossed(self, message: ControlMessageBase) -> Any:
         data = encode(self._through(message))
         if isinstance(message, TopicList):
             self.said.append(len(data))
@@ -125,7 +125,7 @@ def test_what_is_denied_is_not_shown() -> None:
 
 
 def test_kinds_that_only_a_newer_side_knows() -> None:
-    def newer(message: ControlMessage) -> ControlMessage:
+    def newer(message: ControlMessageBase) -> ControlMessageBase:
         if isinstance(message, ListTopics):
             return message
         assert isinstance(message, TopicList)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import ControlMessage, Propose
+    from rsb_bridge.wire.messages import ControlMessageBase, Propose
 
 Half = TypeVar("Half")
 
@@ -80,7 +80,7 @@ class FakePeer:
     connections = 1
 
     def __init__(self) -> None:
-        self.sent: list[ControlMessage] = []
+        self.sent: list[ControlMessageBase] = []
         self.instance = "first"
         self.fullness: Any = SimpleNamespace(out=None, into=None, undecided=False)
         self.path: Any = SimpleNamespace(fault=None)
@@ -92,7 +92,7 @@ class FakePeer:
         for clock in (self.clock, self.stamps):
             clock.offset, clock.uncertainty = 0.0, 0.001
 
-    def send(self, message: ControlMessage) -> None:
+    def send(self, message: ControlMessageBase) -> None:
         self.sent.append(message)
 
     def report_soon(self, route: Route) -> None:
@@ -103,6 +103,9 @@ class FakePeer:
 
     def shared_port(self) -> int:
         return 1
+
+    def route_fields(self, route: Route) -> dict[str, Any]:
+        return {}
 
     def closed(self, route_id: int) -> None:
         pass

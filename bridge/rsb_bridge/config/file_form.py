@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import FieldInfo, fields
 
+from rsb_bridge.feature import session_keys
 from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
 
@@ -112,12 +113,17 @@ def _struct(name: str, own: list[Any], hints: Mapping[str, str]) -> type[msgspec
 _ENTRIES: dict[Kind, type[msgspec.Struct]] = {kind: _entry(kind) for kind in LISTS}
 
 
+_FEATURE_KEYS = session_keys()
+
+
 def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
     """Return a session or a client with a list for each kind."""
     own: list[Any] = []
     for field in fields(model):
         if field.name == "topics":
             own += [(name, tuple[_ENTRIES[kind], ...], ()) for kind, name in LISTS.items()]  # type: ignore[valid-type]
+        elif field.name == "features":
+            own += [(key.name, key.type, key.default) for key in _FEATURE_KEYS.values()]
         else:
             own.append(_field(field.name, others.get(field.name, field.type), field))
     return _struct(model.__name__, own, {})
@@ -174,12 +180,13 @@ def as_written(value: msgspec.Struct) -> msgspec.Struct:
     if not isinstance(value, Session | Client):
         return value
     model = SESSION_FILE if isinstance(value, Session) else _CLIENT
-    given = {name: getattr(value, name) for name in value.__struct_fields__ if name != "topics"}
+    given = {name: getattr(value, name) for name in value.__struct_fields__ if name not in ("topics", "features")}
     given |= {
         name: tuple(as_written(topic) for topic in value.topics if topic.kind == kind) for kind, name in LISTS.items()
     }
     if isinstance(value, Session):
         given["clients"] = None if value.clients is None else tuple(map(as_written, value.clients))
+        given |= {name: key.of(value) for name, key in _FEATURE_KEYS.items()}
     return model(**given)
 
 
@@ -193,7 +200,13 @@ def as_session(written: msgspec.Struct) -> Session:
     given = _given(written)
     listed = given["clients"]
     clients = None if listed is None else tuple(Client(**_given(client)) for client in listed)
-    return Session(**given | {"clients": clients})
+    features = {name: given.pop(name) for name in _FEATURE_KEYS}
+    return Session(**given | {"clients": clients, "features": as_said(features)})
+
+
+def as_said(features: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of features' keys that differ from their defaults."""
+    return {name: value for name, value in features.items() if value != _FEATURE_KEYS[name].default}
 
 
 def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:

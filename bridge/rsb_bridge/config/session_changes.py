@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rsb_bridge.config.file_form import LISTS, NOUNS, as_written
+from rsb_bridge.config.file_form import LISTS, NOUNS, as_said, as_written
 from rsb_bridge.config.yaml_text import inline
-from rsb_bridge.model.session import Topic
+from rsb_bridge.feature import session_keys
+from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from rsb_bridge.model.session import Client, Session
+    from rsb_bridge.model.session import Client
 
 
 class ChangeRefused(Wording):
@@ -43,9 +44,12 @@ def is_another(old: Session, new: Session) -> str:
 def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
     """Return the session that a running bridge can change to, and in words what it leaves as it is."""
     fixed = _FIXED_ON_CLIENT if old.role == "client" else _FIXED
+    keys = [key for key in session_keys().values() if not key.live]
+    differences = changes(old, new, only=(*fixed, *(key.name for key in keys)))
     restart = ChangeRefused.RESTART()
-    left = [f"{change}: cannot change while the bridge runs; {restart}" for change in changes(old, new, only=fixed)]
-    return msgspec.structs.replace(new, **{name: getattr(old, name) for name in fixed}), left
+    left = [f"{change}: cannot change while the bridge runs; {restart}" for change in differences]
+    features = as_said(new.features | {key.name: key.of(old) for key in keys})
+    return msgspec.structs.replace(new, **{name: getattr(old, name) for name in fixed}, features=features), left
 
 
 def changes(
@@ -58,8 +62,8 @@ def changes(
         new: the same with changes.
         only: the fields to compare, or empty for all.
     """
-    # In the words of the file; entries of two kinds have different ones.
-    if isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind:
+    # In the words of the file. Entries of two kinds have different ones.
+    if isinstance(old, Session) or (isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind):
         old, new = as_written(old), as_written(new)
     return [
         _change(name, getattr(old, name), getattr(new, name))

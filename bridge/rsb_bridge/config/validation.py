@@ -45,6 +45,7 @@ from rsb_bridge.config.topic_rules import (
     transport_of,
     unreported,
 )
+from rsb_bridge.feature import installed
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.demands import local_name
@@ -379,6 +380,8 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from _topics(session.topics, "", session, client)
     yield from armed_problems(session.armed)
     yield from _clients(session)
+    for feature in installed():
+        yield from (Problem(key, text) for key, text in feature.problems(session))
 
 
 def _taken(session: Session, name: str) -> Iterator[Problem]:

@@ -10,15 +10,16 @@ bridge refuses consoles of another one, with the words that tell which side to u
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar, cast, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar, Union, cast, get_args, get_origin
 
 import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.api import EngineError
+from rsb_bridge.feature import installed
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.by_hand import Draft, Held, Published
-from rsb_bridge.model.commands import AnyCommand
+from rsb_bridge.model.commands import Command
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import PictureError, Viewed, check_picture
 from rsb_bridge.model.session import Session
@@ -38,7 +39,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.model.commands import Command, R
+    from rsb_bridge.model.commands import R
 
 
 VERSION = 1
@@ -164,6 +165,18 @@ class HelloRefused(_Message, frozen=True, tag="refused"):
 
 
 # --- from a console
+
+
+def _commands() -> tuple[type[Command[Any]], ...]:
+    for feature in installed():
+        feature.commands()  # which defines them
+    return tuple(Command.__subclasses__())
+
+
+if TYPE_CHECKING:
+    AnyCommand: TypeAlias = Command[Any]
+else:
+    AnyCommand = Union[_commands()]  # noqa: UP007 -- there is no other way to write it
 
 
 class CommandRequest(_Message, frozen=True, tag="request"):

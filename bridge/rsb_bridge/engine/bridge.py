@@ -26,6 +26,7 @@ from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
 from rsb_bridge.engine.viewing import Viewing
+from rsb_bridge.feature import installed
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.graph_watch import Follower, GraphWatch, NameWatch
 from rsb_bridge.link.link import link_named, topics_of_peer
@@ -58,7 +59,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
-    from rsb_bridge.engine.topic_commands import Handlers
+    from rsb_bridge.engine.part import EnginePart, Handlers
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Client, Session
@@ -91,6 +92,8 @@ class Bridge:
     Attributes:
         graph_watch: reacts to changes of the ROS graph.
         handlers: execute commands, by the command's type. The engine adds handlers for commands that read files.
+        log: of operators' commands.
+        find: returns a route and its link by the route's key; raises `LinkError`.
     """
 
     def __init__(
@@ -103,12 +106,13 @@ class Bridge:
         self._names = NameWatch(context, self._followers)
         context.names_changed = self._names.changed
         self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
-        self._log = CommandLog(context.events)
-        topics = TopicCommands(self._role, self._log, context.demands, self._end_motions)
-        inspector = RouteInspector(context, topics.find, self._log)
+        self.log = CommandLog(context.events)
+        topics = TopicCommands(self._role, self.log, context.demands, self._end_motions)
+        self.find = topics.find
+        inspector = RouteInspector(context, topics.find, self.log)
         self._tasks = Tasks(context.loop, lambda: None)
         self._viewing = Viewing(context, self.links, self._tasks.spawn)
-        self._publishing = Publishing(context, self.links, self._log, inspector.peeking)
+        self._publishing = Publishing(context, self.links, self.log, inspector.peeking)
         self._arming = arming = ArmingCommands(self.links, topics.find, self._publishing.end_motions)
         self.handlers: Handlers = {
             **topics.handlers,
@@ -127,6 +131,9 @@ class Bridge:
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
         self._exporters = Exporters(context, snapshots.newest, folder)
+        self._parts: list[EnginePart] = [part for feature in installed() for part in feature.parts(self)]
+        for part in self._parts:
+            self.handlers |= part.handlers
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
@@ -151,6 +158,8 @@ class Bridge:
             self.context.announcements.start(self._bridges_changed)
             self._shutdown_watch = self._watch_shutdown()
             self._exporters.open()
+            for part in self._parts:
+                part.open()
             await self._role.start()
             started = True
         except (ListenError, RosError, LinkError, ValueError) as error:
@@ -196,6 +205,8 @@ class Bridge:
             self._viewing.tick()
             self._publishing.tick()
             self._exporters.publish(self._snapshots.latest)
+            for part in self._parts:
+                part.tick(self._snapshots.latest)
             if number % _LISTENS_EVERY == 0:
                 before, lost = lost, ros.lost_ports()
                 if stuck := before & lost:
@@ -213,6 +224,8 @@ class Bridge:
         self._viewing.close()
         # Before the links end: the message that ends a motion has to cross them.
         await self._publishing.close()
+        for part in self._parts:
+            await part.close()
         self.context.descriptions.close()
         await self._role.stop()
         if self.context.rests:  # a publisher that closes at once may take its message with it
@@ -222,6 +235,8 @@ class Bridge:
         self._snapshots.refresh_now(self._role, running=False)
         # Last: the loop stands still meanwhile, and while all this took its time, a scrape or a command could end.
         self._exporters.join()
+        for part in self._parts:
+            part.join()
 
     def _bridges_changed(self) -> None:
         for link in self.links():
@@ -308,10 +323,10 @@ class Bridge:
             acknowledgements.remove(faulty)
             code, what = EventCode.OPERATOR_ACKNOWLEDGEMENT_UNDONE, "acknowledgement taken back"
         if isinstance(faulty, LinkSnapshot):
-            self._log.add(code, what, link=faulty.name)
+            self.log.add(code, what, link=faulty.name)
         else:
             name = faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
-            self._log.add(code, what, topic=name, link=faulty.link)
+            self.log.add(code, what, topic=name, link=faulty.link)
 
     async def add_client(self, client: Client, keys: tuple[Key, ...]) -> None:
         """Accept one more client, on a server."""
@@ -347,7 +362,7 @@ class Bridge:
             # For its error: a server would do nothing about a name that no link has, and report success.
             link_named(command.link, self._role.links())
         self._role.retry(command.link)
-        self._log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
+        self.log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
 
     # Topics' commands are made first: `Publishing` looks at messages with an inspector, which finds routes by them.
     async def _end_motions(self, topics: set[str]) -> bool:
@@ -356,7 +371,7 @@ class Bridge:
     async def _shut_down(self, _: commands.ShutDownLinks) -> None:
         await self._publishing.end_motions()
         self._arming.end_all(Disarmed.REOPENED)
-        self._log.add(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
+        self.log.add(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
         self._role.shut_down(operator())
 
     async def _restart(self, step: Callable[[str], None] | None, _: commands.Restart) -> None:
@@ -367,7 +382,7 @@ class Bridge:
 
         await self._publishing.end_motions()
         self._arming.end_all(Disarmed.REOPENED)
-        self._log.add(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
+        self.log.add(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
         await self._role.restart(report)
 
     async def reload(
@@ -437,6 +452,7 @@ class Bridge:
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
             *self._exporters.by_key,
+            *(live for part in self._parts for live in part.by_key),
         )
         steps = [
             ReloadStep(", ".join(said), act) for names, act in in_place if (said := changes(old, session, only=names))

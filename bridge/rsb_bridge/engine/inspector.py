@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.context import Context
-    from rsb_bridge.engine.topic_commands import CommandLog, Handlers
+    from rsb_bridge.engine.part import Handlers
+    from rsb_bridge.engine.topic_commands import CommandLog
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.snapshot import PeekedMessage
     from rsb_bridge.route.route import Route

@@ -44,7 +44,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.engine.topic_commands import CommandLog, Handlers
+    from rsb_bridge.engine.part import Handlers
+    from rsb_bridge.engine.topic_commands import CommandLog
     from rsb_bridge.link.link import Link
     from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.route.peeking import Peeking

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -32,18 +32,16 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lifecycle import pause_word
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Coroutine, Iterable
+    from collections.abc import Awaitable, Callable, Iterable
+    from enum import StrEnum
 
+    from rsb_bridge.engine.part import Handlers
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
-    from rsb_bridge.model.commands import Command
     from rsb_bridge.model.demands import RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import EventLog
-
-    Handlers: TypeAlias = dict[type[Command[Any]], Callable[[Any], Coroutine[None, None, object]]]
-    """Functions that execute commands, by the command's type. Each returns its command's result."""
 
 _INSTEAD = "remove the one, and add the other"
 
@@ -54,7 +52,7 @@ class CommandLog:
     def __init__(self, events: EventLog) -> None:
         self._events = events
 
-    def add(self, code: EventCode, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = "") -> None:
+    def add(self, code: StrEnum, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = "") -> None:
         """Record a command; `topic` is its name on this side."""
         who = operator()
         text = f"{f'{topic}: ' if topic else ''}{what} by {who}{undo_mark()}"

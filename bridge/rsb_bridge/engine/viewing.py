@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.engine.topic_commands import Handlers
+    from rsb_bridge.engine.part import Handlers
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.link_views import PeerView
 

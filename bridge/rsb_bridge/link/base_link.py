@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.link.data_channels import DataChannels
-from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.extension import Extension, Extensions
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
@@ -24,21 +24,20 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Coroutine
+    from enum import StrEnum
 
-    from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel, Slices
     from rsb_bridge.link.keepalive import ChannelCarrier
-    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.peer import LinkPath, LinkRates
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
-    from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, UrgentMessage, Welcome
+    from rsb_bridge.wire.messages import ControlMessageBase, Hello, Propose, UrgentMessage, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _E = TypeVar("_E", bound=Extension)
@@ -197,6 +196,9 @@ class BaseLink(ABC):
         budget: limits on what the peer may have this side hold and do.
         report_soon: sends a route's counts before the next regular report. May be called for every batch.
         open_channel: opens the channel of a route, or begins to.
+        extensions: the link's parts.
+        route_fields: returns what features show of a route.
+        meter_of: returns what counts the bytes that arrive for a route, or None.
     """
 
     path: LinkPath
@@ -227,6 +229,8 @@ class BaseLink(ABC):
         self.budget = PeerBudget(context.now())
         self.revisions = Revisions()
         self._tasks = Tasks(context.loop, self.fail)
+        self.extensions = Extensions()
+        self.route_fields, self.meter_of = self.extensions.route_fields, self.extensions.meter_of
         self.keepalive = Keepalive(context, self.carriers)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self._channels: DataChannels | None = None
@@ -236,23 +240,14 @@ class BaseLink(ABC):
             Ping: self._on_ping,
             Pong: self._on_pong,
         }
-        self._extensions: list[Extension] = []
 
     # --- extensions
 
     def extend(self, extension: _E) -> _E:
         """Register a feature of this link, and return it."""
-        self._extensions.append(extension)
+        self.extensions.add(extension)
         self.handlers |= extension.messages
         return extension
-
-    def refusal(self, name: str, purpose: Purpose) -> str:
-        """Return why the peer may not have an internal route by that name now, or an empty string."""
-        return next((each.refusal(name) for each in self._extensions if each.purpose is purpose), "")
-
-    def meter_of(self, route_id: int) -> Meter | None:
-        meters = (each.meter_of(route_id) for each in self._extensions)
-        return next((each for each in meters if each is not None), None)
 
     # --- differences of client and server
 
@@ -367,8 +362,7 @@ class BaseLink(ABC):
         )
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
         self.send(self.keepalive.ping())  # the age of messages is unknown until it is answered
-        for each in self._extensions:
-            each.connected()
+        self.extensions.connected(peer.features)
 
     def _silent(self, control: ControlChannel) -> None:
         self._is_silent = True
@@ -394,8 +388,7 @@ class BaseLink(ABC):
         self.status.down(cause, reason)
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.clock.steady()
-        for each in reversed(self._extensions):
-            each.disconnected()
+        self.extensions.disconnected()
         if self._channels is not None:
             self._channels.close()
             self._channels = None
@@ -438,7 +431,7 @@ class BaseLink(ABC):
 
     # --- control messages
 
-    def send(self, message: ControlMessage) -> None:
+    def send(self, message: ControlMessageBase) -> None:
         """Send a control message; without a connection, nothing happens."""
         if self.control is not None:
             self.control.send(message)
@@ -474,18 +467,17 @@ class BaseLink(ABC):
         if self.control is not None:
             self.send(self.keepalive.tick())
             self.channels.tick()
-        for each in self._extensions:
-            each.tick()
+        self.extensions.tick()
 
     def carriers(self) -> set[ChannelCarrier]:
         """Return all carriers of the present connection's bytes."""
         return self.channels.carriers(self.control) if self.control is not None else set()
 
-    def log_of_peer(self, level: Level, code: EventCode, text: str, *, link_status: bool = False) -> None:
+    def log_of_peer(self, level: Level, code: StrEnum, text: str, *, link_status: bool = False) -> None:
         """Add an event about this link that names the peer."""
         self.log(level, code, f"{self.peer_at}: {text}", link_status=link_status)
 
-    def log(self, level: Level, code: EventCode, text: str, *, topic: str = "", link_status: bool = False) -> None:
+    def log(self, level: Level, code: StrEnum, text: str, *, topic: str = "", link_status: bool = False) -> None:
         """Add an event about this link; `link_status` means that it tells whether the link is up."""
         about: About = {"link": self.name, "topic": topic}
         if link_status:

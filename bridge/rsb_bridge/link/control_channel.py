@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.data_stream import DataStream
     from rsb_bridge.model.reason import Reason
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
-    from rsb_bridge.wire.messages import ControlMessage, UrgentMessage
+    from rsb_bridge.wire.messages import ControlMessageBase, UrgentMessage
 
 _E = TypeVar("_E")
 
@@ -120,7 +120,7 @@ class ControlChannel(StreamHandler):
         self._owes = False  # more came than the volume allows
         stream.handler = self
 
-    def send(self, message: ControlMessage) -> None:
+    def send(self, message: ControlMessageBase) -> None:
         """Send a message, or keep it until the stream takes it."""
         sealed = self._connection.send(message)
         if not self.stream.congested:

@@ -1,17 +1,20 @@
-"""Shared by a link's features: their base class, and the error with which they deny a command or a proposal."""
+"""The parts of a link, their base class, and the error with which they deny a command or a proposal."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.purposes import Purpose
+    from rsb_bridge.route.route import Route
+
+_E = TypeVar("_E", bound="Extension")
 
 
 class Extension:
@@ -20,10 +23,13 @@ class Extension:
     `rsb_bridge.link.link.Link` registers it; it overrides what it needs.
 
     Attributes:
+        feature: name of the `rsb_bridge.feature.Feature` that brings it, or an empty string for one of the core. It is
+            told of connections only if the peer has that, too.
         messages: its handlers of control messages, by type. A handler may return work to be done in slices.
         purpose: the purpose of the internal routes that it serves, or None.
     """
 
+    feature: str = ""
     messages: Mapping[type, Callable[[Any], Slices | None]] = {}
     purpose: Purpose | None = None
 
@@ -36,6 +42,14 @@ class Extension:
     def tick(self) -> None:
         """Do the regular work, once a second, linked or not."""
 
+    def link_fields(self) -> Mapping[str, Any]:
+        """Return the values of its `rsb_bridge.feature.ShownField`s of the link."""
+        return {}
+
+    def route_fields(self, route: Route) -> Mapping[str, Any]:
+        """Return the same of one of its routes."""
+        return {}
+
     def refusal(self, name: str) -> str:
         """Return why the peer may not have an internal route by that name now, or an empty string."""
         return ""
@@ -43,6 +57,54 @@ class Extension:
     def meter_of(self, route_id: int) -> Meter | None:
         """Return what counts the bytes that arrive for a route, or None."""
         return None
+
+
+class Extensions:
+    """The extensions of one link, in the order in which they are told what happens."""
+
+    def __init__(self) -> None:
+        self._all: list[Extension] = []
+        self._told: list[Extension] = []
+        """Of the present connection: those that the peer has, too."""
+
+    def add(self, extension: Extension) -> None:
+        self._all.append(extension)
+
+    def find(self, kind: type[_E]) -> _E:
+        """Return the one of a type."""
+        return next(each for each in self._all if isinstance(each, kind))
+
+    def connected(self, features: Collection[str]) -> None:
+        """Begin a connection to a peer with these features."""
+        self._told = [each for each in self._all if not each.feature or each.feature in features]
+        for each in self._told:
+            each.connected()
+
+    def disconnected(self) -> None:
+        for each in reversed(self._told):
+            each.disconnected()
+        self._told = []
+
+    def tick(self) -> None:
+        for each in self._all:
+            each.tick()
+
+    def refusal(self, name: str, purpose: Purpose) -> str:
+        """Return why the peer may not have an internal route by that name now, or an empty string."""
+        return next((each.refusal(name) for each in self._all if each.purpose is purpose), "")
+
+    def meter_of(self, route_id: int) -> Meter | None:
+        """Return what counts the bytes that arrive for a route, or None."""
+        meters = (each.meter_of(route_id) for each in self._all)
+        return next((each for each in meters if each is not None), None)
+
+    def link_fields(self) -> dict[str, Any]:
+        """Return what features show of the link."""
+        return {name: value for each in self._all if each.feature for name, value in each.link_fields().items()}
+
+    def route_fields(self, route: Route) -> dict[str, Any]:
+        """Return what features show of one of its routes."""
+        return {name: value for each in self._all if each.feature for name, value in each.route_fields(route).items()}
 
 
 class Denied(Wording):

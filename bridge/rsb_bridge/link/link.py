@@ -9,6 +9,7 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.datagram_channel import datagram_channel
+from rsb_bridge.feature import installed
 from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.link.extension import Denied, Extension, LinkError
@@ -246,7 +247,7 @@ class RouteReports(Extension):
 class Link(BaseLink):
     """A peer, its routes and the link's features. It lives on while the peer is away.
 
-    A new feature is an `Extension` that `__init__` registers.
+    A part of it is an `Extension` that `__init__` registers; those of features come last.
 
     Attributes:
         proposed: the topics that this side proposes.
@@ -278,6 +279,10 @@ class Link(BaseLink):
         self.table.compare_types = self.type_questions.compare
         self.bench = self.extend(LinkBench(self, self.table))
         self.views = self.extend(LinkViews(self, self.table))
+        for feature in installed():
+            for extension in feature.extensions(self):
+                extension.feature = feature.name
+                self.extend(extension)
         context.demands.register(self)
 
     @property
@@ -365,6 +370,7 @@ class Link(BaseLink):
             full_out=self.fullness.out,
             full_in=self.fullness.into,
             patterns=tuple(self.patterns.snapshots()),
+            features=self.extensions.link_fields(),
         )
 
 

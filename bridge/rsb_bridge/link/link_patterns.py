@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.messages import ControlMessageBase
 
 _GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
 _IN_ONE_MESSAGE = 200
@@ -121,7 +121,7 @@ class PeerSubscription:
     """
 
     def __init__(
-        self, context: Context, shows: Callable[[str, Kind], bool], send: Callable[[ControlMessage], None]
+        self, context: Context, shows: Callable[[str, Kind], bool], send: Callable[[ControlMessageBase], None]
     ) -> None:
         self._context = context
         self._shows = shows

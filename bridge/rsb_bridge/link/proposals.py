@@ -16,7 +16,7 @@ from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.purposes import PURPOSES, TOPIC, Purpose
+from rsb_bridge.model.purposes import TOPIC, Purpose, purposes
 from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import NO_PROFILE, compression_of
@@ -166,7 +166,7 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
     Raises:
         LinkError: the peer may not have the topic.
     """
-    purpose = _known(PURPOSES, proposal.purpose)
+    purpose = _known(purposes(), proposal.purpose)
     if not purpose.in_graph:
         return _authorized_internal(proposal, purpose, link, session)
     if pattern := next(filter(is_pattern, (proposal.topic, proposal.remote_topic)), ""):
@@ -199,14 +199,14 @@ def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, se
         raise LinkError(f"a route for {purpose.name} needs a QoS that keeps nothing for late joiners")
     if refusal := _refusal(proposal, link.rights, is_client=link.is_client):
         raise LinkError(str(refusal))
-    if refused := link.refusal(proposal.topic, purpose):
+    if refused := link.extensions.refusal(proposal.topic, purpose):
         raise LinkError(refused)
     return proposal
 
 
 def _refusal(proposal: Propose, rights: Rights, *, is_client: bool) -> DeniedUse | None:
     """Return why the peer may not have what it proposed, by this side's names, or None if it may."""
-    purpose = PURPOSES[proposal.purpose]
+    purpose = purposes()[proposal.purpose]
     if purpose.in_graph:
         return rights.refusal(use_of(proposal, is_client=is_client))
     return rights.purpose_refusal(purpose, sends=proposal.from_client != is_client)

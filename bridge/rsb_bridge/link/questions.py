@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.messages import ControlMessageBase
 
 T = TypeVar("T")
 
@@ -69,10 +69,10 @@ class Questions(Generic[T]):
         self._link = link
         self._answered_within = answered_within
         self._asked: dict[int, _Asked[T]] = {}
-        self._to_answer: dict[int, Callable[[], Awaitable[ControlMessage]]] = {}  # the first is being answered
+        self._to_answer: dict[int, Callable[[], Awaitable[ControlMessageBase]]] = {}  # the first is being answered
         self._answering = False
 
-    async def ask(self, number: int, question: ControlMessage) -> T:
+    async def ask(self, number: int, question: ControlMessageBase) -> T:
         """Return the peer's answer. All who ask the same before it arrives share it.
 
         Args:
@@ -110,7 +110,7 @@ class Questions(Generic[T]):
         if asked is not None:
             asked.answer.set_result(answer)
 
-    def answer(self, number: int, find: Callable[[], Awaitable[ControlMessage]]) -> None:
+    def answer(self, number: int, find: Callable[[], Awaitable[ControlMessageBase]]) -> None:
         """Answer the peer's question after its earlier ones.
 
         An answer costs more than a question: a question that is repeated before its answer is answered once, and too

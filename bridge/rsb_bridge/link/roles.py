@@ -13,6 +13,7 @@ import msgspec
 from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
+from rsb_bridge.feature import feature_names
 from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.link_server import Server
@@ -75,7 +76,7 @@ class ClientRole:
     def __init__(self, context: Context, keys: Keys) -> None:
         session = context.session
         instance, host = context.ros.instance_id, socket.gethostname()
-        hello = Hello(__version__, session.name, instance, context.domain_id, host)
+        hello = Hello(__version__, session.name, instance, context.domain_id, host, feature_names())
         self._context = context
         self._link = ClientLink(context, hello, _own(keys, session), preferred_suite())
         self._tasks = Tasks(context.loop, self._link.fail)
@@ -154,7 +155,13 @@ class ServerRole:
             context,
             _entries(session, keys),
             lambda link_id, use_name: Welcome(
-                __version__, session.name, link_id, context.ros.instance_id, context.domain_id, use_name
+                __version__,
+                session.name,
+                link_id,
+                context.ros.instance_id,
+                context.domain_id,
+                use_name,
+                features=feature_names(),
             ),
             aes=preferred_suite() is CipherSuite.AESGCM,
         )

@@ -11,7 +11,7 @@ import contextlib
 import enum
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeAlias, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, ClassVar, Generic, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -501,12 +501,6 @@ class Stop(Command[None], frozen=True, tag="stop"):
     """
 
     always = Effect.LOSES
-
-
-if TYPE_CHECKING:
-    AnyCommand: TypeAlias = Command[Any]
-else:
-    AnyCommand = Union[tuple(Command.__subclasses__())]  # noqa: UP007 -- of those above: the control socket knows each
 
 
 @dataclass(frozen=True, slots=True)

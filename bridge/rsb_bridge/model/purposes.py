@@ -1,15 +1,21 @@
 """The purposes of routes: what a route carries, and which rules apply to it.
 
 A route whose purpose is not `TOPIC` is an internal route: it crosses the link as a topic does, sealed, limited and
-counted, and joins no topic of ROS. A further purpose is one entry here, and a feature of `rsb_bridge.link` that serves
-it: an `Extension` with that purpose.
+counted, and joins no topic of ROS. A feature may add a purpose, and the `rsb_bridge.link.extension.Extension` that
+serves it.
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal
+from functools import cache
+from typing import TYPE_CHECKING, Literal
+
+from rsb_bridge.feature import installed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 _NAME_LENGTH = 64
 
@@ -62,4 +68,10 @@ BENCH = Purpose(
     "bench", right="bench", fills_link=True, type_name="rsb_bridge/msg/Bench", type_hash="RIHS01_" + "0" * 64
 )
 """Messages that measure the link."""
-PURPOSES = {each.name: each for each in (TOPIC, VIEW, BENCH)}
+
+
+@cache
+def purposes() -> Mapping[str, Purpose]:
+    """Return all purposes by name, those of features last."""
+    added = (each for feature in installed() for each in feature.purposes())
+    return {each.name: each for each in (TOPIC, VIEW, BENCH, *added)}

@@ -337,6 +337,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
             None.
         operators: the operators who may attach over a network.
         group: the fleet's group of its robot, or None.
+        features: values of the features' keys, by name, without those that are as by default (`feature.SessionKey.of`).
     """
 
     name: str
@@ -370,6 +371,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     zenoh: ZenohSettings | None = None
     operators: tuple[Operator, ...] = ()
     group: str | None = None
+    features: dict[str, Any] = {}  # msgspec gives each session its own
 
     @property
     def own_topics(self) -> tuple[str | None, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import msgspec
 
@@ -271,6 +272,7 @@ class RouteSnapshot:
         limits: what a hand may ask, as the two sides' sessions say, or None for any velocity.
         limited_by: the lines that have a number of `limits`: ``robot.yaml:14``.
         purpose: what it carries, as in `rsb_bridge.model.purposes`.
+        features: what features show of it, by name (`rsb_bridge.feature.ShownField.of`).
     """
 
     key: str
@@ -320,6 +322,7 @@ class RouteSnapshot:
     limits: VelocityLimits | None = None
     limited_by: tuple[str, ...] = ()
     purpose: str = "topic"
+    features: dict[str, Any] = field(default_factory=dict)
 
     @property
     def max_rate(self) -> float | None:
@@ -395,6 +398,7 @@ class LinkSnapshot:
         full_out: the rates from here, or None if the link is not full.
         full_in: the rates to here, as the peer reports them, or None if the link is not full.
         warning_since: s since the epoch, when `warning` or its cause began, or None without a warning.
+        features: what features show of it, by name (`rsb_bridge.feature.ShownField.of`).
     """
 
     name: str
@@ -429,6 +433,7 @@ class LinkSnapshot:
     loss_in: float | None = None
     warning_since: float | None = None
     acknowledged: Acknowledgement | None = None
+    features: dict[str, Any] = field(default_factory=dict)
 
     @property
     def fault_since(self) -> float:

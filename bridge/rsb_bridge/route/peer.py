@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import Refused
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.lifecycle import Revisions
     from rsb_bridge.telemetry.meters import ClockOffset
-    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.messages import ControlMessageBase
 
 TYPES_PER_LINK = 256
 """Each takes about 8 kB while an endpoint has it; a robot with all of ROS's common packages has some 200."""
@@ -117,11 +117,14 @@ class Peer(Protocol):
     def down_reason(self) -> str:
         """Reason why it isn't linked, for an operator."""
 
-    def send(self, message: ControlMessage) -> None:
+    def send(self, message: ControlMessageBase) -> None:
         """Send a control message; without a connection, nothing happens."""
 
     def shared_port(self) -> int:
         """Return the port or channel of the link itself."""
+
+    def route_fields(self, route: Any) -> dict[str, Any]:
+        """Return what features show of one of its routes."""
 
     def closed(self, route_id: int) -> None:
         """Note the end of a route's opening: control messages about it that still come are late."""

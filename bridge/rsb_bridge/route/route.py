@@ -15,7 +15,7 @@ import msgspec
 
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.purposes import PURPOSES
+from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.reason import NO_REASON, Reason
 from rsb_bridge.model.session import HIGHEST, weight_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot
@@ -97,7 +97,7 @@ class Route:
         self.peer = peer
         self.spec = spec
         self.proposal = proposal
-        self.purpose = PURPOSES[proposal.purpose]
+        self.purpose = purposes()[proposal.purpose]
         self.ends = context.ends(self.purpose)
         self.topic = proposal.topic
         self.remote_topic = proposal.remote_topic
@@ -511,6 +511,7 @@ class Route:
             limits=self.arming.limits,
             limited_by=self.arming.limited_by,
             purpose=self.purpose.name,
+            features=self.peer.route_fields(self),
         )
 
     def judge_again(self) -> None:

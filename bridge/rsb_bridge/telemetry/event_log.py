@@ -16,6 +16,7 @@ from rsb_bridge.model.text import encodable, plural, sanitize_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from enum import StrEnum
 
     from rsb_bridge.model.clock import Clock
 
@@ -65,7 +66,7 @@ class EventLog:
         self.last = 0
         self.counts = dict.fromkeys(Level, 0)
 
-    def add(self, level: Level, code: EventCode, text: str, **about: Unpack[About]) -> None:
+    def add(self, level: Level, code: StrEnum, text: str, **about: Unpack[About]) -> None:
         """Append an event; `rsb_bridge.model.snapshot.Event` says what each value is."""
         self.append(Event(0, self._clock.time_ns() / 1e9, level, code, text, **about))
 
@@ -131,7 +132,7 @@ class RateLimitedEventLog:
         self._now = now
         self._quotas: dict[tuple[str, bool], _Quota] = {}
 
-    def add(self, level: Level, code: EventCode, text: str, *, link_status: bool, **about: Unpack[About]) -> None:
+    def add(self, level: Level, code: StrEnum, text: str, *, link_status: bool, **about: Unpack[About]) -> None:
         """Add an event of a link, if its quota has room.
 
         Args:
@@ -179,7 +180,7 @@ class RateLimitedEventLog:
 
 class _Line(NamedTuple):
     level: Level
-    code: EventCode
+    code: StrEnum
     text: str
     about: About
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, Union, get_args
 
 import msgspec
 import zstandard
 from msgspec import Meta, Raw
 
+from rsb_bridge.feature import installed
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.messages import ControlMessage, Hello, Report, UrgentMessage, Welcome
+from rsb_bridge.wire.messages import ControlMessage, ControlMessageBase, Hello, Report, UrgentMessage, Welcome
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.records import (
     PRINTABLE,
@@ -114,30 +116,44 @@ WHOLE = 8 << 10
 _NOT_PRINTABLE = f"matching regex {PRINTABLE!r}"
 
 _encoder = msgspec.msgpack.Encoder()
-_control: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
-# Without `Report`, whose tag the form in parts has: msgspec takes no tag twice.
-_parts: msgspec.msgpack.Decoder[ControlMessage | ReportParts] = msgspec.msgpack.Decoder(
-    Union[*(each for each in get_args(ControlMessage) if each is not Report), ReportParts]
-)
+
+
+@cache
+def control_messages() -> tuple[type[ControlMessageBase], ...]:
+    """Return all types of control messages, those of features last. Asked late: a feature's may need this module."""
+    return (*get_args(ControlMessage), *(message for feature in installed() for message in feature.messages()))
+
+
+@cache
+def _control() -> msgspec.msgpack.Decoder[ControlMessageBase]:
+    return msgspec.msgpack.Decoder(Union[*control_messages()])
+
+
+@cache
+def _parts() -> msgspec.msgpack.Decoder[ControlMessageBase | ReportParts]:
+    # Without `Report`, whose tag the form in parts has: msgspec takes no tag twice.
+    return msgspec.msgpack.Decoder(Union[*(each for each in control_messages() if each is not Report), ReportParts])
+
+
 _urgent: msgspec.msgpack.Decoder[UrgentMessage] = msgspec.msgpack.Decoder(UrgentMessage)
 _hello = msgspec.msgpack.Decoder(Hello)
 _welcome = msgspec.msgpack.Decoder(Welcome)
 
 
-def encode(message: ControlMessage | Hello | Welcome) -> bytes:
+def encode(message: ControlMessageBase) -> bytes:
     """Return a message as msgpack."""
     return _encoder.encode(message)
 
 
-def decode(data: bytes) -> ControlMessage | ReportParts:
+def decode(data: bytes) -> ControlMessageBase | ReportParts:
     """Return a control message from msgpack. Entries of a long report are decoded later.
 
     Raises:
         ProtocolError: the message is invalid, or a field is out of its range.
     """
     if len(data) <= WHOLE:
-        return _decode(_control, data)
-    return _decode(_parts, data)
+        return _decode(_control(), data)
+    return _decode(_parts(), data)
 
 
 def decode_urgent(data: bytes) -> UrgentMessage:

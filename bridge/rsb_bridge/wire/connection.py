@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.wire.events import StreamName
-    from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
+    from rsb_bridge.wire.messages import ControlMessageBase, Hello, Welcome
     from rsb_bridge.wire.sealed_stream import ReplayCache
 
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
@@ -70,7 +70,7 @@ class _Control(SealedStream):
 
     _multiplexed: bool
 
-    def send(self, message: ControlMessage) -> bytes:
+    def send(self, message: ControlMessageBase) -> bytes:
         """Seal a control message.
 
         Returns:

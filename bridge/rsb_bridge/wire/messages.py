@@ -23,6 +23,7 @@ from rsb_bridge.wire.records import (
     CallsReport,
     Count,
     DescriptionText,
+    FeatureNames,
     FullRecord,
     Hertz,
     HistoryDepths,
@@ -61,6 +62,7 @@ class Hello(ControlMessageBase, frozen=True):
         name: of its session; the same as in the preamble.
         instance: random, new with each start of the process.
         host: its machine's host name, for operators, or empty if unknown.
+        features: the names of its features (`rsb_bridge.feature`); only what both sides have is used.
     """
 
     version: Name
@@ -68,6 +70,7 @@ class Hello(ControlMessageBase, frozen=True):
     instance: Name
     domain_id: Count
     host: Name = ""
+    features: FeatureNames = ()
 
 
 class Welcome(ControlMessageBase, frozen=True):
@@ -80,6 +83,7 @@ class Welcome(ControlMessageBase, frozen=True):
         taken: text on the client that has the name already, or empty. This client confirms, and is refused.
         shut_down: text on the operator who has shut the link down, or empty. The client confirms, and is refused.
         at: its address in a Zenoh network, or empty. A client that reached it at another address was misled.
+        features: as in `Hello`.
     """
 
     version: Name
@@ -91,6 +95,7 @@ class Welcome(ControlMessageBase, frozen=True):
     taken: Reason = ""
     shut_down: Reason = ""
     at: Name = ""
+    features: FeatureNames = ()
 
 
 class Propose(ControlMessageBase, frozen=True, kw_only=True):
@@ -123,7 +128,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
             "sending side" is the callers'.
         timeout: s until a call without an answer is given up, or 0 for 30 s and for topics.
         priority: of a topic, `rsb_bridge.model.session.RANKS`.
-        purpose: a name of `rsb_bridge.model.purposes.PURPOSES`; another one is a newer peer's, and refused.
+        purpose: a name of `rsb_bridge.model.purposes.purposes`; another one is a newer peer's, and refused.
     """
 
     route: RouteId

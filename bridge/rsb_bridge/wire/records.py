@@ -45,6 +45,7 @@ Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, patter
 Hops: TypeAlias = Annotated[tuple[Hop, ...], Meta(min_length=1, max_length=MOST_HOPS)]
 MaybeHops: TypeAlias = Annotated[tuple[Hop, ...], Meta(max_length=MOST_HOPS)]
 Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_BRIDGES)]
+FeatureNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=64)]
 NodeNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 ViewedTopics: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=TOPICS_AT_ONCE)]
 

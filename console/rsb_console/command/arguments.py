@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE
+from rsb_bridge.feature import installed
 from rsb_bridge.model.text import is_clean
 from rsb_console.command import local_commands
 from rsb_console.command.argument_values import TRANSPORTS, count, domains, seconds, sizes, topics, transports
@@ -115,6 +116,8 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     add_client_commands(command, _complete)
     add_bench_command(command, _complete)
     add_fleet_commands(command, _complete, _console_options)
+    for feature in installed():
+        feature.subcommands(command, _complete)
     summary = "print the completion script for a shell"
     script = command("completion", local_commands.completion, summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")

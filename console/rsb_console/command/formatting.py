@@ -9,6 +9,8 @@ from collections import Counter
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import msgspec
+
 from rsb_bridge.model.figure_table import Of, Unit, figures
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_json, join_first, plural
@@ -295,6 +297,7 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
             },
             **_values(_MORE_OF_LINK, link),
             "patterns": [pattern_of(pattern) for pattern in link.patterns],
+            **msgspec.to_builtins(link.features),
         }
         for link in snapshot.links
     }
@@ -358,4 +361,4 @@ def route_of(route: RouteSnapshot) -> dict[str, object]:
         figures = asdict(route.ledger)
     else:
         figures = _values(_OF_CALLS, route) | {"goals": [asdict(goal) for goal in route.goals]}
-    return _values(_OF_ROUTE, route) | figures
+    return {**_values(_OF_ROUTE, route), **figures, **msgspec.to_builtins(route.features)}

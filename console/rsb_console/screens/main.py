@@ -134,8 +134,9 @@ class MainScreen(Screen[None]):
         self.console = console
         self._explanations = Explanations(console)
         for action in ACTIONS:
-            if action.group in operations:
-                method = getattr(operations[action.group], action.id)
+            if action.run is not None or action.group in operations:
+                run = action.run
+                method = getattr(operations[action.group], action.id) if run is None else partial(run, self)
                 setattr(self, f"action_{action.id}", partial(self._run_operation, method, action))
         self.status, self.faults, self.prompt, self.key_bar = StatusBar(), FaultLines(), Prompt(), KeyBar()
         self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()

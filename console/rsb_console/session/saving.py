@@ -14,6 +14,7 @@ from rsb_bridge.config.files import is_there, typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, open_file, same
 from rsb_bridge.config.yaml_text import read_text
+from rsb_bridge.feature import session_keys
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -43,9 +44,9 @@ def unsaved(saved: Session, now: Session) -> str:
 
 def _parts(session: Session) -> dict[tuple[str, ...], object]:
     """Return the comparable parts of a session, each by its name for people and further identification."""
-    parts: dict[tuple[str, ...], object] = {
-        (name,): getattr(session, name) for name in session.__struct_fields__ if name not in ("topics", "clients")
-    }
+    others = (name for name in session.__struct_fields__ if name not in ("topics", "clients", "features"))
+    parts: dict[tuple[str, ...], object] = {(name,): getattr(session, name) for name in others}
+    parts |= {(name,): key.of(session) for name, key in session_keys().items()}
     parts |= {(topic.topic, *topic.identity): topic for topic in session.topics}
     for client in session.accepted_clients if session.role == "server" else ():
         # The client's topics are parts of their own.

@@ -11,6 +11,7 @@ from rsb_bridge.model.text import plural
 from rsb_console.look import formats
 from rsb_console.look.formats import KIND_SHORT, PatternRow, Row, rows_of
 from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.look.topic_column import ADDED
 from rsb_console.widgets.filter import table_title
 from rsb_console.widgets.selectable_list import Column, Order, SortedTable, filled
 
@@ -188,6 +189,10 @@ COLUMNS: tuple[Column[Row], ...] = (
         lambda pattern: f"{pattern.routes} {plural(pattern.routes, 'name')}",
     ),
     *map(_of_routes, _FIGURES),
+    *(
+        _of_routes(Column(each.title, each.width, each.text, each.text, right=False, from_width=each.from_width))
+        for each in ADDED
+    ),
 )
 STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
     next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "TOPIC", "PEER", " HISTORY")

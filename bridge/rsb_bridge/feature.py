@@ -1,0 +1,188 @@
+"""Features: all that a package adds to bridges and consoles, in one object.
+
+A package names its `Feature` as an entry point of the group `rsb_console.feature`; this project's own are the folders
+of `extras/rsb_extras`. `docs/a-feature.md` shows one from its message to its key. Each method returns what the feature
+adds in one place, and imports what it needs when it is called: a bridge without a console loads no screen, and a
+feature that a session does not use costs nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+
+import msgspec
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+GROUP = "rsb_console.feature"
+"""The entry points, each of which names an instance of a subclass of `Feature`."""
+
+T = TypeVar("T")
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SessionKey(Generic[T]):
+    """A key of session files that a feature brings.
+
+    Attributes:
+        type: of its value, as msgspec knows it: a number, a text, a frozen Struct, or a tuple of such.
+        default: without the key.
+        live: whether a running bridge takes a new value (`rsb-console reload`); else it has to be started again.
+    """
+
+    name: str
+    type: Any
+    default: T
+    live: bool = False
+
+    def of(self, session: msgspec.Struct) -> T:
+        """Return the key's value in a session."""
+        value: T = session.features.get(self.name, self.default)  # type: ignore[attr-defined]
+        return value
+
+
+@dataclass(frozen=True)
+class ShownField(Generic[T]):
+    """A value that a feature adds to the snapshots of links or routes, for screens and ``--json``.
+
+    Attributes:
+        type: of the value. Attached consoles get it as plain data, of which `of` makes this type again.
+        default: of a link or a route for which there is none.
+    """
+
+    name: str
+    type: Any
+    default: T
+
+    def of(self, shown: Any) -> T:
+        """Return the value in a snapshot of a link or a route; the default if an attached bridge sends nonsense."""
+        value = shown.features.get(self.name, msgspec.UNSET)
+        if value is msgspec.UNSET:
+            return self.default
+        try:
+            found: T = msgspec.convert(value, self.type)
+        except msgspec.ValidationError:
+            return self.default
+        return found
+
+
+class Feature:
+    """A package's additions. A subclass overrides the methods that it needs.
+
+    Attributes:
+        name: short, lower case; peers tell each other the names of their features.
+        needs: names of the features without which this one does nothing.
+    """
+
+    name: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    # --- both sides of a link
+
+    def messages(self) -> Iterable[type[msgspec.Struct]]:
+        """Return control messages, subclasses of `rsb_bridge.wire.messages.ControlMessageBase`."""
+        return ()
+
+    def purposes(self) -> Iterable[Any]:
+        """Return purposes of internal routes, each a `rsb_bridge.model.purposes.Purpose`."""
+        return ()
+
+    def extensions(self, link: Any) -> Iterable[Any]:
+        """Return what takes part in a link's work.
+
+        Args:
+            link: the `rsb_bridge.link.link.Link`.
+
+        Returns:
+            `rsb_bridge.link.extension.Extension`s. They are told of connections to peers that have this feature, too.
+        """
+        return ()
+
+    # --- a session and its engine
+
+    def session_keys(self) -> Iterable[SessionKey[Any]]:
+        """Return keys of session files."""
+        return ()
+
+    def problems(self, session: Any) -> Iterable[tuple[str, str]]:
+        """Return mistakes of a `rsb_bridge.model.session.Session`, each as its key and its text with the remedy."""
+        return ()
+
+    def commands(self) -> Iterable[type[msgspec.Struct]]:
+        """Return commands, subclasses of `rsb_bridge.model.commands.Command`."""
+        return ()
+
+    def parts(self, bridge: Any) -> Iterable[Any]:
+        """Return what works in an engine.
+
+        Args:
+            bridge: the `rsb_bridge.engine.bridge.Bridge`.
+
+        Returns:
+            `rsb_bridge.engine.part.EnginePart`s.
+        """
+        return ()
+
+    # --- a console
+
+    def subcommands(self, add: Any, complete: Any) -> None:
+        """Add subcommands of ``rsb-console``; for the arguments see `rsb_console.command.remote_arguments`."""
+
+    def actions(self) -> Iterable[Any]:
+        """Return actions with their keys, each a `rsb_console.actions.Action` with `run`."""
+        return ()
+
+    def columns(self) -> Iterable[Any]:
+        """Return columns of the topics, each a `rsb_console.widgets.selectable_list.Column`."""
+        return ()
+
+
+@cache
+def installed() -> tuple[Feature, ...]:
+    """Return the features that are installed, by name, those that another one needs before it.
+
+    One that cannot be loaded, or lacks another one that it needs, is left out, with a warning in the log.
+    """
+    found: dict[str, Feature] = {}
+    for feature in _loaded():
+        found.setdefault(feature.name, feature)
+    ordered: dict[str, Feature] = {}
+
+    def add(feature: Feature) -> bool:
+        if feature.name in ordered:
+            return True
+        missing = [name for name in feature.needs if name not in found or not add(found[name])]
+        if missing:
+            _logger.warning("the feature %s is left out: it needs %s", feature.name, ", ".join(missing))
+            return False
+        ordered[feature.name] = feature
+        return True
+
+    for _, feature in sorted(found.items()):
+        add(feature)
+    return tuple(ordered.values())
+
+
+def _loaded() -> Iterator[Feature]:
+    from importlib.metadata import entry_points  # noqa: PLC0415 -- 2 MB, which a console that draws pictures does without
+
+    for entry in entry_points(group=GROUP):
+        try:
+            yield entry.load()
+        except Exception as error:  # noqa: BLE001 -- of code that is not ours, and of which the bridge must not depend
+            _logger.warning("the feature %s is left out: %s: %s", entry.name, type(error).__name__, error)
+
+
+def feature_names() -> tuple[str, ...]:
+    """Return the names of the installed features."""
+    return tuple(feature.name for feature in installed())
+
+
+def session_keys() -> Mapping[str, SessionKey[Any]]:
+    """Return the features' keys of session files, by name."""
+    return {key.name: key for feature in installed() for key in feature.session_keys()}

@@ -1,0 +1,1 @@
+"""This project's features, one folder each (docs/a-feature.md)."""
