@@ -10,7 +10,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from rsb_bridge.link.extension import Extension, LinkError
-from rsb_bridge.link.proposed_routes import InternalRoutes
+from rsb_bridge.link.internal_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.benchmark import (
     LEAST_SIZE,

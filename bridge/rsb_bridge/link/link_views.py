@@ -15,7 +15,7 @@ import msgspec
 
 from rsb_bridge.config.rights import Use
 from rsb_bridge.link.extension import Extension, LinkError
-from rsb_bridge.link.proposed_routes import InternalRoutes
+from rsb_bridge.link.internal_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.link.topic_view import TopicView, check_names
 from rsb_bridge.model.codes import EventCode

@@ -303,7 +303,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def velocity(self) -> Velocity | None:
         return velocity_on(self.context, self.remote_topic)
 
-    def advance(self) -> None:
+    def _advance(self) -> None:
         """Open the channel once there is a publisher, and look for subscribers."""
         if not self.outputs:
             # A sender without publishers takes the type of the subscriptions here.

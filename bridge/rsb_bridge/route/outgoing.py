@@ -180,13 +180,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._path.histories = self._subscription.histories
         self.advance()
 
-    def advance(self) -> None:
-        """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
-        self._advance()
+    def _advance(self) -> None:
+        self._set_up()
         if self._subscription.spec is not None and (released := self._loop_filter.release()):
             self._path.receive(released)
 
-    def _advance(self) -> None:
+    def _set_up(self) -> None:
+        """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
         if not self.life.accepted or self.paused:
             self._subscription.unsubscribe()
             self._ledger.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed

@@ -32,6 +32,7 @@ from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.cdr.known_types import Velocity
@@ -135,10 +136,11 @@ class Route:
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
         self.release_port: Callable[[], None] | None = None
+        self._waiters: list[asyncio.Future[None]] = []
 
     # --- differences between the halves
 
-    def advance(self) -> None:
+    def _advance(self) -> None:
         """Do what can be done next."""
         raise NotImplementedError
 
@@ -191,6 +193,22 @@ class Route:
         raise NotImplementedError
 
     # --- common to all routes
+
+    def advance(self) -> None:
+        """Do what can be done next: ROS, the peer, the sockets or an operator may have changed something."""
+        self._advance()
+        self._wake()
+
+    async def changed(self) -> None:
+        """Wait until it has advanced or is closed. Whether messages can cross changes with nothing else."""
+        self._waiters.append(waiter := self.context.loop.create_future())
+        await waiter
+
+    def _wake(self) -> None:
+        for waiter in self._waiters:
+            if not waiter.done():
+                waiter.set_result(None)
+        self._waiters.clear()
 
     def on_accepted(self) -> None:
         """Go on after both sides have accepted the route."""
@@ -252,6 +270,7 @@ class Route:
         self._verdict = None
         self.life.handle(RouteEvent.CLOSE)
         self.reopening.closed_at = self.context.now()
+        self._wake()
 
     def destroy(self) -> None:
         """End it for good, with its endpoints."""

@@ -224,7 +224,7 @@ class CallingRoute(CallsRoute):
             self._provided = provide
             self.advance()
 
-    def advance(self) -> None:
+    def _advance(self) -> None:
         """Open the channel, and offer what can be called, or withdraw it."""
         if not self.life.accepted:
             return

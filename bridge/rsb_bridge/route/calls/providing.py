@@ -96,7 +96,7 @@ class ProvidingRoute(CallsRoute):
 
     # --- setting up
 
-    def advance(self) -> None:
+    def _advance(self) -> None:
         """Open the channel; find who provides it, have clients for them, and tell the other side."""
         if not self.life.accepted:
             return

@@ -72,9 +72,9 @@ class ProvidingActionRoute(ProvidingRoute):
 
     # --- setting up
 
-    def advance(self) -> None:
+    def _advance(self) -> None:
         had_server, opened = bool(self._provision.entries), dict(self._clients.types)
-        super().advance()
+        super()._advance()
         if not self.life.accepted:
             return
         # New clients number their calls from the start: their answers would be taken for answers to earlier questions.
