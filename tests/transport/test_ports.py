@@ -11,7 +11,8 @@ import pytest
 from tests.support.wording import pattern
 
 from rsb_bridge.model.session import Session
-from rsb_bridge.transport.registry import PortProblem, Ports, Transports
+from rsb_bridge.transport.ports import PortProblem, Ports
+from rsb_bridge.transport.registry import Transports
 from rsb_bridge.transport.transport import Acceptor, Listener, ListenError
 from rsb_bridge.transport.udp import Udp
 

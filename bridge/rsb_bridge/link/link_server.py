@@ -21,7 +21,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.descriptors import RESERVE
-from rsb_bridge.transport.registry import Ports
+from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection

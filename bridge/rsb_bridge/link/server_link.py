@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Client, Kind, Session, Topic
     from rsb_bridge.model.transports import LinkProfile, TransportTraits
     from rsb_bridge.route.route import Route
-    from rsb_bridge.transport.registry import Ports
+    from rsb_bridge.transport.ports import Ports
     from rsb_bridge.transport.streams import Address, Stream
     from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
     from rsb_bridge.wire.events import Attach
