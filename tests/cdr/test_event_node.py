@@ -14,7 +14,7 @@ from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
 from tests.support.wording import pattern
 
-from rsb_bridge.ros.parameter_events import LONGEST, InvalidEvent, ParameterEventError, node_of, with_node
+from rsb_bridge.cdr.event_node import LONGEST, InvalidEvent, ParameterEventError, node_of, with_node
 
 NAMES = st.from_regex(r"(/[a-z_][a-z0-9_]{0,11}){1,3}", fullmatch=True)
 TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20)

@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, Reliabi
 from tests.ros.domains import ANOTHER
 
 from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscriptions
-from rsb_bridge.ros.native.rclpy_extension import endpoint_of
+from rsb_bridge.ros.native.rcl_endpoints import endpoint_of
 from rsb_bridge.ros.participant import Participant
 from rsb_bridge.wire.codec import decode, encode, pack_topics, topic_entries
 from rsb_bridge.wire.messages import Describe, Report

@@ -16,6 +16,7 @@ from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.distribution import described
+from rsb_bridge.ros.native.description_service import ask_node
 from rsb_bridge.ros.native.librcl import (
     TakeBuffer,
     WaitSetHead,
@@ -23,6 +24,7 @@ from rsb_bridge.ros.native.librcl import (
     graph_guard_condition,
     reset_error,
 )
+from rsb_bridge.ros.native.rcl_endpoints import endpoint_of, safe_type_name
 from rsb_bridge.ros.native.rclpy_extension import (
     PUBLISHERS,
     SERVICES,
@@ -31,13 +33,10 @@ from rsb_bridge.ros.native.rclpy_extension import (
     Handle,
     LivelinessOfPublishers,
     ask,
-    endpoint_of,
     guard_condition,
     reason_of,
-    safe_type_name,
     wait_set,
 )
-from rsb_bridge.ros.native.rosidl_descriptions import ask_node
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
 from rsb_bridge.ros.self_test import ARGUMENTS, findings
@@ -152,7 +151,7 @@ class Participant:
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """Ask another node for the description of a type, see `rsb_bridge.ros.native.rosidl_descriptions.ask_node`.
+        """Ask another node for the description of a type, see `rsb_bridge.ros.native.description_service.ask_node`.
 
         Raises:
             RosError: rcl failed.

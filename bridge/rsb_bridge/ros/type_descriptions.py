@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _KEPT = 4 << 20
 """Characters of all descriptions together; a whole robot's take some 100,000."""
 _NODES = 3
-"""Nodes that are asked for one description. Each may take 2.5 s (`rosidl_descriptions.ask_node`)."""
+"""Nodes that are asked for one description. Each may take 2.5 s (`description_service.ask_node`)."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 10.0, 120.0
 """s until nodes are asked again: one that starts later may have the answer. It doubles, as other types wait meanwhile:
 seven types that nobody describes take 10 s each time if each has three nodes that lack the service."""

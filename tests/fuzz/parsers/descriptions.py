@@ -12,8 +12,8 @@ from tests.fuzz.parser import LONGEST, Parser, check_text
 from rsb_bridge.cdr.checker import Checker, MalformedError, UncheckableError
 from rsb_bridge.cdr.decoder import Decoded, Items, Value, decode
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, DescriptionError, hash_of_text, read_description, text_of
+from rsb_bridge.cdr.event_node import ParameterEventError, node_of, with_node
 from rsb_bridge.link.questions import description_in
-from rsb_bridge.ros.parameter_events import ParameterEventError, node_of, with_node
 
 _ITEMS, _STEPS = 5, 300
 _EVERYTHING, *_DIGITS = (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.cdr.event_node import ParameterEventError, node_of, with_node
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.parameter_events import ParameterEventError, node_of, with_node
 from rsb_bridge.route.calls.call_endpoints import name_of
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calls_verdict import Trouble
