@@ -235,7 +235,8 @@ class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         waiting: of the providing side, calls that wait until their node has read earlier ones.
         offered: whether the callers' side offers it.
         nodes: some of the calling or providing nodes.
-        malformed: type and field of the last malformed request, response or message, and what is wrong, or empty.
+        malformed_type: of the last malformed request, response or message, or empty.
+        malformed: its field, and what is wrong with it, or empty.
     """
 
     route: RouteId
@@ -244,6 +245,7 @@ class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     offered: bool = False
     verdict: VerdictRecord | None = None
     nodes: NodeNames = ()
+    malformed_type: Name = ""
     malformed: Reason = ""
 
 

@@ -13,7 +13,14 @@ from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
 from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble, calls_stages, judge_calls
+from rsb_bridge.route.calls.calls_verdict import (
+    CallsFacts,
+    CallsProgress,
+    MalformedCall,
+    Trouble,
+    calls_stages,
+    judge_calls,
+)
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 
 FINE = CallsFacts(
@@ -111,8 +118,9 @@ def test_what_is_refused_most_is_named() -> None:
 
 
 def test_malformed_calls_are_named_by_their_field() -> None:
-    facts = FINE._replace(refused={Refused.MALFORMED: 1}, malformed="B_Request: name: too long", failing_since=0.0)
-    assert facts.malformed in judge_calls(facts).said(20.0)
+    malformed = MalformedCall("B_Request", "name: too long")
+    facts = FINE._replace(refused={Refused.MALFORMED: 1}, malformed=malformed, failing_since=0.0)
+    assert "B_Request: name: too long" in judge_calls(facts).said(20.0)
 
 
 def test_a_node_that_does_not_answer_is_not_excused_by_a_lossy_path() -> None:

@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.calls.call_endpoints import RosRetry, name_of
 from rsb_bridge.route.calls.calls_ledger import CallFailures, CallsLedger
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, calls_stages, judge_calls
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, MalformedCall, Trouble, calls_stages, judge_calls
 from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.message_check import ExpandsTooMuchError, Unpacker, malformed_text
@@ -247,7 +247,7 @@ class CallsRoute(Route):
         self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self._spacing = Spacing()
         self.types = LaneTypes(context, self.members, peer.budget.checks, self._advance_if_open)
-        self._malformed_field = ""  # type and field of the last malformed content in the present opening
+        self._last_malformed: MalformedCall | None = None  # the last one in the present opening
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._last_report: CallsReport | None = None
         self._unavailable: Trouble | None = None
@@ -354,7 +354,7 @@ class CallsRoute(Route):
         """Begin a new opening."""
         super().open(route_id)
         self._report = self._last_report = None
-        self._malformed_field = ""
+        self._last_malformed = None
         self.came = False
 
     def close(self, reason: str) -> None:
@@ -449,7 +449,7 @@ class CallsRoute(Route):
             self.types.check(frame.lane, part, frame.content)
         except MalformedError as error:
             type_name = self.types.names[frame.lane] + part
-            self._malformed_field = sanitize_text(f"{type_name}: {error}")
+            self._last_malformed = MalformedCall(type_name, sanitize_text(str(error)))
             self.failures.say(malformed_text(type_name, self.peer.name, error), EventCode.ROUTE_MALFORMED)
             return Refused.MALFORMED
         except TooComplexError as error:
@@ -488,9 +488,9 @@ class CallsRoute(Route):
 
     def reported(self, report: CallsReport) -> None:
         """Take the peer's verdict, and how far its calls are."""
-        if report.malformed and (self._report is None or report.malformed != self._report.malformed):
-            type_name, _, field = report.malformed.partition(": ")
-            text = f"malformed {type_name} to {self.peer.name}: {field}: see the node here that sent it"
+        found = _malformed_in(report)
+        if found is not None and found != _malformed_in(self._report):
+            text = f"malformed {found.type_name} to {self.peer.name}: {found.field}: see the node here that sent it"
             self.failures.say(text, EventCode.ROUTE_MALFORMED)
         self._report = report
         self.judged.receive(report.verdict, self.context.now())
@@ -503,7 +503,8 @@ class CallsRoute(Route):
             route=self.id,
             given=given,
             waiting=waiting,
-            malformed=self._malformed_field,
+            malformed_type="" if self._last_malformed is None else self._last_malformed.type_name,
+            malformed="" if self._last_malformed is None else self._last_malformed.field,
             offered=self.offered,
             verdict=record_of(verdict),
             nodes=node_names(self.endpoints),
@@ -532,7 +533,7 @@ class CallsRoute(Route):
             expired=self.calls.expired_lately(),
             unanswered=self.calls.unanswered,
             refused=self.calls.refused_lately(),
-            malformed=self._malformed_field or (self._report.malformed if self._report is not None else ""),
+            malformed=self._last_malformed or _malformed_in(self._report),
             failing_since=self.failures.since,
             timeout=self.call_timeout,
         )
@@ -569,3 +570,7 @@ class CallsRoute(Route):
 def from_wrong_side(frame: CallFrame) -> ProtocolError:
     """Return the error of a frame that only the other side may send."""
     return ProtocolError(f"a frame of kind {frame.what.name} from the wrong side")
+
+
+def _malformed_in(report: CallsReport | None) -> MalformedCall | None:
+    return MalformedCall(report.malformed_type, report.malformed) if report is not None and report.malformed else None

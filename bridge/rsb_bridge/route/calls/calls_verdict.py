@@ -57,6 +57,17 @@ class CallsProgress(NamedTuple):
     last_failure: str = ""
 
 
+class MalformedCall(NamedTuple):
+    """A request, a response or a message that does not fit its type.
+
+    Attributes:
+        field: and what is wrong with it.
+    """
+
+    type_name: str
+    field: str
+
+
 class CallsFacts(NamedTuple):
     """One half's knowledge of its calls.
 
@@ -69,7 +80,7 @@ class CallsFacts(NamedTuple):
         waited: whether calls expired lately that their node never got, because it had not read earlier ones.
         unanswered: whether the last calls that are over had no answer in time, however long ago that was.
         refused: calls refused in the last `LATELY` s, by cause.
-        malformed: type and field of the last malformed request or response, and what is wrong with it, or empty.
+        malformed: the last malformed request or response, or None.
         failing_since: s, when calls began to fail, or None if none fails.
         timeout: s, after which a call is given up.
     """
@@ -82,7 +93,7 @@ class CallsFacts(NamedTuple):
     waited: bool = False
     unanswered: bool = False
     refused: Mapping[Refused, int] = {}
-    malformed: str = ""
+    malformed: MalformedCall | None = None
     failing_since: float | None = None
     timeout: float = 0.0
 
@@ -146,8 +157,8 @@ def _refused(facts: CallsFacts) -> Verdict | None:
     why = max(facts.refused, key=lambda each: facts.refused[each])
     count = sum(facts.refused.values())
     text = f"calls have been refused for {LASTING}, {count:,} in the last {LATELY} s: "
-    if why is Refused.MALFORMED and facts.malformed:
-        text += f"they or their answers are malformed ({facts.malformed}): see the node that sent them"
+    if why is Refused.MALFORMED and facts.malformed is not None:
+        text += f"they or their answers are malformed ({': '.join(facts.malformed)}): see the node that sent them"
     else:
         text += REMEDIES[why]
     return Verdict(State.SLOW, Cause.CALLS_REFUSED, text, facts.failing_since)
