@@ -11,17 +11,22 @@ from tests.support.wording import says
 from rsb_bridge.config.advice import Advice, advise
 from rsb_bridge.config.validation import SessionMistake, validate
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH, PORTS_PER_CLIENT, ROUTES_PER_LINK
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Session, Topic, ZenohSettings
 from rsb_bridge.model.wording import Wording
 
 CLIENT: dict[str, Any] = {"name": "a", "role": "client", "server_ip": "10.0.0.1", "server_port": 49152, "key_file": "k"}
 SERVER: dict[str, Any] = {**CLIENT, "role": "server"}
 LATCHED = {"profile": "latched", "depth": LATCHED_DEPTH + 1}
+INTERFACES = ", ".join(name for _, name in socket.if_nameindex())
 MAC = "5C:F3:70:9A:1B:2E"
 
 
 def topics(*some: Topic, **session: Any) -> dict[str, Any]:
     return {**CLIENT, "topics": some, **session}
+
+
+def zenoh(*endpoints: str) -> ZenohSettings:
+    return ZenohSettings(connect=endpoints)
 
 
 def one(**fields: Any) -> dict[str, Any]:
@@ -46,6 +51,15 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         ({**SERVER, "server_port": 9900}, "0", "server_port", Advice.PORT_OF_DISCOVERY, {"domain": 10}),
         (one(port=7660), None, "topics[0].port", Advice.TOPIC_PORT_OF_DISCOVERY, {"domain": 1}),
         ({**CLIENT, "metrics": "0.0.0.0:9464"}, None, "metrics", Advice.METRICS_OPEN, {}),
+        ({**CLIENT, "server_ip": "fe80::1%nope"}, None, "server_ip", Advice.NO_INTERFACE, {"zone": "nope"}),
+        ({**SERVER, "server_ip": "fe80::1%777"}, None, "server_ip", Advice.NO_INTERFACE, {"interfaces": INTERFACES}),
+        (
+            {**CLIENT, "zenoh": zenoh("tls/hub:7447", "tls/[fe80::1%nope]:7447")},
+            None,
+            "zenoh.connect[1]",
+            Advice.NO_INTERFACE,
+            {"zone": "nope"},
+        ),
         (topics(Topic("/shutdown", "transmit")), None, "topics[0]", Advice.SHUTDOWN_TOPIC, {}),
         (one(port=80), None, "topics[0].port", Advice.TOPIC_PORT_LOW, {"limit": 1024}),
         (topics(*many(ROUTES_PER_LINK + 1)), None, "topics", Advice.TOO_MANY_TOPICS, {"limit": ROUTES_PER_LINK}),
@@ -68,6 +82,8 @@ def test_advice_has_its_location(
     [
         CLIENT,
         {**SERVER, "server_port": 1024},
+        {**CLIENT, "server_ip": "fe80::1%lo"},
+        {**CLIENT, "server_ip": "fe80::1%1"},
         topics(*many(ROUTES_PER_LINK)),
         topics(*many(PORTS_PER_CLIENT, 5000)),
         one(qos={"profile": "latched", "depth": LATCHED_DEPTH}),
@@ -76,6 +92,11 @@ def test_advice_has_its_location(
 )
 def test_what_is_right_needs_no_advice(session: dict[str, Any]) -> None:
     assert list(advise(Session(**session), "7")) == []
+
+
+def test_metrics_at_an_absent_interface_are_named() -> None:
+    found = advise(Session(**CLIENT, metrics="[fe80::1%nope]:9464"), None)
+    assert [each.location for each in found if says(each.message, Advice.NO_INTERFACE, zone="nope")] == ["metrics"]
 
 
 @pytest.mark.parametrize("changes", [{"server_ip": MAC, "server_port": 3}, {"bluetooth_address": MAC}])

@@ -14,7 +14,7 @@ from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import LISTS, NOUNS, locations
 from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server, uses
 from rsb_bridge.config.topic_rules import transport_of
-from rsb_bridge.config.validation import domain_of, host_and_port, is_loopback
+from rsb_bridge.config.validation import domain_of, host_and_port, is_loopback, zones
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import Demands, demand_on_entry, local_name, sources_of
 from rsb_bridge.model.limits import (
@@ -69,6 +69,7 @@ class Advice(Wording):
     )
     NO_ENCRYPTION = "off: all data crosses unencrypted, and anyone may connect"
     NO_CHECKS = "off: a peer's malformed message can make a node here allocate gigabytes"
+    NO_INTERFACE = "this machine has no interface {zone}; it has {interfaces}"
     LOW_PORT = "ports below {limit} need root, or CAP_NET_BIND_SERVICE"
     NO_BLUETOOTH = "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)"
     METRICS_NOT_INSTALLED = "not served, because prometheus-client is not installed: pip install 'rsb-console[metrics]'"
@@ -106,6 +107,7 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
     if not session.check_messages:
         yield Problem("check_messages", Advice.NO_CHECKS())
     yield from _domain(session, domain_variable)
+    yield from _zones(session)
     yield from missing_transports(session)
     yield from _metrics(session)
     yield from _topics(session.topics, "", session)
@@ -123,6 +125,16 @@ def missing_transports(session: Session) -> Iterator[Problem]:
         yield Problem(location, Advice.NO_BLUETOOTH())
     if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
         yield Problem("zenoh", transports.HOW_TO_INSTALL_ZENOH)
+
+
+def _zones(session: Session) -> Iterator[Problem]:
+    """Yield the zones that are no interface here. That is no mistake: the file may be for another machine."""
+    interfaces = socket.if_nameindex()
+    known = {str(each) for interface in interfaces for each in interface}
+    names = ", ".join(name for _, name in interfaces)
+    for location, zone in zones(session):
+        if zone not in known:
+            yield Problem(location, Advice.NO_INTERFACE(zone=zone, interfaces=names))
 
 
 def _binds_port(session: Session) -> bool:

@@ -480,10 +480,23 @@ def _is_ip(address: str) -> bool:
 
 def lacks_zone(address: str) -> bool:
     """Whether it is a link-local address of IPv6 that does not name the interface, without which nothing reaches it."""
-    if not _is_ip(address):
-        return False
-    ip = ipaddress.ip_address(address)
+    ip = ipaddress.ip_address(address) if _is_ip(address) else None
     return isinstance(ip, ipaddress.IPv6Address) and ip.is_link_local and ip.scope_id is None
+
+
+def zones(session: Session) -> Iterator[tuple[str, str]]:
+    """Yield the interfaces that addresses of a valid session name, each with its location."""
+    named = [("server_ip", session.server_ip)]
+    if session.metrics is not None:
+        named.append(("metrics", host_and_port(session.metrics)[0]))
+    if session.zenoh is not None:
+        for key, endpoints in (("connect", session.zenoh.connect), ("listen", session.zenoh.listen)):
+            found = map(_ZENOH_ENDPOINT.fullmatch, endpoints)
+            named += [(join(join("zenoh", key), at), each["host"].strip("[]")) for at, each in enumerate(found) if each]
+    for location, host in named:
+        ip = ipaddress.ip_address(host) if _is_ip(host) else None
+        if isinstance(ip, ipaddress.IPv6Address) and ip.scope_id is not None:
+            yield location, ip.scope_id
 
 
 def _is_host(address: str) -> bool:
