@@ -45,6 +45,11 @@ _STALLED_FOR = 60.0
 30 s goes on afterwards."""
 _WAITING_BYTES = 4 << 20
 """Bytes that may wait for one console beyond a state: answers to commands only."""
+_FEW_EVENTS = 20
+"""Events that are sent at once at first, and at least: 6 kB, half a second of a link of 14 kB/s."""
+_EVENTS_TAKE = 0.5
+"""s from events to the next ones. A connection may keep megabytes (4 MiB over Zenoh), and the states behind them would
+come as late as that takes: minutes on a thin link. A round figure."""
 _PAUSE = 0.0005
 """s of rest between two parts of a state, in which the bridge's threads run."""
 _ANSWERED_WITHIN = 2.0
@@ -162,6 +167,11 @@ class AttachedConsole:
         self._looking = False
         self._looked_at = 0.0
         self._after: int | None = None
+        """The number of the last event that it has or that is on the way to it, or None until it follows them."""
+        self._events_sent = 0
+        self._events_sent_at = 0.0
+        self._has_events = False
+        """Whether it has taken the events that were sent last."""
         self._watching = False
         self._summary = b""
         self._summed_at = float("-inf")
@@ -216,7 +226,8 @@ class AttachedConsole:
 
     def end(self, reason: str) -> None:
         """Send the last events and the reason for the end; then close."""
-        self._send_events()
+        while self._send_events(protocol.EVENTS_AT_ONCE):
+            pass
         self.send(protocol.Goodbye(reason))
         self._connection.close()
 
@@ -241,7 +252,8 @@ class AttachedConsole:
         elif isinstance(message, protocol.FollowEvents):
             # A rogue console's -2**63 is more than `EventLog.after` can count.
             self._after = max(0, message.after)
-            self._send_events()
+            self._has_events = True
+            self._follow()
         elif isinstance(message, protocol.Watch):
             self._watching = True
             self._send_summary()
@@ -349,18 +361,25 @@ class AttachedConsole:
         if now - self._taken_at > _STALLED_FOR:
             self.abort()
         elif waiting == 0:
-            self._send_events()
+            self._follow()
             self._send_summary()
             await self._show()
 
-    def _send_events(self) -> None:
-        """Send as many events as are taken at once."""
-        while self._after is not None and self._buffered == 0:
-            events = self._engine.events(self._after)[: protocol.EVENTS_AT_ONCE]
-            if not events:
-                return
-            self._after = events[-1].number
+    def _follow(self) -> None:
+        """Send the next events, as many as take `_EVENTS_TAKE`, once the console has the last ones."""
+        if self._has_events:
+            took = max(1e-3, self._loop.time() - self._events_sent_at)
+            most = int(self._events_sent * _EVENTS_TAKE / took)
+            self._send_events(min(protocol.EVENTS_AT_ONCE, max(_FEW_EVENTS, most)))
+
+    def _send_events(self, most: int) -> bool:
+        """Send the next events; return whether there were any."""
+        events = [] if self._after is None or self._buffered else self._engine.events(self._after)[:most]
+        if events:
+            self._after, self._has_events = events[-1].number, False
+            self._events_sent, self._events_sent_at = len(events), self._loop.time()
             self.send(protocol.Events(tuple(events)))
+        return bool(events)
 
     def _send_summary(self) -> None:
         """Send the engine's figures if they have changed, or as a sign of life."""

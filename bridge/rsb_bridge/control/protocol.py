@@ -52,7 +52,7 @@ TO_CONSOLE_LIMIT = 16 << 20
 ROUTES_IN_STATE = 50
 """Routes in one `StateChange`; a snapshot of more comes in several, between which the bridge's threads run."""
 EVENTS_AT_ONCE = 500
-"""Events in one `Events`."""
+"""Events in one `Events`, at most."""
 TO_WATCHER_LIMIT = 64 << 10
 """Bytes of a frame to a console that only watches: the largest is `ConsoleWelcome`."""
 SUMMARY_EVERY, SIGN_OF_LIFE_EVERY = 1.0, 5.0
@@ -209,7 +209,7 @@ class PollState(_Message, frozen=True, tag="look"):
 
 
 class FollowEvents(_Message, frozen=True, tag="follow"):
-    """Asks for the events from now on.
+    """Asks for the next events, once there are some; and so after each `Events`.
 
     Attributes:
         after: the number of the last event that the console has.

@@ -372,6 +372,7 @@ class RemoteEngine(EngineApi):
                 for event in message.events:
                     self._log.append(event)
                     self._followed = event.number
+                self._send(protocol.FollowEvents(self._followed))
             case protocol.RestartStep():
                 if (waiting := self._waiting.get(message.id)) is not None and waiting.step is not None:
                     waiting.step(message.text)
