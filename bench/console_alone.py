@@ -55,7 +55,7 @@ class MovingEngine(ScriptedEngine):
             rate=random.gauss(10, 0.3),
             bytes_per_second=random.gauss(41e3, 500),
             latency_p50=random.gauss(3e-3, 2e-4),
-            age=random.uniform(0, 0.1),
+            last_at=time.time() - random.uniform(0, 0.1),
             history=(*before.history[1:], random.choice((9, 10, 11))) if second % 2 else before.history,
         )
 

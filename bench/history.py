@@ -79,7 +79,7 @@ def _route(topic: str) -> RouteSnapshot:
         spec=Topic(topic, "receive"), state=State.OK, reason="", type_name="", type_hash="", qos=None,
         publisher_qos=None, subscriber_qos=None, transport="tcp", port=1, stages=(), ledger=Ledger(delivered=1),
         rate=1.0, expected_rate=None, bytes_per_second=1.0, bytes_total=1, latency_p50=None, latency_p99=None,
-        latency_uncertainty=None, jitter=None, age=None, history=(), last_error="",
+        latency_uncertainty=None, jitter=None, last_at=None, history=(), last_error="",
     )  # fmt: skip
 
 

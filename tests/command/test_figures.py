@@ -88,7 +88,7 @@ def test_bw_gives_bytes_and_sizes(ran: Any, engine: Running) -> None:
 @pytest.mark.parametrize("name", ["hz", "bw"])
 def test_without_a_message_they_exit_with_1(ran: Any, engine: Running, name: str) -> None:
     engine.step = 0
-    silent = replace(SCAN, state=State.STOPPED, cause="publisher_silent", age=12.0)
+    silent = replace(SCAN, state=State.STOPPED, cause="publisher_silent", last_at=NOW - 12.0)
     engine.now = replace(engine.now, routes=(silent,))
     done = ran(name, "/scan", "--count", "1", "--json")
     assert done.code == 1

@@ -112,7 +112,7 @@ def test_status_names_a_client_that_is_refused(ran: Any, engine: ScriptedEngine)
     assert (of_client["name"], of_client["cause"], of_client["attempts"]) == ("robot9", "unknown_name", 3)
 
 
-WAITS = replace(SCAN, state=State.WAITING, cause="no_publisher", reason="no publisher of /scan", age=None)
+WAITS = replace(SCAN, state=State.WAITING, cause="no_publisher", reason="no publisher of /scan", last_at=None)
 
 
 @pytest.mark.parametrize(

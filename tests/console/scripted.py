@@ -81,7 +81,7 @@ def route(topic: str, state: State = State.OK, **changes: Any) -> RouteSnapshot:
         latency_p99=0.0084,
         latency_uncertainty=0.0004,
         jitter=0.0006,
-        age=0.1,
+        last_at=NOW - 0.1,
         history=tuple(10 + round(math.sin(i / 5)) for i in range(120)),
         last_error="",
     )
@@ -111,15 +111,15 @@ LINK = LinkSnapshot(
 ROUTES = (
     route("/robot1/scan"),
     route("/robot1/odom", type_name="nav_msgs/msg/Odometry", rate=49.8, expected_rate=50.0, bytes_per_second=35400.0,
-          latency_p50=0.0028, age=0.02, history=(50,) * 120),
-    route("/goal_pose", outgoing=True, transport="tcp", rate=0.2, expected_rate=None, bytes_per_second=100.0, age=2.1,
-          history=tuple(int(i % 5 == 0) for i in range(120))),
-    route("/robot1/map", State.STALE, transport="tcp", reason="nothing for 15 s", rate=0.0, expected_rate=1.0, age=8.4,
-          history=(1, 0, 1, 1) + (0,) * 8, bytes_per_second=0.0),
+          latency_p50=0.0028, last_at=NOW - 0.02, history=(50,) * 120),
+    route("/goal_pose", outgoing=True, transport="tcp", rate=0.2, expected_rate=None, bytes_per_second=100.0,
+          last_at=NOW - 2.1, history=tuple(int(i % 5 == 0) for i in range(120))),
+    route("/robot1/map", State.STALE, transport="tcp", reason="nothing for 15 s", rate=0.0, expected_rate=1.0,
+          last_at=NOW - 8.4, history=(1, 0, 1, 1) + (0,) * 8, bytes_per_second=0.0),
     route("/robot2/scan", State.DOWN, transport="bluetooth", port=3, reason="no publisher of /scan in domain 4",
-          stages=stages(0, "no publisher of /scan in domain 4"), rate=0.0, age=31.0, latency_p50=None, qos=None,
-          last_error="No route to host", last_error_at=NOW - 5, history=(10, 10, 8, 3, 1) + (0,) * 31),
-    route("/initialpose", State.PAUSED, outgoing=True, rate=0.0, expected_rate=None, age=None, latency_p50=None,
+          stages=stages(0, "no publisher of /scan in domain 4"), rate=0.0, last_at=NOW - 31.0, latency_p50=None,
+          qos=None, last_error="No route to host", last_error_at=NOW - 5, history=(10, 10, 8, 3, 1) + (0,) * 31),
+    route("/initialpose", State.PAUSED, outgoing=True, rate=0.0, expected_rate=None, last_at=None, latency_p50=None,
           history=(), ledger=Ledger()),
     route("/tf", rate=100.0, expected_rate=100.0, transport="tcp", history=(100,) * 120),
     route("/camera/image_raw/compressed", rate=15.0, expected_rate=15.0, bytes_per_second=2.4e6, history=(15,) * 120),
@@ -193,7 +193,7 @@ def call_route(kind: Kind, name: str, state: State = State.OK, **changes: Any) -
         "type_name": "std_srvs/srv/SetBool", "qos": None, "publisher_qos": None, "ledger": Ledger(),
         "stages": call_stages(), "calls": CALLS, "lanes": lanes, "rate": 0.4, "expected_rate": None,
         "bytes_per_second": 120.0, "bytes_total": 35_000, "latency_p50": None, "latency_p99": None, "jitter": None,
-        "latency_uncertainty": None, "age": 1.4, "history": tuple(int(i % 3 == 0) for i in range(120)),
+        "latency_uncertainty": None, "last_at": NOW - 1.4, "history": tuple(int(i % 3 == 0) for i in range(120)),
     }  # fmt: skip
     return route(name, state, **{**calls, **changes})
 
@@ -206,11 +206,12 @@ GOALS = (
 CALL_ROUTES = (
     call_route("service", "/robot1/set_mode"),
     call_route("service", "/robot1/map_server/load_map", State.DOWN, reason="no server of /map_server/load_map",
-               stages=call_stages(0, "no server of /map_server/load_map in domain 4"), type_name="", rate=0.0, age=None,
-               calls=CallsSnapshot(), history=()),
+               stages=call_stages(0, "no server of /map_server/load_map in domain 4"), type_name="", rate=0.0,
+               last_at=None, calls=CallsSnapshot(), history=()),
     call_route("action", "/navigate_to_pose", type_name="nav2_msgs/action/NavigateToPose", goals=GOALS, rate=1.2),
-    call_route("parameters", "/controller_server", type_name="", outgoing=False, rate=0.0, age=640.0, history=(),
-               spec=Topic("/controller_server", "receive", kind="parameters"), calls=replace(CALLS, in_flight=0)),
+    call_route("parameters", "/controller_server", type_name="", outgoing=False, rate=0.0, last_at=NOW - 640.0,
+               history=(), spec=Topic("/controller_server", "receive", kind="parameters"),
+               calls=replace(CALLS, in_flight=0)),
 )  # fmt: skip
 
 

@@ -175,7 +175,7 @@ def test_nothing_is_said_of_messages() -> None:
         assert "message" not in words
         assert "flowing" not in words
         assert "delivered" not in words
-        assert "last call" in words or about.age is None
+        assert "last call" in words or about.last_at is None
 
 
 @pytest.mark.parametrize("outgoing", [True, False])

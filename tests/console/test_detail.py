@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from tests.console.driving import NARROW, engine_of, gone, on_main, put, selected_topic, settled, shown, text, until
-from tests.console.scripted import ROUTES, route
+from tests.console.scripted import NOW, ROUTES, route
 from textual.pilot import Pilot
 
 from rsb_bridge.model.qos import Qos
@@ -16,7 +16,7 @@ from rsb_console.widgets.detail import DetailText, detail_lines
 
 
 def said(about: RouteSnapshot, width: int = 60) -> str:
-    return "\n".join("".join(piece for piece, _ in line) for line in detail_lines(about, "10.0.0.20:49152", width))
+    return "\n".join("".join(piece for piece, _ in line) for line in detail_lines(about, "10.0.0.20:49152", width, NOW))
 
 
 @on_main()

@@ -522,3 +522,12 @@ def test_who_leaves_or_gives_up_looking_publishing_or_asking_does_so_no_more(
     eventually(engine.asked[-1].cancelled)
     with pytest.raises(EngineError, match="no answer"):
         done.result(60)
+
+
+def test_console_sees_the_present_state_after_a_pause(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = ScriptedEngine()
+    remote = machine.attach_to(engine)
+    constants.CONSOLE_USED_REGULARLY.set(monkeypatch, -1.0)  # each use is one after a pause
+    for later in (60.0, 120.0):
+        engine.now = replace(engine.now, time=engine.now.time + later)
+        assert remote.snapshot().time == engine.now.time

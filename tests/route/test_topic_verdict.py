@@ -16,7 +16,7 @@ from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, LinkCause, Verdict, about, worse
+from rsb_bridge.model.verdict import EXPIRES, FINE, LASTING, Cause, LinkCause, Verdict, about, worse
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
 from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
@@ -36,6 +36,7 @@ from rsb_bridge.route.topic_verdict import (
 )
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import DeafRecord, ReceivedReport, VerdictRecord
+from rsb_console.look import formats
 
 NOW = 2e6
 """s."""
@@ -151,7 +152,7 @@ def test_a_route_that_flows_is_fine() -> None:
         (RECEIVER, STALE, State.STALE, Cause.SILENT, ["20 s"]),
         (SENDER, SLOW | {"rate": 2.02}, State.SLOW, Cause.SLOW, ["2.02 Hz", "20", "8 s", "/talker"]),
         (SENDER, SLOW | {"rate": 2.0, "lost_in_dds": 170}, State.SLOW, Cause.SLOW, ["DDS", "170"]),
-        (SENDER, {"loss": HALF, "datagrams": 40}, State.SLOW, Cause.LOSSY, ["(50%)", "10 s", "40 datagrams", USE_TCP]),
+        (SENDER, {"loss": HALF, "datagrams": 40}, State.SLOW, Cause.LOSSY, ["(50%)", "12 s", "40 datagrams", USE_TCP]),
         (SENDER, {"loss": Loss(100, 100, "lost on the way", NOW)}, State.DOWN, Cause.LOSSY, ["100", USE_TCP]),
         (SENDER, {"loss": LOST, "full": FULL}, State.SLOW, Cause.LOSSY, [FULL.share]),
         (SENDER, {"loss": LOST, "loss_of_full_link": True}, State.SLOW, Cause.LOSSY, []),
@@ -460,6 +461,12 @@ def test_what_a_newer_peer_says_is_shown_as_it_stands() -> None:
 )
 def test_durations_change_seldom(seconds: float, words: str) -> None:
     assert about(seconds) == words
+
+
+@pytest.mark.parametrize("seconds", [3.0, 10.0, 17.0, 77.0, 99.0, 110.0, 3500.0, 9000.0, 200_000.0])
+def test_reason_and_age_show_one_number(seconds: float) -> None:
+    said = Verdict(State.STOPPED, Cause.PUBLISHER_SILENT, LASTING, since=NOW - seconds).said(NOW)
+    assert re.sub(r"\.\d", "", formats.age(seconds)) in (said.replace(" ", ""), said.replace(" min", "m"))
 
 
 @pytest.mark.parametrize(

@@ -48,12 +48,13 @@ class Scraped:
 
     def __init__(self) -> None:
         self.routes: tuple[RouteSnapshot, ...] = ()
+        self.time = NOW
         self.events = EventLog(Clock())
         self.registry = CollectorRegistry()
         self.registry.register(SnapshotCollector(self._look, self.events))
 
     def _look(self) -> Snapshot:
-        return Snapshot(NOW, "hub", "server", "[::]:7060", 3, running=True, links=(LOSSY,), routes=self.routes)
+        return Snapshot(self.time, "hub", "server", "[::]:7060", 3, running=True, links=(LOSSY,), routes=self.routes)
 
     def samples(self, *routes: RouteSnapshot) -> dict[tuple[str, tuple[str, ...]], float]:
         """Return the samples by name and the values of the labels in their order, without session and link."""
@@ -117,14 +118,30 @@ def test_the_document_says_their_labels() -> None:
     assert labels == {family.name: list(family.labels) for family in FAMILIES}
 
 
+LAST = "rsb_route_last_message_timestamp_seconds", ("in", "topic", "/scan")
+
+
+def test_last_message_of_an_idle_route_does_not_move(scraped: Scraped) -> None:
+    """Such a route is not renewed in a new snapshot."""
+    idle = route("/scan", last_at=NOW - 4.0)
+    assert scraped.samples(idle)[LAST] == NOW - 4.0
+    scraped.time += 10.0
+    assert scraped.samples(idle)[LAST] == NOW - 4.0
+
+
 def test_the_figures_are_the_snapshots(scraped: Scraped) -> None:
-    found = scraped.samples(route("/scan", State.STALE, age=4.0, jitter=None), CALLS)
+    found = scraped.samples(route("/scan", State.STALE, last_at=NOW - 4.0, jitter=None), CALLS)
     scan, dock = ("in", "/scan"), ("out", "service", "/dock")
     assert found["rsb_messages_offered_total", scan] == 7134
     assert found["rsb_messages_dropped_total", ("lost on the way", *scan)] == 7
     assert ("rsb_messages_jitter_seconds", scan) not in found
     assert ("rsb_messages_latency_seconds", ("in", "99", "/scan")) in found
     assert found["rsb_route_last_message_timestamp_seconds", ("in", "topic", "/scan")] == NOW - 4
+    scraped.time += 10.0  # an idle route is not renewed
+    assert (
+        scraped.samples(*scraped.routes)["rsb_route_last_message_timestamp_seconds", ("in", "topic", "/scan")]
+        == NOW - 4
+    )
     assert found["rsb_route_level", ("in", "topic", "/scan")] == 2
     assert found["rsb_route_state", ("in", "topic", "stale", "/scan")] == 1
     assert found["rsb_calls_asked_total", dock] == 9

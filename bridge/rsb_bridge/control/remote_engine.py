@@ -42,7 +42,10 @@ _RETRY_EVERY = 0.5
 _COMES_BEFORE_USE = 0.1
 """s: the next state is asked for so long before it is likely to be used."""
 _USED_REGULARLY = 3.0
-"""s between two uses up to which the next use is expected after the same time. A round figure."""
+"""s between two uses up to which the next use is expected after the same time. A later one waits for a new state: the
+one here is as old as the use before. A round figure."""
+_RENEWED_WITHIN = 1.0
+"""s that such a use waits at most: a bridge renews its snapshot once a second."""
 _BUSY_TRIED_EVERY = 0.05  # s. A round figure: a console attaches so much later at most
 _READ_SIZE = 256 << 10
 
@@ -197,6 +200,8 @@ class RemoteEngine(EngineApi):
         self._asked_at: float | None = None
         self._heard_at = self._used_at = float("-inf")
         self._poll_is_due = False
+        self._shown_at = float("-inf")
+        self._renewed = threading.Event()
         self._started: Future[None] = Future()
         self._ends = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop
@@ -250,10 +255,15 @@ class RemoteEngine(EngineApi):
         return False
 
     def snapshot(self) -> Snapshot:
-        """Return the newest state, and request the next one."""
+        """Return the newest state, and request the next one; wait for that after a pause."""
         now = time.monotonic()
         since, self._used_at = now - self._used_at, now
-        self._call(self._poll_soon, since - _COMES_BEFORE_USE if since < _USED_REGULARLY else 0.0)
+        if since > _USED_REGULARLY < now - self._shown_at and not self._lost:
+            self._renewed.clear()
+            if self._call(self._poll_soon, 0.0):
+                self._renewed.wait(_RENEWED_WITHIN)
+        else:
+            self._call(self._poll_soon, since - _COMES_BEFORE_USE if since < _USED_REGULARLY else 0.0)
         if (silent := self._silent_for) > ANSWERS_WITHIN:
             wall = self._clock.time_ns() / 1e9
             return out_of_reach(self._shown, AttachProblem.SILENT(), since=wall - silent, now=wall)
@@ -415,6 +425,8 @@ class RemoteEngine(EngineApi):
         self._waits_for_operator = received.waits_for_operator
         # Events have other numbers here: this side adds its own.
         self._shown = replace(received.snapshot, last_event=self._log.last)
+        self._shown_at = time.monotonic()
+        self._renewed.set()
         self._asked_at = None
         self._lost = self._goodbye = ""
         if not self._started.done():
@@ -430,6 +442,7 @@ class RemoteEngine(EngineApi):
         if reason != before:
             self._shown = out_of_reach(self._shown, reason, since=self._lost_at, now=now)
             self._lost = reason
+        self._renewed.set()
         self._fail(reason)
         if not before:
             why = reason.removeprefix(f"{self._way.text}: ")

@@ -73,7 +73,7 @@ def fault_count(now: Snapshot) -> int:
 def route_waits(route: RouteSnapshot) -> bool:
     """Whether it waits for its first message and its entry sets no limit on the wait."""
     if route.state is State.STALE:
-        return route.age is None and not route.spec.stale_after
+        return route.last_at is None and not route.spec.stale_after
     return route.state is State.WAITING
 
 

@@ -30,8 +30,6 @@ class Unit(StrEnum):
     SECONDS = auto()
     MOMENT = auto()
     """s since the epoch."""
-    AGE = auto()
-    """s before the snapshot; the metric is the moment."""
 
 
 class Of(StrEnum):
@@ -126,7 +124,7 @@ FIGURES = (
     Figure(_ROUTE, "since", "since_timestamp_seconds", "When its state began.", unit=_MOMENT),
     Figure(_ROUTE, "rate", "rate_hertz", "Messages or calls a second, over the last seconds.", unit=_HERTZ),
     Figure(_ROUTE, "expected_rate", "expected_rate_hertz", "As the session says, or learned.", unit=_HERTZ),
-    Figure(_ROUTE, "age", "last_message_timestamp_seconds", "When the last message or call came.", unit=Unit.AGE),
+    Figure(_ROUTE, "last_at", "last_message_timestamp_seconds", "When the last message or call came.", unit=_MOMENT),
     Figure(_ROUTE, "bytes_total", "payload_bytes_total", "Payload that crossed this side."),
     Figure(_ROUTE, "bytes_per_second", unit=_BYTES, shown="payload"),
     Figure(_ROUTE, "kind", source="spec.kind"),

@@ -250,7 +250,8 @@ class RouteSnapshot:
         latency_p50: s, one way, or None without a figure.
         latency_uncertainty: s, the uncertainty of the clock offset that they contain.
         jitter: s (RFC 3550 section 6.4.1), or None without a figure.
-        age: s since the last message, or None before the first.
+        last_at: s since the epoch, when the last message came, or None before the first. No age, which would be of the
+            moment at which the route was looked at.
         history: messages in each of the last seconds, up to 120, oldest first.
         last_error_at: s since the epoch, its time, or 0 without one.
         cause: of the state, an `rsb_bridge.model.verdict.Cause`, one of a newer peer, or empty.
@@ -300,7 +301,7 @@ class RouteSnapshot:
     latency_p99: float | None
     latency_uncertainty: float | None
     jitter: float | None
-    age: float | None
+    last_at: float | None
     history: tuple[int, ...]
     last_error: str
     cause: str = ""
@@ -328,6 +329,10 @@ class RouteSnapshot:
     def max_rate(self) -> float | None:
         """The lowest limit of the topic's entry and the rights, Hz, or None for no limit."""
         return min((rate for rate in (self.spec.max_rate, self.allowed_rate) if rate), default=None)
+
+    def age(self, now: float) -> float | None:
+        """Return s since the last message at `now`, the `Snapshot.time`, or None before the first."""
+        return None if self.last_at is None else max(0.0, now - self.last_at)
 
 
 @dataclass(frozen=True, slots=True)

@@ -129,12 +129,22 @@ class LinkCause(StrEnum):
 
 
 def about(seconds: float) -> str:
-    """Return a duration in one unit: ``5 s``, ``40 s``, ``3 min``, ``2 h``."""
+    """Return a duration in one unit, which changes seldom: ``5 s``, ``40 s``, ``3 min``, ``2 h``."""
     if seconds < 10:
         return f"{max(1, int(seconds))} s"
     if seconds < 60:
         return f"{int(seconds / 10) * 10} s"
     return f"{int(seconds / 60)} min" if seconds < 3600 else f"{int(seconds / 3600)} h"
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as exactly as a screen shows an age: ``5 s``, ``77 s``, ``3 min``, ``2 h``, ``5 d``."""
+    if seconds < 100:
+        return f"{max(1, int(seconds))} s"
+    for size, unit in ((86400, "d"), (3600, "h")):
+        if seconds >= size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds / 60:.0f} min"
 
 
 _CLOCKS_DIFFER = 5.0
@@ -183,7 +193,7 @@ class Verdict:
         Seconds begin at the same moment for all topics, so that the figures of several lines change together.
         """
         since = now if self.since is None else self.since
-        return self.text.replace(LASTING, about(floor(now) - floor(since)))
+        return self.text.replace(LASTING, duration(floor(now) - floor(since)))
 
 
 FINE = Verdict(State.OK)

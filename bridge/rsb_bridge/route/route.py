@@ -515,7 +515,7 @@ class Route:
             bytes_per_second=self.meter.bytes_per_second,
             bytes_total=self.meter.bytes,
             latency_uncertainty=self.peer.clock.uncertainty,
-            age=None if self.meter.last is None else now - self.meter.last,
+            last_at=None if self.meter.last is None else self.context.wall_of(self.meter.last),
             history=tuple(self.meter.history),
             last_error=self.notices.last_error,
             last_error_at=self.notices.last_error_at,

@@ -22,7 +22,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
 from rsb_bridge.model.calls import Refused
-from rsb_bridge.model.figure_table import FIGURES, Of, Unit
+from rsb_bridge.model.figure_table import FIGURES, Of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -109,12 +109,12 @@ class SnapshotCollector(Collector):
             now = self._look()
             add((), self._of_bridge(now))
             for link in now.links:
-                add((link.name,), _samples(Of.LINK, link, now.time))
+                add((link.name,), _samples(Of.LINK, link))
             known, self._highest = self._highest, {}
             for route, labels in zip(now.routes, _labels_of(now.routes), strict=True):
-                add((*labels, route.spec.kind), _samples(Of.ROUTE, route, now.time))
+                add((*labels, route.spec.kind), _samples(Of.ROUTE, route))
                 of = Of.MESSAGES if route.calls is None else Of.CALLS
-                samples = _samples(of, route, now.time)
+                samples = _samples(of, route)
                 self._highest[route.key] = counters = _highest(known.get(route.key, {}), samples)
                 add(labels if route.calls is None else (*labels, route.spec.kind), samples | counters)
         yield from made.values()  # outside of the lock: a slow reader holds up no other one
@@ -140,15 +140,15 @@ def _highest(before: _Samples, samples: _Samples) -> _Samples:
     return {each: max(before.get(each, 0), counts.get(each, 0)) for each in {**before, **counts}}
 
 
-def _samples(of: Of, subject: LinkSnapshot | RouteSnapshot, now: float) -> _Samples:
-    """Read the metrics of a link or a route at `now` (s since the epoch). Figures that are not known have no sample."""
+def _samples(of: Of, subject: LinkSnapshot | RouteSnapshot) -> _Samples:
+    """Read the metrics of a link or a route. Figures that are not known have no sample."""
     found: _Samples = {}
     for name, figure in _METRICS[of]:
         value = figure.read(subject)
         if value is None:
             continue
         if not figure.by:
-            found[name,] = now - value if figure.unit is Unit.AGE else value
+            found[name,] = value
         elif figure.at:
             found[name, figure.at] = value
         elif isinstance(value, str):

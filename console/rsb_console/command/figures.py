@@ -229,7 +229,7 @@ def _about(figures: Figures) -> dict[str, object]:
         "time": figures.time,
         "state": route.state,
         "cause": route.cause,
-        "age": route.age,
+        "age": route.age(figures.time),
         "seconds": round(figures.seconds, 3),
         "messages": figures.messages,
     }
@@ -249,7 +249,8 @@ def _hz_lines(figures: Figures) -> Iterator[str]:
         crossing = f"; {figures.crossing}" if figures.crossing else ""
         yield f"average rate: {figures.rate:.3f} Hz over {figures.seconds:.0f} s{crossing}"
     else:
-        last = "yet" if route.age is None else f"for {formats.age(route.age)}"
+        age = route.age(figures.time)
+        last = "yet" if age is None else f"for {formats.age(age)}"
         yield f"no message {last}"
     if counts := figures.each_second:
         spread = f"min {min(counts)}, max {max(counts)}, std dev {statistics.pstdev(counts):.2f}"

@@ -33,11 +33,11 @@ def print_info(arguments: Namespace) -> int:
         link = next((each for each in now.links if each.name == route.link), None)
         if arguments.json:
             of_links = links_of(now)
-            values = _values(route)
+            values = _values(route, now.time)
             print_line(json_line({"ok": True, **values, "link_status": of_links.get(route.link)}))
         else:
             figures = measured(engine, route, _MEASURED) if _loses(route) else None
-            for line in _lines(route, link, other_side(engine, route.link), figures):
+            for line in _lines(route, link, other_side(engine, route.link), figures, now.time):
                 print_line(line)
     return OK
 
@@ -47,7 +47,7 @@ def _loses(route: RouteSnapshot) -> bool:
     return route.calls is None and route.outgoing and route.rate > 0 and route.ledger.dropped_total > 0
 
 
-def _values(route: RouteSnapshot) -> dict[str, object]:
+def _values(route: RouteSnapshot, now: float) -> dict[str, object]:
     return route_of(route) | {
         "type": route.type_name,
         "type_hash": route.type_hash,
@@ -67,7 +67,7 @@ def _values(route: RouteSnapshot) -> dict[str, object]:
         "messages_total": route.messages_total,
         "latency_uncertainty": route.latency_uncertainty,
         "jitter": route.jitter,
-        "age": route.age,
+        "age": route.age(now),
         "last_error": route.last_error,
         "last_error_at": round(route.last_error_at, 3) if route.last_error else None,
         "stages": [{"name": stage.name, "done": stage.done, "detail": stage.detail} for stage in route.stages],
@@ -84,7 +84,9 @@ def _qos_values(qos: Qos | None) -> object:
     return None if qos is None else msgspec.structs.asdict(qos)
 
 
-def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures: Figures | None) -> Iterator[str]:
+def _lines(
+    route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures: Figures | None, now: float
+) -> Iterator[str]:
     is_topic = route.calls is None
     yield f"{'Topic' if is_topic else route.spec.kind.capitalize()}: {route.topic}"
     unknown = "ROS's own for parameters" if route.spec.kind == "parameters" else "not known yet"
@@ -108,7 +110,7 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures:
     if link is not None:
         yield f"Link: {', '.join(_link_parts(link))}"
     yield from _ends(route) if is_topic else _provider(route)
-    yield f"Rate: {_rate(route, figures)}"
+    yield f"Rate: {_rate(route, figures, now)}"
     yield f"Bytes: {formats.byte_rate(route.bytes_per_second)}, {formats.byte_count(route.bytes_total)} in all"
     if (latency := _latency(route)) is not None:
         yield latency
@@ -167,7 +169,7 @@ def _provider(route: RouteSnapshot) -> Iterator[str]:
     yield f"{provider}: {', '.join(route.subscribers) or 'none known'}"
 
 
-def _rate(route: RouteSnapshot, figures: Figures | None) -> str:
+def _rate(route: RouteSnapshot, figures: Figures | None, now: float) -> str:
     if route.calls is not None:
         return f"{formats.hertz(route.rate)} calls/s"
     where = "given to the link's queue" if route.outgoing else "published here"
@@ -176,7 +178,7 @@ def _rate(route: RouteSnapshot, figures: Figures | None) -> str:
         text += f", {figures.crossing}"
     if route.expected_rate is not None:
         text += f", {'expected' if route.spec.expected_rate else 'usual'}: {formats.expected(route.expected_rate)} Hz"
-    return text if route.age is None else f"{text}, the last message {formats.age(route.age)} ago"
+    return text if (age := route.age(now)) is None else f"{text}, the last message {formats.age(age)} ago"
 
 
 def _latency(route: RouteSnapshot) -> str | None:

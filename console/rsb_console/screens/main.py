@@ -212,7 +212,7 @@ class MainScreen(Screen[None]):
         # The hidden pane of a narrow screen costs nothing.
         if self.detail.display:
             route = self.topics.selected
-            self.detail.show(route, "" if route is None else self.console.peer_of(route))
+            self.detail.show(route, "" if route is None else self.console.peer_of(route), self.topics.now)
 
     @on(events.ScreenSuspend)
     @on(events.ScreenResume)

@@ -66,22 +66,24 @@ class DetailPane(FixedLines, can_focus=True):
         super().__init__(id="detail")
         self._route: Row | None = None
         self._peer = ""
+        self._now = 0.0
 
-    def show(self, route: Row | None, peer: str = "") -> None:
+    def show(self, route: Row | None, peer: str = "", now: float = 0.0) -> None:
         """Show a topic. If the topic changed, scroll to its first line.
 
         Args:
             peer: the other side's name or address.
+            now: s since the epoch, of the snapshot.
         """
         if (route and route.key) != (self._route and self._route.key):
             self.scroll_home(animate=False)
-        self._route, self._peer = route, peer
+        self._route, self._peer, self._now = route, peer, now
         self.entitle("" if route is None else f"{route.topic} ")
         width = self.scrollable_content_region.width  # without the scrollbar, which hides the ends of lines
         if route is None:
             self._lines = [(), ((" no topic selected", "dim"),)]
         else:
-            self._lines = [fit(line, width) for line in detail_lines(route, peer, width)]
+            self._lines = [fit(line, width) for line in detail_lines(route, peer, width, now)]
         self.sync()
 
     def action_move_down(self) -> None:
@@ -98,19 +100,22 @@ class DetailPane(FixedLines, can_focus=True):
 
     def on_resize(self) -> None:
         # Lines are cut and wrapped for the width that the pane had.
-        self.show(self._route, self._peer)
+        self.show(self._route, self._peer, self._now)
 
 
-def detail_lines(route: Row, peer: str, width: int) -> Iterator[Line]:
+def detail_lines(route: Row, peer: str, width: int, now: float) -> Iterator[Line]:
     """Lay out the details of a topic, a service, an action or parameters.
 
     Args:
         peer: the other side's name or address.
         width: width of the pane in cells.
+        now: s since the epoch, of the snapshot.
     """
     if isinstance(route, PatternRow):
         return _pattern_lines(route, width)
-    return _topic_lines(route, peer, width) if route.calls is None else call_lines(route, route.calls, peer, width)
+    if route.calls is None:
+        return _topic_lines(route, peer, width, now)
+    return _call_lines(route, route.calls, peer, width, now)
 
 
 def _pattern_lines(row: PatternRow, width: int) -> Iterator[Line]:
@@ -128,8 +133,8 @@ def _pattern_lines(row: PatternRow, width: int) -> Iterator[Line]:
     yield from _wrapped("Each name that matches has a line of its own in the table.", width, "dim")
 
 
-def _topic_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
-    yield from _heading(route, "message", width)
+def _topic_lines(route: RouteSnapshot, peer: str, width: int, now: float) -> Iterator[Line]:
+    yield from _heading(route, "message", width, now)
     yield from _crossing(route, f"{f'{OUT} to' if route.outgoing else f'{IN} from'} {peer}", width)
     yield ()
     yield from _stages(route, DetailText.WHY_NOT_FLOWING(), DetailText.NOTHING_COMES(), width)
@@ -182,14 +187,14 @@ def _topic_figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
     yield from _last_error(route, width)
 
 
-def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int) -> Iterator[Line]:
+def _call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int, now: float) -> Iterator[Line]:
     """Lay out the details of a service, an action or parameters.
 
     Args:
         peer: the other side's name or address.
         width: width of the pane in cells.
     """
-    yield from _heading(route, "call", width)
+    yield from _heading(route, "call", width, now)
     yield from _crossing(route, f"{f'{OUT} answered by' if route.outgoing else f'{IN} called by'} {peer}", width)
     yield ()
     yield from _stages(route, DetailText.WHY_NO_ANSWER(), "and it does not answer now", width)
@@ -257,17 +262,15 @@ def _latency(name: str, p50: float | None, p99: float | None, what: str, width: 
         yield from _figure(name, [f"p50 {formats.span(p50)} ", f"p99 {formats.span(p99)}{what}"], width)
 
 
-def _heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
+def _heading(route: RouteSnapshot, last: str, width: int, now: float) -> Iterator[Line]:
     """Yield the state, the arming and the reason of a fault.
 
     Args:
         last: word for the last arrival: ``message``.
         width: width of the pane in cells.
     """
-    yield (
-        _state(route.state),
-        ("" if route.age is None or route.age < 1 else f" last {last} {formats.age(route.age)} ago", "dim"),
-    )
+    age = route.age(now) or 0.0
+    yield _state(route.state), ("" if age < 1 else f" last {last} {formats.age(age)} ago", "dim")
     if (arming := route.arming) is not None and arming.armed:
         left = "" if arming.left is None else f" {arming.left:.0f} s"
         yield ((f" {ARMED} {ARMED_WORD}{left} ", "armed"),)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, cast
@@ -141,7 +142,7 @@ _FIGURES: tuple[Column[RouteSnapshot], ...] = (
         from_width=_BESIDE_CALLS,
         only_calls=True,
     ),
-    Column("AGE", 5, lambda r: "-" if r.age is None else formats.age(r.age), lambda r: -(r.age or 0.0), from_width=48),
+    Column("AGE", 5, lambda _: "-", lambda r: math.inf if r.last_at is None else r.last_at, from_width=48),
     Column(
         " HISTORY",
         HISTORY + 1,
@@ -194,8 +195,9 @@ COLUMNS: tuple[Column[Row], ...] = (
         for each in ADDED
     ),
 )
-STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
-    next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "TOPIC", "PEER", " HISTORY")
+STATE, SIGN, TOPIC, PEER, _AGE, HISTORY_COLUMN = (
+    next(column for column in COLUMNS if column.title == title)
+    for title in ("STATE", "", "TOPIC", "PEER", "AGE", " HISTORY")
 )
 
 _ALWAYS = (STATE, SIGN, TOPIC)
@@ -258,10 +260,12 @@ class TopicsTable(SortedTable[Row]):
         self.pattern: RowFilter | None = None
         self.wanted_columns: frozenset[str] | None = None
         """Headings of the operator's choice besides state and topic, or None for all that fit."""
+        self.now = 0.0
         self._peers = self._calls = False
         self._names = 0
 
     def show(self, snapshot: Snapshot) -> None:
+        self.now = snapshot.time
         self.rows = {row.key: row for row in rows_of(snapshot)}
         self._peers = len(snapshot.links) > 1
         self._calls = any(row.spec.kind != "topic" for row in self.rows.values())
@@ -318,7 +322,11 @@ class TopicsTable(SortedTable[Row]):
     def row_line(self, key: str, *, cursor: bool) -> Line:
         row = self.rows[key]
         edge = ("▌", row.state.value) if cursor else (" ", "")
-        return (edge, *((column.cell(row, width), _look(column, row)) for column, width in self.columns))
+        return (edge, *((self._cell(column, row, width), _look(column, row)) for column, width in self.columns))
+
+    def _cell(self, column: Column[Row], row: Row, width: int) -> str:
+        age = row.age(self.now) if column is _AGE and not isinstance(row, PatternRow) else None
+        return column.cell(row, width) if age is None else column.aligned(formats.age(age), width)
 
     @property
     def columns(self) -> Layout[Row]:
