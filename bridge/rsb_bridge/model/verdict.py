@@ -187,13 +187,17 @@ class Verdict:
     text: str = ""
     since: float | None = None
 
-    def said(self, now: float) -> str:
+    def said(self, now: float, wall: float | None = None) -> str:
         """Return the text at `now` (s).
 
         Seconds begin at the same moment for all topics, so that the figures of several lines change together.
+
+        Args:
+            wall: s since the epoch, by which screens count the age of a message, or None for `now`.
         """
-        since = now if self.since is None else self.since
-        return self.text.replace(LASTING, duration(floor(now) - floor(since)))
+        wall = now if wall is None else wall
+        lasting = 0.0 if self.since is None else now - self.since
+        return self.text.replace(LASTING, duration(floor(wall) - floor(wall - lasting)))
 
 
 FINE = Verdict(State.OK)

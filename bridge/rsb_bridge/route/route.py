@@ -504,7 +504,7 @@ class Route:
             outgoing=self.outgoing,
             spec=self.spec,
             state=verdict.state,
-            reason=verdict.said(now),
+            reason=verdict.said(now, self.context.wall()),
             type_name=self.type_name,
             type_hash=self.type_hash,
             transport=self.transport.name,

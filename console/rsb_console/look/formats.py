@@ -119,6 +119,11 @@ def age_since(since: float, now: float) -> str:
     return f"{seconds}s" if seconds < 100 else age(seconds)
 
 
+def age_of(last_at: float, now: float) -> str:
+    """Format the age of the last message: with tenths below 10 s, then as `age_since`, like the reason of a silence."""
+    return age(now - last_at) if now - last_at < 10 else age_since(last_at, now)
+
+
 def clock(seconds: float) -> str:
     """Format a duration as hours, minutes and seconds: ``00:12:04``."""
     whole = max(0, int(seconds))

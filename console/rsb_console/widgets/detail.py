@@ -269,8 +269,8 @@ def _heading(route: RouteSnapshot, last: str, width: int, now: float) -> Iterato
         last: word for the last arrival: ``message``.
         width: width of the pane in cells.
     """
-    age = route.age(now) or 0.0
-    yield _state(route.state), ("" if age < 1 else f" last {last} {formats.age(age)} ago", "dim")
+    ago = "" if route.last_at is None or now - route.last_at < 1 else formats.age_of(route.last_at, now)
+    yield _state(route.state), (ago and f" last {last} {ago} ago", "dim")
     if (arming := route.arming) is not None and arming.armed:
         left = "" if arming.left is None else f" {arming.left:.0f} s"
         yield ((f" {ARMED} {ARMED_WORD}{left} ", "armed"),)

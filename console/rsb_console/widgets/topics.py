@@ -325,8 +325,9 @@ class TopicsTable(SortedTable[Row]):
         return (edge, *((self._cell(column, row, width), _look(column, row)) for column, width in self.columns))
 
     def _cell(self, column: Column[Row], row: Row, width: int) -> str:
-        age = row.age(self.now) if column is _AGE and not isinstance(row, PatternRow) else None
-        return column.cell(row, width) if age is None else column.aligned(formats.age(age), width)
+        if column is not _AGE or isinstance(row, PatternRow) or row.last_at is None:
+            return column.cell(row, width)
+        return column.aligned(formats.age_of(row.last_at, self.now), width)
 
     @property
     def columns(self) -> Layout[Row]:
