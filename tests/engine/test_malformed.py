@@ -169,6 +169,25 @@ def test_eight_bytes_of_a_request_do_not_reach_a_node(bridge: Bridge, victim: Vi
     eventually(lambda: happened(client, EventCode.ROUTE_MALFORMED, f"{request} to robot1: param"))
 
 
+@pytest.mark.parametrize("sender_knows", [True, False])
+def test_too_long_calls_are_refused_by_either_side(
+    sender_knows: bool, bridge: Bridge, victim: Victim, caller: RosNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if sender_knows:
+        constants.CALL_LIMIT.set(monkeypatch, 1000)
+    server, client = bridge.both(Topic(SET, "transmit", kind="service", timeout=20.0))
+    short = EIGHT[:4] + bytes(4)
+    first = calls_raw(caller, SET, PARAMETERS, short)
+    eventually(lambda: first)
+    constants.CALL_LIMIT.set(monkeypatch, 1000)
+    answers = calls_raw(caller, SET, PARAMETERS, EIGHT[:4] + bytes(2000), short)
+    eventually(lambda: answers)
+    eventually(lambda: refused(client, SET) == {"too large": 1})
+    assert refused(server, SET) == ({} if sender_knows else {"too large": 1})
+    assert sender_knows or happened(server, EventCode.ROUTE_TOO_LARGE, "robot1 sent 2,004 bytes")
+    assert len(answers) == 1
+
+
 def test_a_hostile_peer_cannot_send_them_either(
     bridge: Bridge, victim: Victim, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,6 +52,7 @@ LINK_ARMING_ANSWERED_WITHIN = Place("rsb_bridge.link.link_arming", "ANSWERED_WIT
 NAMES_GONE_AFTER = Place("rsb_bridge.link.link_patterns", "GONE_AFTER")
 NAMES_FOLLOWED = Place("rsb_bridge.link.link_patterns", "NAMES_FOLLOWED")
 CONSOLE_USED_REGULARLY = Place("rsb_bridge.control.remote_engine", "_USED_REGULARLY")
+CALL_LIMIT = Place("rsb_bridge.route.calls.calls_route", "CALL_LIMIT")
 VIEW_OPENED_WITHIN = Place("rsb_bridge.link.internal_routes", "OPENED_WITHIN")
 SERVER_HANDSHAKE_WITHIN = Place("rsb_bridge.link.pending_connections", "_HANDSHAKE_WITHIN")
 ROUTES_PROPOSED_BY_SERVER = Place("rsb_bridge.link.proposals", "ROUTES_PROPOSED_BY_SERVER")

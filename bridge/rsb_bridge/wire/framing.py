@@ -123,6 +123,10 @@ MESSAGE_LIMIT = 64 << 20
 """Bytes of the longest message, as sent (compressed, if it is)."""
 CONTENT_LIMIT = 2 * MESSAGE_LIMIT
 """Bytes of the longest compressed message, once it is unpacked: a map of 100 MB is 1 MB on the wire."""
+CALL_LIMIT = 32 << 20
+"""Bytes of the longest request, response or message of a route of calls, unpacked. A bridge may hand it to DDS on its
+loop, which stands still meanwhile: for 30 ms with 8 MiB, 80 ms with 32 MiB, 250 ms with 64 MiB, and three times that at
+the first time (bench/README.md, *Long calls*)."""
 UNFINISHED_LIMIT = 4 * MESSAGE_LIMIT
 """Bytes of incomplete messages that all readers of a link hold together: 64 messages of 8 MB, each half received."""
 

@@ -9,6 +9,7 @@ from rsb_bridge.model.calls import CallsSnapshot, Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.telemetry.meters import LatencyMeter
+from rsb_bridge.wire.framing import CALL_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +33,7 @@ REMEDIES = {
     Refused.DISARMED: "it was not armed when the request was made: ask again once it is armed",
     Refused.UNHEARD: "it is armed, but the two sides do not hear each other: ask again, or check the link",
     Refused.PROVIDER_GONE: "nobody serves it any more: start its node",
-    Refused.TOO_LARGE: "the request or the response is longer than a message may be",
+    Refused.TOO_LARGE: f"the request or the response is longer than {CALL_LIMIT >> 20} MiB: use a topic for it",
     Refused.MALFORMED: "the request or the response is malformed: the log names the field",
     Refused.TOO_COMPLEX: "the link's calls have more strings and sequences than are checked: send less",
     Refused.NOT_SENT: "the middleware refused the request; the log of the providing side says why",

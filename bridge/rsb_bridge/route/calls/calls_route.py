@@ -28,7 +28,7 @@ from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.message_check import ExpandsTooMuchError, Unpacker, malformed_text
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.sending import STANDS_STILL
-from rsb_bridge.wire.framing import LEASED, ZSTD, Message
+from rsb_bridge.wire.framing import CALL_LIMIT, LEASED, ZSTD, Message
 from rsb_bridge.wire.headers import (
     CALL_HEADER_LENGTH,
     LEASE_HEADER_LENGTH,
@@ -95,7 +95,7 @@ class CallsOutbox:
         leaves: Callable[[CallFrame], bool],
         stamp: Callable[[], int],
     ) -> None:
-        self.largest = transport.largest_message - CALL_HEADER_LENGTH - LEASE_HEADER_LENGTH
+        self.largest = min(CALL_LIMIT, transport.largest_message - CALL_HEADER_LENGTH - LEASE_HEADER_LENGTH)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
         self._members = members
         self._leaves = leaves
@@ -445,6 +445,10 @@ class CallsRoute(Route):
         Args:
             part: the suffix of the lane's type: ``_Request``, ``_Response`` or nothing.
         """
+        if (size := len(frame.content)) > CALL_LIMIT:
+            text = f"{self.peer.name} sent {size:,} bytes of {self.types.names[frame.lane]}, more than {CALL_LIMIT:,}"
+            self.failures.say(text, EventCode.ROUTE_TOO_LARGE)
+            return Refused.TOO_LARGE
         try:
             self.types.check(frame.lane, part, frame.content)
         except MalformedError as error:

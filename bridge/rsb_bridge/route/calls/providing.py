@@ -433,6 +433,12 @@ class ProvidingRoute(CallsRoute):
         """Send messages from ROS, the oldest first."""
         still = self.channel.still(self.context.now()) if self.channel is not None and self.channel.ready else 0.0
         for message in messages:
+            if (size := len(message.payload)) > self._outbox.largest:
+                text = (
+                    f"a message of {size:,} bytes for the callers is left out: at most {self._outbox.largest:,} cross"
+                )
+                self.failures.say(text, EventCode.ROUTE_TOO_LARGE)
+                continue
             stamp = shifted(message.stamp, self.context.stamps.shift)
             self._outbox.put(CallFrame(What.MESSAGE, lane, 0, 0, message.payload, stamp=stamp), still)
         self.flush()
