@@ -73,6 +73,8 @@ def nasty(kind: msgspec.inspect.Type, text: str, figure: float) -> Any:
             return True
         case inspect.NoneType():
             return None
+        case inspect.AnyType():  # of a feature
+            return {text: [text, figure]}
     raise AssertionError(f"a type that no message has had before: {kind}")
 
 
