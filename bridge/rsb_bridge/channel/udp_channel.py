@@ -26,10 +26,16 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.datagram import Arrived, OfProbeRoute
     from rsb_bridge.wire.sealing import Buffer
 
-
+# s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns. Both
+# are of the protocol (PROTOCOL.md, 2).
 EXPIRE, NEWEST_EXPIRES = 1.0, 5.0
-"""s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns. Both
-are of the protocol (PROTOCOL.md, 2)."""
+# s; more than a whole link may be silent (`keepalive.DEAD_AFTER`), or a firewall would be blamed for a cut cable.
+_SILENT = 6.0
+# How often an urgent message is sent, and a command of an armed topic that is one datagram: a link that loses every
+# third one then loses every eleventh command, and robots stand still after two or three. The receiver opens one.
+TIMES = 2
+# s, and addresses of one client: it has one, unless its network changes, or somebody delivers its probes.
+_CHALLENGED_FOR, _MOST_CHALLENGED = 10.0, 4
 
 
 class PathProbe:
@@ -67,10 +73,6 @@ class PathProbe:
         self._reader.close()
 
 
-_SILENT = 6.0
-"""s; more than a whole link may be silent (`keepalive.DEAD_AFTER`), or a firewall would be blamed for a cut cable."""
-
-
 class Silence(Wording):
     """Silences of a UDP channel, by what may cause them."""
 
@@ -79,14 +81,6 @@ class Silence(Wording):
     NOTHING_OVER_ZENOH = (
         "no datagram comes through the Zenoh network: is it congested, or does its access control forbid them?"
     )
-
-
-TIMES = 2
-"""How often an urgent message is sent, and a command of an armed topic that is one datagram: a link that loses every
-third one then loses every eleventh command, and robots stand still after two or three. The receiver opens one of the
-two."""
-_CHALLENGED_FOR, _MOST_CHALLENGED = 10.0, 4
-"""s, and addresses of one client: it has one, unless its network changes, or somebody delivers its probes."""
 
 
 class _Challenge(NamedTuple):
