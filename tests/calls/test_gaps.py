@@ -11,10 +11,14 @@ import pytest
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
 from tests.calls.cutting import FIBONACCI
+from tests.support import constants
 from tests.support.bridge import route
 from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciServer, id_of
 from tests.support.relay import same_port
 from tests.support.waiting import eventually
+
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,6 +66,30 @@ def test_feedback_of_a_gap_comes_whole(
     relay.stall(False)
     assert goal.result() == ("succeeded", [1])
     assert goal.feedbacks == [[0], *([count] * 200 for count in range(2, 52))]
+
+
+def test_goal_waits_for_a_silent_link(
+    relay: Relay,
+    bridge: Bridge,
+    server: FibonacciServer,
+    client: FibonacciClient,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
+    sides = bridge.both(FIBONACCI)
+
+    def both_say(*verdict: object) -> bool:
+        return all((route(each, ACTION).state, route(each, ACTION).cause) == verdict for each in sides)
+
+    goal = client.send(1).ask()
+    server.goal()
+    eventually(lambda: both_say(State.OK, Cause.NONE))
+    relay.stall(new=True)
+    eventually(lambda: both_say(State.WAITING, Cause.AWAITS_LINK))
+    relay.stall(False)
+    eventually(lambda: both_say(State.OK, Cause.NONE))
+    server.finish(1)
+    assert goal.result() == ("succeeded", [1])
 
 
 class _Hesitant(FibonacciServer):

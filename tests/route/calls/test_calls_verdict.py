@@ -32,6 +32,7 @@ CALL_STAGES = ("server seen", "type known", "link up", "peer accepted", "offered
 """Scripts read these names in JSON."""
 NOBODY = Trouble(Cause.NO_SERVER, "no server of /go in domain 2")
 GONE = Trouble(Cause.SERVER_GONE, "no server of /go in domain 2 any more")
+SILENT = PathFault(LinkCause.SILENT, "nothing comes")
 TWO = Trouble(Cause.SEVERAL_SERVERS, "/go is served by /one and /two")
 
 
@@ -73,6 +74,8 @@ def stages_on(**changes: Any) -> dict[str, Stage]:
         ({"unanswered": True, "failing_since": 1.0}, State.SLOW, Cause.UNANSWERED),
         ({"came": False, "came_before": True}, State.WAITING, Cause.NO_CALL),
         ({"refused": {Refused.PAUSED: 1}, "failing_since": 1.0}, State.SLOW, Cause.CALLS_REFUSED),
+        ({"path": SILENT, "in_flight": 1}, State.WAITING, Cause.AWAITS_LINK),
+        ({"path": SILENT, "in_flight": 0}, State.OK, Cause.NONE),
         ({"expired": 3, "failing_since": 1.0, "warning": TWO}, State.SLOW, Cause.UNANSWERED),
         ({"warning": TWO}, State.UNHEARD, Cause.SEVERAL_SERVERS),
         ({"limit": 5.0}, State.OK, Cause.THROTTLED),

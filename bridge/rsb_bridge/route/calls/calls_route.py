@@ -534,6 +534,7 @@ class CallsRoute(Route):
             self.progress(),
             unavailable=self._unavailable or self._retry.trouble,
             warning=self._warning,
+            in_flight=self.calls.in_flight,
             expired=self.calls.expired_lately(),
             unanswered=self.calls.unanswered,
             refused=self.calls.refused_lately(),

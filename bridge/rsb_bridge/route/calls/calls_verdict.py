@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import LASTING, Cause, Verdict
+from rsb_bridge.model.verdict import LASTING, Cause, LinkCause, Verdict
 from rsb_bridge.route.blocking_rules import as_known, first_missing, link_and_acceptance, stage, worst
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 
@@ -76,6 +76,7 @@ class CallsFacts(NamedTuple):
         progress: how far calls get.
         unavailable: the reason why nothing can be called, or None if this side knows of none.
         warning: the trouble that does not keep calls from crossing, or None.
+        in_flight: calls without an answer.
         expired: calls in the last `LATELY` s that had no answer in time.
         waited: whether calls expired lately that their node never got, because it had not read earlier ones.
         unanswered: whether the last calls that are over had no answer in time, however long ago that was.
@@ -89,6 +90,7 @@ class CallsFacts(NamedTuple):
     progress: CallsProgress = CallsProgress()
     unavailable: Trouble | None = None
     warning: Trouble | None = None
+    in_flight: int = 0
     expired: int = 0
     waited: bool = False
     unanswered: bool = False
@@ -136,6 +138,13 @@ def _unavailable(facts: CallsFacts) -> Verdict | None:
     return Verdict(State.WAITING if not_yet else State.DOWN, *facts.unavailable)
 
 
+def _awaits_link(facts: CallsFacts) -> Verdict | None:
+    path = facts.status.path
+    if not facts.in_flight or path is None or path.cause is not LinkCause.SILENT:
+        return None
+    return Verdict(State.WAITING, Cause.AWAITS_LINK, path.text)
+
+
 def _unanswered(facts: CallsFacts) -> Verdict | None:
     if facts.expired:
         what = f"calls have timed out for {LASTING}, {facts.expired:,} in the last {LATELY} s"
@@ -179,6 +188,7 @@ def _waiting(facts: CallsFacts) -> Verdict | None:
 
 _RULES: tuple[Callable[[CallsFacts], Verdict | None], ...] = (
     _unavailable,
+    _awaits_link,
     _unanswered,
     _refused,
     _warning,
