@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.route.test_unpacking import OnePublisher, opened
+from tests.support.offline import FakePeer
 
+from rsb_bridge.channel.channel import Counts
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.route.topic_route import SilenceWatch
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
     from rsb_bridge.model.snapshot import Level
 
 STALE_AFTER = 15.0
@@ -66,3 +76,34 @@ def test_a_cause_that_is_no_more_leaves_the_silence_to_be_told() -> None:
     assert world.said == []
     world.wait(STALE_AFTER, Cause.SILENT)
     assert world.said == [EventCode.ROUTE_STALE]  # the fifth
+
+
+def test_expected_message_waits_for_a_silent_link(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """The receiving side need not be told that nobody publishes any more."""
+    peer = FakePeer()
+    ros = OnePublisher()
+    ros.published.subscriber_count = 1
+    context = make_context(ros=ros)
+    regular, seldom = (opened(context, peer, topic) for topic in ("/odom", "/chat"))
+    channel: Any = SimpleNamespace(ready=True, trouble=lambda: None, counts=lambda: Counts(newest=None))
+    regular.channel = seldom.channel = channel
+
+    def causes(seconds: int, messages: int) -> list[str]:
+        for _ in range(seconds):
+            for _ in range(messages):
+                loop.jump(0.1)
+                regular.deliver([(b"x", 0, 0)])
+            loop.jump(1.0 - 0.1 * messages)
+            for route in (regular, seldom):
+                route.advance()
+                route.tick()
+        return [route.verdict().cause for route in (regular, seldom)]
+
+    fine, waits = Cause.NONE, Cause.AWAITS_LINK
+    seldom.deliver([(b"x", 0, 0)])
+    assert causes(60, 10) == [fine, fine]
+    assert causes(4, 0) == [fine, fine]
+    peer.path.fault = PathFault(LinkCause.SILENT, "nothing comes")
+    assert causes(1, 0) == [waits, fine]
+    peer.path.fault = None
+    assert causes(1, 10) == [fine, fine]

@@ -9,7 +9,7 @@ from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.by_hand import END_ZERO, agreed_end
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
-from rsb_bridge.model.verdict import EXPIRES, Cause
+from rsb_bridge.model.verdict import EXPIRES, Cause, LinkCause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
@@ -449,9 +449,13 @@ class TopicRoute(Route, Generic[ChannelT]):
         )
 
     def _stale_since(self) -> float | None:
-        if not self.awaited or not self.silence_counts:
+        if not self.awaited:
             return None
-        return self.silence.stale_since(self.context.now())
+        fault, meter = self.peer.path.fault, self.meter
+        # The sending side cannot say now that its publishers are silent: an expected message waits for the link.
+        if not self.outgoing and meter.usual_rate and not meter.rate and fault and fault.cause is LinkCause.SILENT:
+            return self.silence.quiet_since
+        return self.silence.stale_since(self.context.now()) if self.silence_counts else None
 
     def progress(self) -> TopicProgress:
         """Return how far messages get, as this half knows it."""
