@@ -25,6 +25,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.route.arming import Disarmed
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 
@@ -269,9 +270,9 @@ def test_the_robot_publishes_nothing_of_its_own_marked_topic_that_its_peer_sends
     server, client = bridge.both(COMMANDS)
     eventually(lambda: is_set_up(server, client))
     (liar,) = [each for link in inside(server).links() for each in tuple(link.routes.values())]
-    for question in ("stands", "passes"):
-        lie = lambda arming, now: arming is liar.arming or not arming.required  # noqa: E731
-        monkeypatch.setattr(type(liar.arming), question, lie)
+    truth = type(liar.arming).crossing
+    lie = lambda arming, now: Crossing.YES if arming is liar.arming else truth(arming, now)  # noqa: E731
+    monkeypatch.setattr(type(liar.arming), "crossing", lie)
     inside(server).context.call(liar.advance)
     publish_for(joystick, "forged", lambda: route(client, "/cmd").ledger.dropped.get("disarmed", 0) >= 5)
     assert not motors.payloads

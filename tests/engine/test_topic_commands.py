@@ -50,7 +50,8 @@ def route(name: str) -> Any:
     async def wait() -> None:
         """Nothing is under way."""
 
-    return SimpleNamespace(local_topic=name, spec=None, paused=False, settling=SimpleNamespace(wait=wait))
+    pausing, settling = SimpleNamespace(paused=False), SimpleNamespace(wait=wait)
+    return SimpleNamespace(local_topic=name, spec=None, pausing=pausing, settling=settling)
 
 
 def pause(role: Role, context: Context, meanwhile: Callable[[], None]) -> None:

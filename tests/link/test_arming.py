@@ -26,6 +26,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import ANSWERED_WITHIN, CONSOLE_SILENT_AFTER, DISARM_TEXT, PEER_GRACE, Disarmed
 from rsb_bridge.route.blocking_rules import blocked
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import GatedMessage, LeaseGate
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
@@ -89,11 +90,11 @@ def route(side: Side) -> Route:
 
 
 def passes(*sides: Side) -> list[bool]:
-    return [route(side).arming.passes(side.context.now()) for side in sides]
+    return [route(side).arming.crossing(side.context.now()) is Crossing.YES for side in sides]
 
 
 def stands(*sides: Side) -> list[bool]:
-    return [route(side).arming.stands(side.context.now()) for side in sides]
+    return [route(side).arming.crossing(side.context.now()).flows for side in sides]
 
 
 def arm(side: Side, *, console: str = CONSOLE, answered: bool = True) -> asyncio.Task[None]:
@@ -288,7 +289,7 @@ def test_nothing_passes_before_both_sides_agree(pair: Pair) -> None:
     robot.hear()
     robot.hear()
     assert route(robot).arming.armed, "it has agreed, but has no answer to its own number yet"
-    assert not route(robot).flowing
+    assert not route(robot).crossing.flows
     assert stands(robot, pc) == [False, False]
     assert passes(robot, pc) == [False, False]
     assert route(robot).verdict().state is State.DISARMED
@@ -512,7 +513,7 @@ def test_who_pauses_an_armed_topic_is_named_on_both_sides(at: int, pair: Pair) -
     hear_all(pair)
     assert passes(*pair) == [False, False]
     for side in pair:
-        assert route(side).paused
+        assert route(side).pausing.paused
         assert route(side).pausing.who.endswith("berta")
         assert why(side) == Disarmed.PAUSED
     (event,) = events(there, EventCode.OPERATOR_PAUSED)

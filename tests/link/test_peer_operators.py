@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
 import pytest
@@ -25,7 +26,7 @@ class Scan:
     peer = FakePeer()
     local_topic = "/scan"
     spec = Topic("/scan", "transmit")
-    paused = True
+    pausing = SimpleNamespace(paused=True)
     purpose = TOPIC
 
 

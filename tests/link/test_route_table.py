@@ -125,7 +125,13 @@ class Side(FakePeer):
     @property
     def state(self) -> dict[str, tuple[object, ...]]:
         return {
-            key: (route.paused, route.spec.max_rate, route.proposal.max_rate, route.proposal.qos, route.life.accepted)
+            key: (
+                route.pausing.paused,
+                route.spec.max_rate,
+                route.proposal.max_rate,
+                route.proposal.qos,
+                route.life.accepted,
+            )
             for key, route in self.routes.items()
         }
 
@@ -364,7 +370,7 @@ def test_a_pause_while_apart_holds_on_both_sides_and_the_other_one_records_whose
     for side in pair:
         side.table.connected()
     settle(pair, loop)
-    assert [route.paused for side in pair for route in side.routes.values()] == [True, True]
+    assert [route.pausing.paused for side in pair for route in side.routes.values()] == [True, True]
     events = pair[1 - apart].context.events.after(0)
     (paused,) = [event for event in events if event.code == EventCode.OPERATOR_PAUSED]
     assert paused.from_peer

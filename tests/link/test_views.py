@@ -16,6 +16,7 @@ from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_bridge.route.crossing import Crossing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +32,7 @@ async def test_a_look_without_an_answer_is_asked_again(
     monkeypatch.setattr(BaseLink, "send", lambda _, message: sent.append(message))
     context = make_context()
     (link,) = ClientRole(context, {"robot1": ()}).links()
-    route: Any = SimpleNamespace(id=2, local_topic=VIEW.route_name("1"), outgoing=False, flowing=True)
+    route: Any = SimpleNamespace(id=2, local_topic=VIEW.route_name("1"), outgoing=False, crossing=Crossing.YES)
     context.internal[VIEW.name].advertise(TopicSpec(route.local_topic, "", "", Qos()), link.name)
     view = PeerView(route)
     for _ in range(2):

@@ -22,6 +22,7 @@ from rsb_bridge.route.age import Expired, expired_verdict
 from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
 from rsb_bridge.route.blocking_rules import ACCEPTED, LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
 from rsb_bridge.route.topic_verdict import (
@@ -57,7 +58,7 @@ TOPIC_STAGES = (
 """Scripts read these names in JSON."""
 TALKER = endpoint("/talker")
 SENDER = Facts(
-    RouteStatus(sends=True, topic="/chat", domain_id=2, accepted=True, flowing=True, came=True),
+    RouteStatus(sends=True, topic="/chat", domain_id=2, accepted=True, crossing=Crossing.YES, came=True),
     TopicProgress([TALKER], publishers=1, described=True, type_name=STRING, qos=RELIABLE, subscribed=True),
 )
 RECEIVER = Facts(
@@ -77,6 +78,7 @@ DENIED, STUCK = Reason("denied"), Verdict(State.DOWN, Cause.NO_PATH, "stuck")
 MAPPER, ODD = endpoint("/map", LATCHED), endpoint("/odd", type_name=INT)
 BOTH, OFFERED = [TALKER, endpoint("/b")], ["/a ", "best_effort", "reliable"]
 NEVER: dict[str, Any] = {"came": False}
+UNANSWERED: dict[str, Any] = {"crossing": Crossing.NOT_OPEN, "accepted": None}
 GONE: dict[str, Any] = {"endpoints": []}
 LOOSE: dict[str, Any] = {"endpoints": [endpoint("/a", BEST_EFFORT)]}
 ALIKE: dict[str, Any] = {"similar": "/char"}
@@ -86,7 +88,7 @@ SLOW: dict[str, Any] = {"slow_since": NOW - 8.0, "expected_rate": 20.0}
 
 
 def unresolved(cause: Cause) -> dict[str, Any]:
-    return {"flowing": False, "came": False, "unresolved": cause, "why_unresolved": "as told"}
+    return {"crossing": Crossing.NOT_OPEN, "came": False, "unresolved": cause, "why_unresolved": "as told"}
 
 
 def verdict_on(facts: Facts, **changes: Any) -> Verdict:
@@ -105,7 +107,7 @@ def test_a_route_that_flows_is_fine() -> None:
     ("facts", "changes", "state", "cause", "words"),
     [
         (SENDER, {"link_down": "gone", "refusal": DENIED}, State.DOWN, Cause.LINK_DOWN, ["gone"]),
-        (SENDER, {"refusal": DENIED, "paused": True}, State.DOWN, Cause.REFUSED, ["denied"]),
+        (SENDER, {"refusal": DENIED, "crossing": Crossing.PAUSED}, State.DOWN, Cause.REFUSED, ["denied"]),
         (SENDER, {"breaking": OUT, "refusal": DATA_OUT}, State.DOWN, Cause.NO_PATH, [f"({OUT})", "firewalls"]),
         (SENDER, {"refusal": PIPE}, State.DOWN, Cause.NO_PATH, ["Broken pipe"]),
         (RECEIVER, {"refusal": DATA_OUT, "reopens": True}, State.WAITING, Cause.AWAITS_LINK, [f"({OUT})"]),
@@ -122,8 +124,8 @@ def test_a_route_that_flows_is_fine() -> None:
          [SILENT.text]),
         (RECEIVER, STALE | {"path": SILENT}, State.WAITING, Cause.AWAITS_LINK, [SILENT.text]),
         (SENDER, {"path": SILENT, "late": LATE}, State.WAITING, Cause.AWAITS_LINK, [SILENT.text]),
-        (SENDER, {"loop": "round"}, State.DOWN, Cause.LOOP, ["round"]),
-        (SENDER, STALE | {"paused": True}, State.PAUSED, Cause.PAUSED, ["operator"]),
+        (SENDER, {"crossing": Crossing.LOOP, "loop": "round"}, State.DOWN, Cause.LOOP, ["round"]),
+        (SENDER, STALE | {"crossing": Crossing.PAUSED}, State.PAUSED, Cause.PAUSED, ["operator"]),
         (RECEIVER, {"no_path": STUCK}, State.DOWN, Cause.NO_PATH, ["stuck"]),
         (SENDER, {"subscribe_failed": "rcl"}, State.DOWN, Cause.SUBSCRIBE_FAILED, ["rcl"]),
         (SENDER, STALE | NEVER | LOOSE, State.DOWN, Cause.QOS_INCOMPATIBLE, [*OFFERED, "qos: auto"]),
@@ -138,7 +140,7 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, NEVER, State.WAITING, Cause.PUBLISHER_SILENT, [f"/talker {PUBLISHED_NOTHING[0]}"]),
         (SENDER, NEVER | {"endpoints": [MAPPER]}, State.WAITING, Cause.PUBLISHER_SILENT, ["/map latches", "volatile"]),
         (RECEIVER, NEVER, State.WAITING, Cause.NO_MESSAGE, []),
-        (SENDER, NEVER | {"flowing": False, "accepted": None}, State.WAITING, Cause.NO_MESSAGE, [ACCEPTED]),
+        (SENDER, NEVER | UNANSWERED, State.WAITING, Cause.NO_MESSAGE, [ACCEPTED]),
         (SENDER, STOPPED, State.STOPPED, Cause.PUBLISHER_SILENT, ["3 s", "10 Hz", f"/talker {STOPPED_PUBLISHING[0]}"]),
         (SENDER, STOPPED | GONE, State.STOPPED, Cause.PUBLISHER_GONE, ["/chat", "domain 2"]),
         (SENDER, STOPPED | STALE | {"stopped_since": NOW - 20.0}, State.STOPPED, Cause.PUBLISHER_SILENT,
@@ -288,15 +290,13 @@ facts = st.builds(
         link_down=st.sampled_from([None, "", "words"]),
         accepted=st.sampled_from([None, True, False]),
         refusal=st.builds(Reason, texts, st.sampled_from(EndCode)),
-        loop=texts,
-        paused=st.booleans(),
-        disarmed=texts,
+        crossing=st.sampled_from(Crossing),
+        disarmed=st.just("words"),
         no_path=st.sampled_from([None, WAITS, NO_PATH]),
         awaits_full_link=st.booleans(),
-        flowing=st.booleans(),
         came=st.booleans(),
         limit=st.sampled_from([0.0, 5.0]),
-    ),
+    ).map(lambda status: status._replace(loop="words" if status.crossing is Crossing.LOOP else "")),
     progress=st.builds(
         TopicProgress,
         endpoints=endpoints,
@@ -350,7 +350,7 @@ def test_the_stages_follow_from_the_same_facts_as_the_verdict(known: Facts) -> N
     if not stages["type known"].done:
         assert stages["QoS compatible"].done is None
     verdict = judge(known)
-    if verdict.cause is Cause.NO_MESSAGE and not known.status.flowing and known.status.sends:
+    if verdict.cause is Cause.NO_MESSAGE and not known.status.crossing.flows and known.status.sends:
         missing = min((each for each in stages.values() if not each.done), key=lambda each: each.done is None)
         assert (missing.detail or missing.name) in verdict.text
 
@@ -523,10 +523,10 @@ _WHY_DISARMED = [*DISARM_TEXT.values(), *(each.value for each in Standstill)]
 @pytest.mark.parametrize("state", [State.DISARMED, State.DISARMING])
 def test_a_disarmed_topic_has_its_text_on_one_line(why: str, state: State) -> None:
     can_be_armed = why != DISARM_TEXT[Disarmed.LINK_SLOW]
-    disarming = state is State.DISARMING
-    if disarming and not can_be_armed:
+    crossing = Crossing.DISARMING if state is State.DISARMING else Crossing.DISARMED
+    if crossing is Crossing.DISARMING and not can_be_armed:
         return
-    verdict = verdict_on(SENDER, topic="/cmd_vel", disarmed=why, disarming=disarming, can_be_armed=can_be_armed)
+    verdict = verdict_on(SENDER, topic="/cmd_vel", disarmed=why, crossing=crossing, can_be_armed=can_be_armed)
     assert verdict.state is state
     assert len(verdict.text) <= ON_ONE_LINE, verdict.text
 

@@ -68,7 +68,7 @@ class ActionInvariants:
         if (
             ends is None or robot.troubles or action.troubles or action.server is None or dead_is_seen
             or len(halves) < len(ends)
-            or not all(link.linked for link in ends) or any(half.paused for half in halves)
+            or not all(link.linked for link in ends) or any(half.pausing.paused for half in halves)
         ):  # fmt: skip
             self._can_be_reached.pop(action, None)
             return

@@ -104,7 +104,7 @@ class CallInvariants:
         if service.server is None:
             return False
         halves = [half for link in ends if (half := half_of(link, service)) is not None]
-        return len(halves) == len(ends) and not any(half.paused for half in halves)
+        return len(halves) == len(ends) and not any(half.pausing.paused for half in halves)
 
 
 def half_of(link: Link, service: ServiceFlow) -> CallsRoute | None:

@@ -150,7 +150,7 @@ async def _pause_all(world: World, *, paused: bool) -> None:
     run = world.server.run
     for link in run.links() if run is not None else ():
         for half in tuple(link.routes.values()):
-            if run is not None and half.paused != paused:
+            if run is not None and half.pausing.paused != paused:
                 world.robots[0].commanded = world.loop.time()
                 await run.command(run.bridge.do(PauseTopics(half.key, paused=paused)))
 

@@ -153,7 +153,7 @@ class Invariants:
             return
         here, there = (
             {
-                (route.topic, route.remote_topic): route.paused
+                (route.topic, route.remote_topic): route.pausing.paused
                 for route in link.routes.values()
                 if not route.life.refusal
             }
@@ -241,7 +241,7 @@ class Invariants:
         if flow.writer is None or flow.reader is None:
             return False
         routes = [route_of(link, flow) for link in ends]
-        return all(route is not None and not route.paused for route in routes)
+        return all(route is not None and not route.pausing.paused for route in routes)
 
     # --- the ledger
 
@@ -285,7 +285,7 @@ class Invariants:
         else:
             robot = world.robot(route.peer.name)
             last = max(account.last_offered, route.opened_at, world.clear_since(robot))
-            if not robot.troubles and route.flowing and now - last > self._patience * SETTLED_WITHIN:
+            if not robot.troubles and route.crossing.flows and now - last > self._patience * SETTLED_WITHIN:
                 if ledger.delivered < account.published - account.unreported:
                     wrong = f"{account.published} messages were published, of which {account.unreported} may be unknown"
                 elif ledger.delivered + ledger.unknown < account.published - account.removed:

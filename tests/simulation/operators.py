@@ -107,7 +107,7 @@ class Operator:
     async def _pause(self) -> None:
         run, route = self._some_route()
         if run is not None and route is not None:
-            await self._command("pause", run, run.bridge.do(PauseTopics(route.key, paused=not route.paused)))
+            await self._command("pause", run, run.bridge.do(PauseTopics(route.key, paused=not route.pausing.paused)))
 
     async def _pause_crossing(self) -> None:
         """Two people at both ends, at the same time."""

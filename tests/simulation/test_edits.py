@@ -93,7 +93,7 @@ class Edits(Yard):
 
     async def pause(self, side: str) -> None:
         await self.begin_pause(side)
-        await until(lambda: all(half is not None and half.paused for half in self.halves()), 1.0)
+        await until(lambda: all(half is not None and half.pausing.paused for half in self.halves()), 1.0)
 
     async def begin_pause(self, side: str) -> None:
         await self._command(side, PauseTopics(self.half(side).key, paused=True))
@@ -209,7 +209,7 @@ async def test_a_paused_topic_comes_back_paused(lister: str, pauser: str, edits:
     await edits.pause(pauser)
     await edits.restart(edits.other)
     await edits.both(5)
-    assert [route is not None and route.paused for route in edits.halves()] == [True, True]
+    assert [route is not None and route.pausing.paused for route in edits.halves()] == [True, True]
 
 
 @pytest.mark.bed(lister="server")
@@ -220,7 +220,7 @@ async def test_a_side_that_pauses_and_stops_at_once_has_paused_it(waits: float, 
     await edits.begin_pause("robot")
     await edits.restart("robot")
     await edits.both(5)
-    assert [route is not None and route.paused for route in edits.halves()] == [True, True]
+    assert [route is not None and route.pausing.paused for route in edits.halves()] == [True, True]
 
 
 async def test_a_topic_that_was_renamed_comes_back_under_its_name(edits: Edits) -> None:

@@ -42,7 +42,7 @@ class Half:
 
     @property
     def is_open(self) -> bool:
-        return self.route.flowing and self._end(self.route) is not None
+        return self.route.crossing.flows and self._end(self.route) is not None
 
     def pause(self, *, paused: bool) -> None:
         self._program.run(self.link.table.pause, self.route, paused=paused)

@@ -31,6 +31,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import why_not_by_hand
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
@@ -250,7 +251,8 @@ class Publishing:
             publication.take_rest()
             timer = context.loop.call_later(command.rest_after, self._rest, publication, topic)
             publication.rest = _Rest(timer, rest, tuple((route, route.id) for route in armed))
-        taking = [route for route in _outgoing(routes) if route.flowing and route.takes(publication.publisher.gid)]
+        gid = publication.publisher.gid
+        taking = [route for route in _outgoing(routes) if route.crossing.flows and route.takes(gid)]
         self._record(publication, topic, command.fields, taking)
         links = tuple(sorted({route.peer.name for route in taking}))
         count = publication.publisher.subscriber_count
@@ -262,8 +264,8 @@ class Publishing:
         rest, now = publication.take_rest(), self._context.now()
         if rest is None or publication.publisher is None or publication.resolved is None:
             return
-        ended = not any(route.id == opening and route.arming.passes(now) for route, opening in rest.openings)
-        if ended and any(route.arming.passes(now) for route, _ in rest.openings):
+        armed = [(route, opening) for route, opening in rest.openings if route.arming.crossing(now) is Crossing.YES]
+        if armed and all(route.id != opening for route, opening in armed):
             return  # somebody else has armed it since, and may be driving
         try:
             # It was made with the message before, and a robot may drop old ones.
@@ -463,7 +465,7 @@ class Publishing:
     async def _passing(self, resolved: TopicSpec) -> bytes | None:
         """Return a message that passes soon, or None."""
         routes, type_hash = self._routes(resolved.topic), resolved.type_hash
-        route = next((route for route in routes if route.flowing and route.type_hash == type_hash), None)
+        route = next((route for route in routes if route.crossing.flows and route.type_hash == type_hash), None)
         if route is None:
             return None
         try:
@@ -513,14 +515,12 @@ class Publishing:
 
     def _awaited(self, topic: str, gid: bytes) -> list[OutgoingRoute]:
         """Return the routes that may take the messages of a new publisher soon."""
-        now = self._context.now()
         return [
             route
             for route in _outgoing(self._routes(topic))
             if route.peer.linked
             and not route.life.refusal  # one whose proposal is not answered yet takes the first message, too
-            and not route.paused
-            and route.arming.stands(now)
+            and not route.crossing.is_held_back
             and not route.takes(gid)
         ]
 
@@ -581,7 +581,7 @@ def _stops_by_itself(route: TopicRoute[DataChannel]) -> bool:
     """Whether a robot at the other end of a route is not driven by old messages, or not at all."""
     if route.arming.required:
         return route.age.max_age > 0
-    return not (isinstance(route, OutgoingRoute) and route.flowing)
+    return not (isinstance(route, OutgoingRoute) and route.crossing.flows)
 
 
 def _fields_of(description: str, payload: bytes) -> str:

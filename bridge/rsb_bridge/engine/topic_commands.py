@@ -253,7 +253,7 @@ class TopicCommands:
             old, name = pause_word(paused=entry.paused), entry.topic
             link.patterns.replace(entry.identity, msgspec.structs.replace(entry, paused=paused))
         else:
-            old, name = pause_word(paused=route.paused), route.local_topic
+            old, name = pause_word(paused=route.pausing.paused), route.local_topic
         for each in named.routes():  # the pattern's routes as it is now
             link.table.pause(each, paused=paused)
         word = pause_word(paused=paused)

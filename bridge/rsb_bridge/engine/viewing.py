@@ -179,7 +179,7 @@ class Viewing:
             for route in link.routes.values():
                 if not isinstance(route, TopicRoute) or route.outgoing or route.local_topic != topic:
                     continue
-                if route.flowing and route.type_hash and route.qos is not None:
+                if route.crossing.flows and route.type_hash and route.qos is not None:
                     return TopicSpec(topic, route.type_name, route.type_hash, route.qos)
         return None
 

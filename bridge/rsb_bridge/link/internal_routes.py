@@ -106,7 +106,7 @@ class InternalRoutes(Generic[SourceT, DrainT]):
         try:
             async with asyncio.timeout(OPENED_WITHIN):
                 # A channel, a pause and an end on either side may come in any order: each of them advances the route.
-                while not (route.flowing and end(route) is not None):
+                while not (route.crossing.flows and end(route) is not None):
                     if route.life.refusal or route.key not in self._link.routes or (opening and route.id != opening):
                         return False
                     await route.changed()

@@ -350,7 +350,7 @@ class LinkArming:
 
     def _opens(self, route: Route) -> bool:
         """Whether a route cannot be armed now, but in a moment, if the other side answers."""
-        if not self._peer.linked or route.life.refusal or route.paused:
+        if not self._peer.linked or route.life.refusal or route.pausing.paused:
             return False
         return (route.arming.spent or not route.life.accepted) and route in self._routes()
 
@@ -362,7 +362,7 @@ class LinkArming:
             return str(route.life.refusal) or ArmingProblem.NOT_OPEN()
         if not arming.required:
             return "neither session demands arming"
-        if route.paused:
+        if route.pausing.paused:
             return "it is paused; resume it first"
         if arming.held:
             return f"{arming.by} has armed it already"
@@ -477,14 +477,14 @@ class LinkArming:
         arming, now = route.arming, self._context.now()
         if arming.held and arming.console is None:
             # A further Arm tells of a key (PROTOCOL.md, 7). It does not revive what is overdue.
-            if arming.stands(now):
+            if arming.crossing(now).flows:
                 arming.arm_for_peer(who, now)
             return
         if not arming.required or arming.spent or arming.armed or (arming.asked and self._peer.is_client):
             return  # of two operators who arm it at once, the client's does
         if not self._budget.take(1, now):
             self._refuse(route, Disarmed.TOO_OFTEN)
-        elif route.paused:
+        elif route.pausing.paused:
             self._refuse(route, Disarmed.PAUSED)
             self._not_armed(route, Disarmed.PAUSED, who)
         else:

@@ -448,7 +448,7 @@ def _why_not(route: Route) -> str:
     """Return why no message crosses on a measuring route."""
     if route.life.refusal:
         return str(route.life.refusal)
-    if not route.flowing:
+    if not route.crossing.flows:
         return f"{STOPPED}: it has removed or paused the route"
     trouble = route.trouble()
     return trouble.text if trouble is not None else ""

@@ -59,9 +59,10 @@ class PeerOperators:
 
     def paused(self, route: Route, who: str) -> None:
         """Record that a route was paused or resumed there; `who` may be empty."""
-        code = EventCode.OPERATOR_PAUSED if route.paused else EventCode.OPERATOR_RESUMED
-        what = "paused" if route.paused else "resumed"
-        self._did(code, what, route, who, pause_word(paused=not route.paused), pause_word(paused=route.paused))
+        paused = route.pausing.paused
+        code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
+        what = "paused" if paused else "resumed"
+        self._did(code, what, route, who, pause_word(paused=not paused), pause_word(paused=paused))
 
     def proposed(self, route: Route, proposal: Propose) -> None:
         """Record that an operator there has added or edited a topic, if the proposal names one."""

@@ -136,21 +136,22 @@ class Pausing:
             known: whether this side's revisions are about the peer's present process.
         """
         self.from_peer(route, proposal, known=known)
-        if (route.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
+        if (route.pausing.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
             self._send(route)  # an operator of this side changed it while the link was down
 
     def from_peer(self, route: Route, message: Pause | Propose, *, known: bool = True) -> None:
         """Take the peer's state of the pause, and record the change of an operator there."""
-        was, who = route.paused, message.who if isinstance(message, Pause) else ""
+        was, who = route.pausing.paused, message.who if isinstance(message, Pause) else ""
         revision = message.revision if isinstance(message, Pause) else message.pause_revision
         take = route.pausing.merge if known else route.pausing.adopt
         take(paused=message.paused, revision=revision, who=self._peer_operators.says(who))
-        if route.paused != was and known:
+        if route.pausing.paused != was and known:
             self._peer_operators.paused(route, who)
 
     def _send(self, route: Route, who: str = "") -> None:
         if route.id:
-            self._peer.send(Pause(route=route.id, paused=route.paused, revision=route.pausing.revision, who=who))
+            pausing = route.pausing
+            self._peer.send(Pause(route=route.id, paused=pausing.paused, revision=pausing.revision, who=who))
 
 
 class RouteTable(Extension):
@@ -322,14 +323,14 @@ class RouteTable(Extension):
         """
         changed = amended(route.proposal, proposal)
         if route.proposed_here:
-            route.amend(msgspec.structs.replace(spec, paused=route.paused), changed)
+            route.amend(msgspec.structs.replace(spec, paused=route.pausing.paused), changed)
             self._context.demands.changed()
         elif (entry := self.superseded.get(route.key)) is not None:
             self.superseded[route.key] = with_changes(entry, route.spec, spec)
             self._context.demands.changed()
         if route.id:
             self._link.send(self._amendment(route, changed, acting_operator()))
-        if spec.paused != route.paused:
+        if spec.paused != route.pausing.paused:
             self.pause(route, paused=spec.paused)
 
     def _amended(self, message: Amend) -> None:
@@ -449,7 +450,7 @@ class RouteTable(Extension):
         if (route := self._link.ids.find(message.route)) is None:
             return
         self._pausing.from_peer(route, message)
-        if route.paused and route.id:
+        if route.pausing.paused and route.id:
             self.arming.disarm(route, Disarmed.PAUSED)
 
     def _proposed(self, proposal: Propose) -> None:
@@ -593,7 +594,7 @@ class RouteTable(Extension):
         """Remove a route that the peer no longer proposes; this side's own entry, whose place it took, comes back."""
         entry = self.superseded.pop(route.key, None)
         self._forget(route, EventCode.ROUTE_ABANDONED, reason if entry is None else f"{reason}{_COMES_BACK}")
-        self.on_vacated(None if entry is None else msgspec.structs.replace(entry, paused=route.paused))
+        self.on_vacated(None if entry is None else msgspec.structs.replace(entry, paused=route.pausing.paused))
 
     def _about_route(self, route: Route, message: _AboutOpenRoute) -> None:
         match message:

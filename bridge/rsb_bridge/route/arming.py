@@ -17,6 +17,7 @@ import msgspec
 from rsb_bridge.model.by_hand import smallest_limits
 from rsb_bridge.model.demands import NO_DEMAND, Demand
 from rsb_bridge.model.snapshot import ArmingSnapshot
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lease import SLOW
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import with_number
@@ -224,23 +225,27 @@ class Arming:
         """Whether it can be armed only in a new opening."""
         return self._phase is _Phase.SPENT
 
-    def stands(self, now: float) -> bool:
-        """Whether operators want messages to cross at `now` (s), and the two sides have agreed on it."""
+    def crossing(self, now: float) -> Crossing:
+        """Return whether messages may cross at `now` (s) as far as arming is concerned."""
         if not self.required:
-            return True
+            return Crossing.YES
+        if self._phase is _Phase.ASKED:
+            return Crossing.ASKED
+        if self._phase is not _Phase.ARMED or now >= self._deadline or self.lease is None:
+            return Crossing.DISARMED
         # Before the lease has begun, a goal could overtake what shows the other side that it is heard, and be refused.
-        return self._phase is _Phase.ARMED and now < self._deadline and self.lease is not None and self.lease.begun
+        if not self.lease.begun:
+            return Crossing.BEGINS
+        return Crossing.YES if self.lease.alive else Crossing.UNHEARD
 
-    def why_disarmed(self, now: float) -> str:
-        """Return the reason why it is not armed at `now` (s), for an operator, or an empty string if it is."""
-        if self.stands(now):
-            return ""
-        why = self.why if self.why is Disarmed.LINK_SLOW else self.overdue(now)
-        return DISARM_TEXT[why] if why else self.reason
+    def has_run_out(self, now: float) -> bool:
+        """Whether it is armed, and its deadman has run out at `now` (s)."""
+        return self._phase is _Phase.ARMED and now >= self._deadline
 
-    def passes(self, now: float) -> bool:
-        """Whether messages may cross at `now` (s): operators want it, and the two sides hear each other."""
-        return not self.required or (self.lease is not None and self.lease.alive and self.stands(now))
+    def why_at(self, now: float) -> tuple[Disarmed, str]:
+        """Return the reason why it is not armed at `now` (s), also in words."""
+        overdue = self.overdue(now)
+        return (self.why, self.reason) if overdue is None else (overdue, DISARM_TEXT[overdue])
 
     @property
     def newest_number(self) -> int:
@@ -270,7 +275,7 @@ class Arming:
         """
         if not self.required:
             return None
-        armed = self.stands(now)
+        armed = self.crossing(now).flows
         grace = PEER_GRACE if self.console is None else 0.0  # the other side's operator has that much less time
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
         here = self.console is not None
@@ -288,8 +293,7 @@ class Arming:
                 asked_by="" if question is None else question.who,
                 goes_in=None if question is None else max(0.0, question.until - now),
             )
-        overdue = self.overdue(now)
-        why, reason = (self.why, self.reason) if overdue is None else (overdue, DISARM_TEXT[overdue])
+        why, reason = self.why_at(now)
         return ArmingSnapshot(armed, "", here, left, self.deadman, self.demanded_by, why, reason, on_end, velocity)
 
     # --- arming

@@ -9,6 +9,7 @@ from rsb_bridge.channel.channel import REOPENS
 from rsb_bridge.model.reason import NO_REASON, Reason
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import FINE, Cause, LinkCause, Verdict
+from rsb_bridge.route.crossing import Crossing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -45,15 +46,14 @@ class RouteStatus(NamedTuple):
         accepted: whether both sides want it, False if it is refused, or None while the peer has not answered.
         refusal: the reason why the route is refused or has ended, now or until shortly ago, or an empty one.
         reopens: whether its data connection broke a short time ago, and has not been open since.
-        loop: the reason why its messages or calls would loop, or empty.
+        crossing: whether messages or calls may cross.
+        loop: the reason why they would loop, or empty.
         paused_by: the operator, or empty if unknown.
-        disarmed: the reason why it is not armed although it must be, or empty.
-        disarming: whether the other side may still act on messages from before it was disarmed.
+        disarmed: the reason why it is not armed, if it has to be and is not.
         can_be_armed: whether an operator may arm it; if not, `disarmed` names the step that has to come first.
         no_path: the verdict on its channel, over which nothing gets through, or None.
         awaits_full_link: whether its stream only waits for a full link, so that `no_path` is no fault.
         breaking: the reason why its channel breaks before anything arrives, or empty.
-        flowing: whether messages or calls could cross now.
         came: whether messages or calls have crossed since it was opened, or the receiving side keeps some of a latched
             topic.
         came_before: whether messages or calls crossed in an earlier opening, but none in this one.
@@ -70,16 +70,14 @@ class RouteStatus(NamedTuple):
     accepted: bool | None = None
     refusal: Reason = NO_REASON
     reopens: bool = False
+    crossing: Crossing = Crossing.NOT_OPEN
     loop: str = ""
-    paused: bool = False
     paused_by: str = ""
     disarmed: str = ""
-    disarming: bool = False
     can_be_armed: bool = True
     no_path: Verdict | None = None
     awaits_full_link: bool = False
     breaking: str = ""
-    flowing: bool = False
     came: bool = False
     came_before: bool = False
     limit: float = 0.0
@@ -221,36 +219,22 @@ def _refused(status: RouteStatus) -> Verdict | None:
     return Verdict(State.DOWN, Cause.NO_PATH, str(status.refusal))
 
 
-def _loop(status: RouteStatus) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.LOOP, status.loop) if status.loop else None
-
-
-def _disarming(status: RouteStatus) -> Verdict | None:
-    """Judge a route that is being disarmed; comes before `_paused`, because a pause disarms as well."""
-    if not (status.disarmed and status.disarming):
-        return None
-    text = f"{status.disarmed}; earlier messages may still act for 1 s"
-    return Verdict(State.DISARMING, Cause.DISARMING, text)
-
-
-def _paused(status: RouteStatus) -> Verdict | None:
-    if not status.paused:
-        return None
-    text = f"paused ({status.paused_by})" if status.paused_by else "paused by an operator"
-    return Verdict(State.PAUSED, Cause.PAUSED, text)
-
-
-def _disarmed(status: RouteStatus) -> Verdict | None:
-    if not status.disarmed:
-        return None
-    if not status.can_be_armed:
-        return Verdict(State.DISARMED, Cause.DISARMED, status.disarmed)
-    text = f"{status.disarmed}: arm it (key A, rsb-console arm {status.topic})"
-    return Verdict(State.DISARMED, Cause.DISARMED, text)
+def _held_back(status: RouteStatus) -> Verdict | None:
+    match status.crossing:
+        case Crossing.LOOP:
+            return Verdict(State.DOWN, Cause.LOOP, status.loop)
+        case Crossing.DISARMING:
+            text = f"{status.disarmed}; earlier messages may still act for 1 s"
+            return Verdict(State.DISARMING, Cause.DISARMING, text)
+        case Crossing.PAUSED:
+            text = f"paused ({status.paused_by})" if status.paused_by else "paused by an operator"
+            return Verdict(State.PAUSED, Cause.PAUSED, text)
+        case Crossing.DISARMED | Crossing.ASKED | Crossing.BEGINS:
+            remedy = f": arm it (key A, rsb-console arm {status.topic})" if status.can_be_armed else ""
+            return Verdict(State.DISARMED, Cause.DISARMED, status.disarmed + remedy)
+        case Crossing.NOT_OPEN | Crossing.UNHEARD | Crossing.YES:
+            return None
 
 
 # Each loss of a channel refuses the route, too, so `_breaking` is asked before `_refused`: its text has the remedy.
-# A loop comes before the arming, as nothing would pass then either.
-_BLOCKING: tuple[Callable[[RouteStatus], Verdict | None], ...] = (
-    _link, _breaking, _refused, _loop, _disarming, _paused, _disarmed,
-)  # fmt: skip
+_BLOCKING: tuple[Callable[[RouteStatus], Verdict | None], ...] = (_link, _breaking, _refused, _held_back)

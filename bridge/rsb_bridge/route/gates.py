@@ -31,6 +31,7 @@ from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import LEASE_HEADER_LENGTH, CallFrame, frame_size, split_number
 
@@ -115,11 +116,11 @@ class ArmedGate:
         self._arming = arming
 
     def check(self, _: object, now: float) -> Refused | None:
-        lease = self._arming.lease
-        if lease is None or not self._arming.stands(now):
-            return Refused.DISARMED
+        crossing = self._arming.crossing(now)
+        if crossing is Crossing.YES:
+            return None
         # A caller learns that arming again does not help: the two sides do not hear each other.
-        return None if lease.alive else Refused.UNHEARD
+        return Refused.UNHEARD if crossing is Crossing.UNHEARD else Refused.DISARMED
 
 
 class LeaseGate:

@@ -246,7 +246,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if after:
             self._asserts_again = self.context.loop.call_later(after, self._assert_liveliness)
             return
-        count = self.outputs.assert_liveliness() if self.flowing else 1
+        count = self.outputs.assert_liveliness() if self.crossing.flows else 1
         self._asserts_again = self.context.loop.call_later(parts_of_lease(lease, count), self._assert_liveliness)
 
     def _counted_before(self) -> ReceivedReport | None:
@@ -528,7 +528,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def _judge_lateness(self, now: float) -> None:
         uncertainty = self.peer.stamps.uncertainty
-        if not self.flowing or uncertainty is None:
+        if uncertainty is None or not self.crossing.flows:
             self.lateness.reset()
         else:
             recent = self.latency.recent

@@ -21,6 +21,7 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, SendersDelay, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent
@@ -187,7 +188,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def _set_up(self) -> None:
         """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
-        if not self.life.accepted or self.paused:
+        if not self.life.accepted or self.pausing.paused:
             self._subscription.unsubscribe()
             self._ledger.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
             return
@@ -224,10 +225,11 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._look_who_is_present()
         if self.channel is None:
             self.peer.open_channel(self)
-        if not self.arming.stands(self.context.now()):
-            self._subscription.unsubscribe()
-        elif self.channel is not None and self.channel.ready:
+        crossing = self.crossing
+        if crossing.flows:
             self._subscribe()
+        elif crossing.is_held_back:
+            self._subscription.unsubscribe()
 
     def _describe(self, described: Describe) -> None:
         self._described = described
@@ -338,12 +340,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def tick(self) -> None:
         now = self.context.now()
+        flows = self.crossing.flows
         latched = self.is_latched  # may be silent for any time, unless an operator expects a rate
         # Before `super().tick`, whose verdict needs it.
         self._health.judge(
             Flow(
-                self.flowing,
-                self._subscription.receives if self.flowing else self.awaited,
+                flows,
+                self._subscription.receives if flows else self.awaited,
                 self.silence.quiet_since,
                 self.meter.rate,
                 self.spec.expected_rate or 0.0,
@@ -354,39 +357,39 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             ),
             now,
         )
-        self._estimate_missed(now, latched=latched)
+        self._estimate_missed(now, flows=flows, latched=latched)
         super().tick()
         self._subscription.tick()
         self._tick_clocks()
 
     def _tick_clocks(self) -> None:
         """Open the route again if messages seem old since this side's clock was set: their publisher's may lag."""
-        doubtful = self.age.publishers.since is None and not self.is_latched and self.flowing
+        doubtful = self.age.publishers.since is None and not self.is_latched and self.crossing.flows
         late = self.age.late() if doubtful else None
         # Only a new subscription has no message from before it, so that an earlier stamp proves a wrong clock.
         if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
             self.request_reopen(EventCode.ROUTE_CLOCK_SET, "this side's clock was set, and publishers' stamps seem old")
 
-    def _estimate_missed(self, now: float, *, latched: bool) -> None:
+    def _estimate_missed(self, now: float, *, flows: bool, latched: bool) -> None:
         """Learn the rate at which messages cross, or estimate how many are missed now."""
         missed = self._ledger.missed
         if missed.down:
             missed.estimate(now, self._ledger.offered, published=self._is_published)
-        elif self.flowing:
+        elif flows:
             usual = None if latched else self.meter.usual_rate
             missed.rate = self.limit.lowered(usual or self.spec.expected_rate)
 
     @property
     def _is_published(self) -> bool:
         """Whether somebody publishes the topic, and neither side has paused or refused it."""
-        if self.paused or self.reopening.refused:
+        if self.pausing.paused or self.reopening.refused:
             return False
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
         return bool(own or self.ends.publishers(self.topic))
 
     def _judge_lateness(self, now: float) -> None:
         unreported = self.delays.unreported(self._ledger.sent_now, self._ledger.reported_now, now)
-        if not self.flowing:
+        if not self.crossing.flows:
             self.lateness.reset()
             return
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
@@ -480,12 +483,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     @property
     def awaited(self) -> bool:
         """Whether messages are missing now if none come, be it that they would cross once somebody published."""
-        if self.flowing:
+        crossing = self.crossing
+        if crossing.flows:
             return True
         # Type and QoS are a publisher's, so that without one nothing is described, and nothing flows.
         unpublished = self._resolver.unresolved is not None and not self.endpoints
         started = self.context.now() - self.opened_at >= _NODES_START_IN
-        return unpublished and started and self.life.accepted and self.may_cross
+        return unpublished and started and self.life.accepted and crossing is Crossing.NOT_OPEN
 
     @property
     def silence_counts(self) -> bool:
@@ -510,7 +514,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def progress(self) -> TopicProgress:
         report, unresolved = self._report, self._resolver.unresolved
-        looks = self.life.accepted and not self.paused
+        looks = self.life.accepted and not self.pausing.paused
         return TopicProgress(
             self.endpoints,
             publishers=len(self.endpoints) if self.endpoints or looks else None,

@@ -24,6 +24,7 @@ from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEvent
 from rsb_bridge.route.notices import ChannelLosses, Notices
 from rsb_bridge.route.peer import Peer
@@ -330,14 +331,9 @@ class Route:
         self._end(reason)
         self.peer.send(Close(route=route_id, reason=sanitize_text(reason.text), code=reason.code))
 
-    @property
-    def paused(self) -> bool:
-        """Whether an operator of either side has paused it."""
-        return self.pausing.paused
-
     def _paused(self, was: bool) -> None:
         """Go on after an operator has paused or resumed it; it stays set up."""
-        paused = self.paused
+        paused = self.pausing.paused
         if paused != was:
             self.spec = msgspec.structs.replace(self.spec, paused=paused)
             self._verdict = None
@@ -401,7 +397,7 @@ class Route:
         """Update the meter and report a changed verdict; called once a second while the route is not idle."""
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
-        self.reopening.observe(connected=self.connected, flowing=self.flowing)
+        self.reopening.observe(connected=self.connected, flowing=self.crossing.flows)
         self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
         verdict = self.verdict()
@@ -434,14 +430,20 @@ class Route:
         return self.life.accepted and self.channel is not None and self.channel.ready
 
     @property
-    def flowing(self) -> bool:
-        """Whether messages could cross now."""
-        return self.connected and self.may_cross
-
-    @property
-    def may_cross(self) -> bool:
-        """Whether messages are allowed to cross: it is neither paused nor disarmed, and would not loop."""
-        return not self.paused and not self.notices.loop and self.arming.stands(self.context.now())
+    def crossing(self) -> Crossing:
+        """Whether messages may cross now, or the first reason why not."""
+        if self.notices.loop:
+            return Crossing.LOOP
+        arming, armed = self.arming, Crossing.YES
+        if arming.required:
+            now = self.context.now()
+            armed = arming.crossing(now)
+            # A sending side whose deadman has run out stops at once; the tick that tells the other side comes later.
+            if armed.is_unarmed and (self.settling.under_way or (self.outgoing and arming.has_run_out(now))):
+                return Crossing.DISARMING
+        if self.pausing.paused:
+            return Crossing.PAUSED
+        return armed if self.connected or armed.is_unarmed else Crossing.NOT_OPEN
 
     # --- verdict
 
@@ -463,20 +465,16 @@ class Route:
     def status(self) -> RouteStatus:
         """Return the part of this half's knowledge that does not depend on what the route carries."""
         now = self.context.now()
-        arming = self.arming
-        # This side has stopped sending, but the tick that tells the other side comes later.
-        expires = arming.armed and arming.overdue(now) is not None and not arming.stands(now)
+        cause, disarmed = self.arming.why_at(now)
         return self.setup()._replace(
             refusal=self.reopening.shown_refusal(self.life, now - self.opened_at if self.id else 0.0),
             reopens=self.reopening.reopens(now),
-            paused=self.paused,
+            crossing=self.crossing,
             paused_by=self.pausing.who,
-            disarmed=arming.why_disarmed(now),
-            disarming=self.settling.under_way or (self.outgoing and expires),
-            can_be_armed=arming.why is not Disarmed.LINK_SLOW,
+            disarmed=disarmed,
+            can_be_armed=cause is not Disarmed.LINK_SLOW,
             breaking=self.breaking,
             awaits_full_link=self.link_full is not None and self.transport.reliable,
-            flowing=self.flowing,
             came=self.came,
             came_before=self.came_before,
             limit=self.limit.rate,

@@ -342,7 +342,7 @@ class OutgoingPath:
         self._ledger = ledger
         self._loop_filter = loop_filter
         self._throttle = Throttle(route.limit.rate)
-        self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
+        self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.pausing.paused)
         self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
         self._outbox = Outbox(route, ledger)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
@@ -404,7 +404,7 @@ class OutgoingPath:
         route, now = self._route, self._context.now()
         stopped = self._batch is not None and self._batch(NO_SAMPLE, now) is not None
         # Its publisher may have moved behind another bridge meanwhile.
-        if route.paused or stopped or message.gid not in self._loop_filter.table.flags:
+        if route.pausing.paused or stopped or message.gid not in self._loop_filter.table.flags:
             self._ledger.throttled += 1
         else:
             self._send_volatile((message,))

@@ -313,10 +313,9 @@ class TopicRoute(Route, Generic[ChannelT]):
             bound += 1 / self.limit.rate  # the rate limit holds the newest message for so long
         return bound
 
-    def late(self) -> Late | None:
-        """The lateness of messages, or None if they are on time."""
+    def _late(self) -> Late | None:
         watch = self.lateness
-        if watch.since is None or not self.flowing:
+        if watch.since is None:
             return None
         where, was_full = self._held_up_where(), self.was_full_since(watch.since)
         undecided = self.outgoing and self.context.now() - watch.since < MEASURED_FOR
@@ -425,7 +424,7 @@ class TopicRoute(Route, Generic[ChannelT]):
     @property
     def awaited(self) -> bool:
         """Whether messages are missing now if none come."""
-        return self.flowing
+        return self.crossing.flows
 
     @property
     def silence_counts(self) -> bool:
@@ -438,12 +437,14 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     def facts(self) -> Facts:
         """Return the facts that both halves know; each half adds its own."""
+        status = self.status()
+        flows = status.crossing.flows
         return Facts(
-            self.status(),
+            status,
             self.progress(),
             stale_since=self._stale_since(),
-            late=self.late(),
-            expired=self.age.late() if self.flowing else None,
+            late=self._late() if flows else None,
+            expired=self.age.late() if flows else None,
             full=self.link_full,
             shown_cause=self.judged.shown_cause,
         )

@@ -373,12 +373,12 @@ def _nobody(facts: Facts) -> Cause:
 
 
 def _waiting(facts: Facts) -> Verdict | None:
-    if facts.status.came and facts.status.flowing:
+    if facts.status.came and facts.status.crossing.flows:
         return None
-    if facts.status.sends and facts.status.flowing and not facts.progress.endpoints:
+    if facts.status.sends and facts.status.crossing.flows and not facts.progress.endpoints:
         text = no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
         return Verdict(State.WAITING, _nobody(facts), text)
-    if facts.status.sends and facts.status.flowing:
+    if facts.status.sends and facts.status.crossing.flows:
         verbs = NOTHING_SINCE_OPENED if facts.status.came_before else PUBLISHED_NOTHING
         if (
             facts.progress.qos
@@ -390,7 +390,7 @@ def _waiting(facts: Facts) -> Verdict | None:
             verbs = NOT_MATCHED
         text = _plural(facts.progress.endpoints, *verbs)
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
-    missing = "" if facts.status.flowing else waits_for(facts.status, facts.progress)
+    missing = "" if facts.status.crossing.flows else waits_for(facts.status, facts.progress)
     text = f"waiting: {missing}" if missing else "no message yet"
     return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
 
@@ -438,7 +438,7 @@ def _publishers_types(facts: Facts) -> Verdict | None:
 
 def _unresolved(facts: Facts) -> Verdict | None:
     cause = facts.progress.unresolved
-    if cause is None or facts.status.flowing or not facts.status.accepted:
+    if cause is None or facts.status.crossing.flows or not facts.status.accepted:
         return None
     if cause is Cause.NO_PUBLISHER:
         cause = _nobody(facts)
@@ -456,7 +456,7 @@ def _stopped(facts: Facts) -> Verdict | None:
 
 def _departed(facts: Facts) -> Verdict | None:
     """Judge a topic whose publisher has left while no message was due."""
-    if not facts.status.sends or not facts.status.flowing or not facts.status.came or facts.progress.endpoints:
+    if not facts.status.sends or not facts.status.crossing.flows or not facts.status.came or facts.progress.endpoints:
         return None
     return Verdict(State.OK, Cause.PUBLISHER_GONE, _publisher_gone(facts))
 
@@ -520,7 +520,7 @@ def _lossy(facts: Facts) -> Verdict | None:
 def _too_large(facts: Facts) -> Verdict | None:
     """Judge what `_lossy` cannot: the newest message of a latched topic, or one before any was sent."""
     progress = facts.progress
-    if not (facts.status.sends and facts.status.flowing and progress.undelivered):
+    if not (facts.status.sends and facts.status.crossing.flows and progress.undelivered):
         return None
     some = progress.sent > 0 or progress.kept
     if some and not (progress.qos is not None and progress.qos.latched):

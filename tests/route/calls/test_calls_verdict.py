@@ -22,6 +22,7 @@ from rsb_bridge.route.calls.calls_verdict import (
     judge_calls,
 )
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
+from rsb_bridge.route.crossing import Crossing
 
 FINE = CallsFacts(
     RouteStatus(sends=True, topic="/go", accepted=True, came=True),
@@ -60,9 +61,9 @@ def stages_on(**changes: Any) -> dict[str, Stage]:
         ({"link_down": "cut", "unavailable": NOBODY}, State.DOWN, Cause.LINK_DOWN),
         ({"breaking": "reset"}, State.DOWN, Cause.NO_PATH),
         ({"refusal": Reason("denied")}, State.DOWN, Cause.REFUSED),
-        ({"loop": "a circle"}, State.DOWN, Cause.LOOP),
-        ({"paused": True, "unavailable": NOBODY}, State.PAUSED, Cause.PAUSED),
-        ({"disarmed": "unarmed"}, State.DISARMED, Cause.DISARMED),
+        ({"crossing": Crossing.LOOP, "loop": "a circle"}, State.DOWN, Cause.LOOP),
+        ({"crossing": Crossing.PAUSED, "unavailable": NOBODY}, State.PAUSED, Cause.PAUSED),
+        ({"crossing": Crossing.DISARMED, "disarmed": "unarmed"}, State.DISARMED, Cause.DISARMED),
         ({"no_path": Verdict(State.DOWN, Cause.NO_PATH, "stuck")}, State.DOWN, Cause.NO_PATH),
         ({"unavailable": NOBODY, "offered": False}, State.WAITING, Cause.NO_SERVER),
         ({"unavailable": GONE, "offered": False}, State.DOWN, Cause.SERVER_GONE),

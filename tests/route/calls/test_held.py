@@ -19,6 +19,7 @@ from rsb_bridge.route.calls.goals import accepted_by
 from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import why_not_by_hand
 from rsb_bridge.route.lease import BEAT, LASTS, LeaseHalf
 from rsb_bridge.wire.headers import CallFrame, What
@@ -145,7 +146,7 @@ def test_what_is_armed_is_not_said_to_be_disarmed_while_the_link_is_silent(
     while loop.time() <= LASTS + BEAT:
         loop.jump(BEAT)
         lease.beat()  # nobody answers
-    assert route.arming.stands(context.now())
+    assert route.arming.crossing(context.now()) is Crossing.UNHEARD
     assert why_not_by_hand(route, context.now()) is Refused.UNHEARD
     assert refusal_of(route, CallFrame(What.CALL, CANCEL_GOAL, 1, 0, UNREADABLE)) is Refused.PROVIDER_GONE
     with pytest.raises(CallError, match=REMEDIES[Refused.UNHEARD]):

@@ -264,15 +264,11 @@ class CallingRoute(CallsRoute):
         if not self.types.load(self._provided.lanes):
             return frozenset()
         # Until the other side has heard of the end of the pause, it refuses calls.
-        resumed = self._provided.pause_revision >= self._resumed_at
-        return frozenset(
-            number
-            for number, member in enumerate(self.members)
-            if not self.held(number) and (resumed or not member.limited)
-        )
+        limited_too = self.crossing.flows and self._provided.pause_revision >= self._resumed_at
+        return frozenset(number for number, member in enumerate(self.members) if limited_too or not member.limited)
 
     def _paused(self, was: bool) -> None:
-        if was and not self.paused and self.id:
+        if was and not self.pausing.paused and self.id:
             self._resumed_at = self.pausing.revision
         super()._paused(was)
 

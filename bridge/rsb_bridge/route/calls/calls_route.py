@@ -344,10 +344,6 @@ class CallsRoute(Route):
     def message_types(self) -> tuple[TypeVersion, ...]:
         return self.types.messages
 
-    def held(self, lane: int) -> bool:
-        """Whether a pause or arming holds up a lane. Nothing ever holds up a cancel."""
-        return self.members[lane].limited and (self.paused or not self.arming.stands(self.context.now()))
-
     # --- opening and closing
 
     def open(self, route_id: int) -> None:

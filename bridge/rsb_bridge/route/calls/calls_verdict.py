@@ -181,7 +181,7 @@ def _waiting(facts: CallsFacts) -> Verdict | None:
     if facts.status.came and facts.progress.offered:
         return None
     text = "not called since it was reopened" if facts.status.came_before else "not called yet"
-    if not facts.progress.offered and not facts.status.flowing:
+    if not facts.progress.offered and not facts.status.crossing.flows:
         text = f"waiting: {first_missing(calls_stages(facts.status, facts.progress))}"
     return Verdict(State.WAITING, Cause.NO_CALL, text)
 

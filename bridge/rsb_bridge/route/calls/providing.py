@@ -104,12 +104,13 @@ class ProvidingRoute(CallsRoute):
             self.peer.open_channel(self)
         self._find_servers()
         entries = self._provision.entries
-        if not entries or all(self.held(lane) for lane in range(len(self.members))):
+        # Nothing ever holds up the lanes that are not limited, as a cancel.
+        if not entries or (self.crossing.is_held_back and all(member.limited for member in self.members)):
             self._retry.clear()
             if self._clients:
                 self._close_clients()
-                why = "it was paused" if self.paused else "it is not armed" if entries else "its server has gone"
-                self._give_up_all(why)
+                stopped = "it was paused" if self.pausing.paused else "it is not armed" if entries else ""
+                self._give_up_all(stopped or "its server has gone")
         elif self.types.load(entries) and not self._retry.waits(entries):
             self._have_clients(entries)
         for number, call in self._pending.items():
