@@ -24,7 +24,14 @@ from rsb_bridge.model.session import ArmedName as ArmedEntry
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.arming import ANSWERED_WITHIN, CONSOLE_SILENT_AFTER, DISARM_TEXT, PEER_GRACE, Disarmed
+from rsb_bridge.route.arming import (
+    ANSWERED_WITHIN,
+    CONSOLE_SILENT_AFTER,
+    DISARM_TEXT,
+    PEER_GRACE,
+    ArmingPhase,
+    Disarmed,
+)
 from rsb_bridge.route.blocking_rules import blocked
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import GatedMessage, LeaseGate
@@ -288,7 +295,7 @@ def test_nothing_passes_before_both_sides_agree(pair: Pair) -> None:
     assert stands(robot, pc) == [False, False]
     robot.hear()
     robot.hear()
-    assert route(robot).arming.armed, "it has agreed, but has no answer to its own number yet"
+    assert route(robot).arming.phase is ArmingPhase.BEGINS, "it has agreed, but has no answer to its own number yet"
     assert not route(robot).crossing.flows
     assert stands(robot, pc) == [False, False]
     assert passes(robot, pc) == [False, False]
@@ -433,7 +440,7 @@ def test_the_data_connection_of_a_disarmed_opening_may_end_before_the_next_one_i
         with acting("anna"):
             robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
         pc.table.handle(pc.inbox.popleft())
-        assert route(pc).arming.spent
+        assert route(pc).arming.phase is ArmingPhase.SPENT
         route(pc).channel_lost(CLOSED_BY_PEER)
         hear_all(pair)
     assert not route(pc).losses.repeated

@@ -19,6 +19,7 @@ from rsb_bridge.model.commands import ArmTopic, DraftMessage
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.route.arming import ArmingPhase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -81,7 +82,7 @@ def test_before_a_topic_is_armed(loop: VirtualLoop, ros: Loads, make_context: Ca
     armed = loop.create_task(arming.arm(ArmTopic("/cmd_vel")))
     loop.run_until_complete(asyncio.sleep(0.01))
     assert ros.loaded == [(TWIST, False)]
-    assert route(pc).arming.asked
+    assert route(pc).arming.phase is ArmingPhase.ASKED
     armed.cancel()
 
 

@@ -20,7 +20,7 @@ from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import ArmedName, Topic
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
+from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, ArmingPhase, Disarmed
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.outgoing import OutgoingRoute
@@ -274,7 +274,7 @@ def test_the_robot_rests_once_the_sides_no_longer_hear_each_other(driven: Driven
     driven.wait(LASTS + 0.1)
     assert driven.payloads[1:2] == [RESTS]
     assert driven.robot.heard[1].at - began <= LASTS + 0.01
-    assert driven.half.arming.armed
+    assert driven.half.arming.phase is ArmingPhase.ARMED
     let_time_pass(driven.pair, 1.0)
     driven.drive()
     let_time_pass(driven.pair, 1.0)

@@ -49,14 +49,13 @@ def bring(route: Route, arming: str, loop: VirtualLoop) -> None:
         return
     found, now = route.arming, route.context.now
     found.demand(required=True, deadman=DEADMAN if arming == "run out" else 0.0)
-    lease = leased(found, route.context)
-    if arming == "begins":
-        lease.end()
-        lease.begin()
+    leased(found, route.context)
     if arming == "asked":
         found.ask("anna", "a console", now(), lambda: None)
     elif arming != "free":
         found.arm_for_peer("anna", now())
+        if arming != "begins":
+            found.lives()
     if arming == "spent":
         found.end(Disarmed.OPERATOR)
     if arming == "unheard":

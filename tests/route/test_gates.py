@@ -78,9 +78,10 @@ def leased(arming: Arming, context: Context) -> LeaseHalf:
 
 def armed(arming: Arming, context: Context) -> LeaseHalf:
     """Arm by the other side; return the lease, which both sides have answered."""
-    arming.demand(required=True, deadman=0.0)
+    arming.opened(required=True, deadman=0.0)
     lease = leased(arming, context)
     arming.arm_for_peer("anna", context.now())
+    arming.lives()
     return lease
 
 
@@ -99,6 +100,8 @@ def test_the_armed_gate_asks_operators_and_then_the_link(make_context: Callable[
     leased(arming, context)
     assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
     arming.arm_for_peer("anna", context.now())
+    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
+    arming.lives()
     assert gate.check(NO_SAMPLE, context.now()) is None
     context.loop.jump(LASTS * 1.1)  # type: ignore[attr-defined]
     assert gate.check(NO_SAMPLE, context.now()) is Refused.UNHEARD
@@ -115,6 +118,7 @@ def test_the_lease_gate_passes_what_is_of_this_arming_and_young(
     assert gate.check(taken(1), 0.0) is Refused.DISARMED
     lease = leased(arming, context)
     arming.arm_for_peer("anna", context.now())
+    arming.lives()
     number = lease.number
     found = [gate.check(taken(each), 0.0) for each in (0, number - 1, number, number + 1)]
     assert found == [Refused.DISARMED, Refused.DISARMED, None, Refused.DISARMED]

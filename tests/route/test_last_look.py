@@ -120,6 +120,7 @@ def _armed_by_another(route: ProvidingActionRoute) -> None:
     route.id += 1
     route.arming.opened(required=True, deadman=0.0)
     route.arming.arm_for_peer("bert", route.context.now())
+    route.arming.lives()
 
 
 @pytest.mark.parametrize(("meanwhile", "sent"), [(_disarmed, []), (_armed_by_another, []), (lambda _: None, [GOAL])])

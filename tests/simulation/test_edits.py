@@ -15,7 +15,7 @@ from rsb_bridge.link.reloading import client_steps
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import AddTopic, ArmTopic, EditTopic, PauseTopics, RemoveTopic
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.arming import Disarmed
+from rsb_bridge.route.arming import ArmingPhase, Disarmed
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine
@@ -284,7 +284,7 @@ async def test_an_armed_topic_that_is_edited_says_on_both_sides_why_it_is_not_ar
         return [route is not None and not route.arming.held and route.arming.why for route in edits.halves()]
 
     await edits.arm(edits.other)
-    assert all(route is not None and route.arming.armed for route in edits.halves())
+    assert all(route is not None and route.arming.phase is ArmingPhase.ARMED for route in edits.halves())
     await edits.edit(editor, qos=EDITED)
     assert edits.half(editor).arming.why is Disarmed.EDITED, "at once, as `rsb-console arm` shows it"
     await edits.both(EDITED)

@@ -28,7 +28,7 @@ from rsb_bridge.link.link_arming import LinkLease
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.route.arming import Settling
+from rsb_bridge.route.arming import ArmingPhase, Settling
 from rsb_bridge.route.lease import GIVEN_UP_AFTER, LASTS, LeaseHalf, Marker, Standstill
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ class Armed:
     @property
     def stands(self) -> bool:
         halves = [self.half(run) for run in self.runs()]
-        return len(halves) == 2 and all(half is not None and half.arming.armed for half in halves)
+        return len(halves) == 2 and all(half is not None and half.arming.phase is ArmingPhase.ARMED for half in halves)
 
     # --- what must never be
 
@@ -197,7 +197,7 @@ class Armed:
             half = self.half(run)
             if half is not None and self.state(run) is State.DISARMED:
                 asyncio.ensure_future(self.arm(run))  # noqa: RUF006
-            elif half is not None and half.arming.armed and self.random.random() < 0.05:
+            elif half is not None and half.arming.phase is ArmingPhase.ARMED and self.random.random() < 0.05:
                 asyncio.ensure_future(self.disarm(run))  # noqa: RUF006
 
     async def arm(self, run: Run) -> None:

@@ -21,6 +21,7 @@ from tests.support.long import long_cases
 
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed, PauseTopics
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.route.arming import ArmingPhase
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.rest_message import RestMessage
 
@@ -77,7 +78,7 @@ class Motors(Drivers):
     def _is_armed(self, now: float) -> bool:
         """Whether the robot's bridge is armed, or was so when it published the present message."""
         route = self._route(self.robot)
-        if route is not None and route.arming.armed:
+        if route is not None and route.arming.phase is ArmingPhase.ARMED:
             self._armed_at = now
         return now - self._armed_at <= _CROSSES_WITHIN
 

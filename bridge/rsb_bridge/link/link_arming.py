@@ -23,8 +23,8 @@ from rsb_bridge.model.demands import (
 )
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
-from rsb_bridge.route.lease import BEAT, LeaseHalf, Standstill
+from rsb_bridge.route.arming import AGREED, ANSWERED_WITHIN, DISARM_TEXT, ArmingEvent, ArmingPhase, Disarmed
+from rsb_bridge.route.lease import BEAT, LeaseHalf
 from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.messages import Arm, Armed, Disarm
@@ -71,34 +71,13 @@ class WaitingCommand:
 
 
 class LinkLease:
-    """Keeps a link's lease as long as anything is armed (PROTOCOL.md, 7.2): numbers to and from the other side.
+    """Keeps a link's lease as long as anything is armed (PROTOCOL.md, 7.2): numbers to and from the other side."""
 
-    Args:
-        is_needed: whether any route is armed or about to be.
-        lives: is called when the two sides begin to hear each other.
-        lapsed: is called when they no longer do, which disarms nothing yet.
-        beat: is called whenever a number is sent, after it.
-        disarm: disarms all routes after a standstill.
-    """
-
-    def __init__(
-        self,
-        context: Context,
-        peer: BaseLink,
-        is_needed: Callable[[], bool],
-        lives: Callable[[], None],
-        lapsed: Callable[[], None],
-        beat: Callable[[], None],
-        disarm: Callable[[Standstill], None],
-    ) -> None:
+    def __init__(self, context: Context, peer: BaseLink, arming: LinkArming) -> None:
         self.state = LeaseHalf(context.clock.steady, context.ros.turns, self._over)
         self._loop = context.loop
         self._peer = peer
-        self._is_needed = is_needed
-        self._lives = lives
-        self._lapsed = lapsed
-        self._on_beat = beat
-        self._disarm = disarm
+        self._arming = arming
         self._was_alive = False
         self._timer: asyncio.TimerHandle | None = None
 
@@ -121,7 +100,7 @@ class LinkLease:
         if state.is_on and (lives or not message.echo):
             self._send()
         if state.alive and state.begun and not (was_alive and had_begun):  # also after each time that it has lapsed
-            self._lives()
+            self._arming.lives()
 
     def stop(self) -> None:
         """Stop: the connection is over."""
@@ -132,12 +111,12 @@ class LinkLease:
 
     def _beat(self) -> None:
         self._timer = None
-        if not self._is_needed():
+        if not self._arming.is_any_held:
             self.state.end()
             return
         self._send()
         self._watch()
-        self._on_beat()
+        self._arming.end_overdue()
         if self.state.over is None and self._timer is None:  # a number that comes late ends the lease
             self._timer = self._loop.call_later(BEAT, self._beat)
 
@@ -146,7 +125,7 @@ class LinkLease:
         left, was_alive = self.state.lasts_for, self._was_alive
         self._was_alive = left > 0
         if was_alive and not self._was_alive:
-            self._lapsed()
+            self._arming.lapsed()
         elif 0 < left < BEAT:
             self._loop.call_later(left + NOT_TOO_EARLY, self._watch)
 
@@ -165,7 +144,8 @@ class LinkLease:
     def _end(self) -> None:
         over = self.state.over
         if over is not None and self.state.is_on:
-            self._disarm(over)  # first: how long the other side may still publish is forgotten with the lease
+            # First: how long the other side may still publish is forgotten with the lease.
+            self._arming.disarm_all(Disarmed.LEASE, over.value)
             self.stop()
 
 
@@ -191,15 +171,7 @@ class LinkArming:
         self._propose = propose
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
         self._waiting: list[WaitingCommand] = []
-        self.lease = LinkLease(
-            context,
-            peer,
-            lambda: any(route.arming.held for route in routes()),
-            self._lease_lives,
-            self._lapsed,
-            self._end_overdue,
-            self._disarm_as_it_stood_still,
-        )
+        self.lease = LinkLease(context, peer, self)
 
     # --- which routes have to be armed
 
@@ -318,8 +290,9 @@ class LinkArming:
         arming.ask(who, console, self._context.now(), answered.set, account=account(), shared=shared)
         self._peer.send(Arm(route.id, who))
         await answered.wait()
-        if not (arming.armed and arming.console == console):
-            raise LinkError(f"{topic} is not armed: {f'{arming.by} armed it' if arming.armed else arming.reason}")
+        agreed = arming.phase in AGREED
+        if not (agreed and arming.console == console):
+            raise LinkError(f"{topic} is not armed: {f'{arming.by} armed it' if agreed else arming.reason}")
 
     @contextmanager
     def waiting(self, route: Route, console: Hashable) -> Iterator[WaitingCommand]:
@@ -352,7 +325,7 @@ class LinkArming:
         """Whether a route cannot be armed now, but in a moment, if the other side answers."""
         if not self._peer.linked or route.life.refusal or route.pausing.paused:
             return False
-        return (route.arming.spent or not route.life.accepted) and route in self._routes()
+        return (route.arming.phase is ArmingPhase.SPENT or not route.life.accepted) and route in self._routes()
 
     def _why_not(self, route: Route) -> str:
         arming = route.arming
@@ -366,7 +339,7 @@ class LinkArming:
             return "it is paused; resume it first"
         if arming.held:
             return f"{arming.by} has armed it already"
-        return ArmingProblem.NOT_OPEN() if arming.spent else ""
+        return ArmingProblem.NOT_OPEN() if arming.phase is ArmingPhase.SPENT else ""
 
     def disarm(self, route: Route, why: Disarmed, reason: str = "") -> None:
         """Disarm a route on both sides, if it is armed."""
@@ -388,24 +361,36 @@ class LinkArming:
         if route.proposed_here:
             self._propose(route)
 
-    def _lease_lives(self) -> None:
+    # --- the lease
+
+    @property
+    def is_any_held(self) -> bool:
+        """Whether any route is armed or about to be, so that the lease is needed."""
+        return any(route.arming.held for route in self._routes())
+
+    def lives(self) -> None:
+        """Let messages cross: the two sides begin to hear each other."""
         for route in self._routes():
             self._open_if_begun(route)
 
     def _open_if_begun(self, route: Route) -> None:
-        """Let messages cross once both sides have agreed and the lease has begun."""
-        if route.arming.armed and self.lease.state.begun:
-            route.arming.opens()
+        if self.lease.state.begun and route.arming.lives():
             route.armed()
 
-    def _lapsed(self) -> None:
+    def lapsed(self) -> None:
+        """Act on the fact that the two sides do not hear each other, which disarms nothing yet."""
         for route in self._routes():
-            if route.arming.armed:
+            if route.arming.phase is ArmingPhase.ARMED:
                 route.lapsed()
 
-    def _disarm_as_it_stood_still(self, where: Standstill) -> None:
+    def end_overdue(self) -> None:
+        """Disarm overdue routes, and schedule the ones due before the next beat."""
+        now = self._context.now()
         for route in self._routes():
-            self.disarm(route, Disarmed.LEASE, where.value)
+            if (why := route.arming.overdue(now)) is not None:
+                self.disarm(route, why)
+            elif (left := route.arming.due_at - now) < BEAT:
+                self._context.loop.call_later(left + NOT_TOO_EARLY, self.end_overdue)
 
     # --- consoles of this side
 
@@ -422,26 +407,17 @@ class LinkArming:
             if route.arming.held and route.arming.console == console:
                 self.disarm(route, route.arming.overdue(self._context.now()) or Disarmed.CONSOLE_GONE)
 
-    def disarm_all(self, why: Disarmed) -> None:
+    def disarm_all(self, why: Disarmed, reason: str = "") -> None:
         """Disarm all routes."""
         for route in self._routes():
-            self.disarm(route, why)
+            self.disarm(route, why, reason)
 
     def tick(self) -> None:
         """Disarm overdue routes, and tell the other side of keys, once a second."""
-        self._end_overdue()
+        self.end_overdue()
         for route in self._routes():
             if route.arming.held and route.arming.take_press():
                 self._peer.send(Arm(route.id, route.arming.by))
-
-    def _end_overdue(self) -> None:
-        """Disarm overdue routes, and schedule the ones due before the next beat."""
-        now = self._context.now()
-        for route in self._routes():
-            if (why := route.arming.overdue(now)) is not None:
-                self.disarm(route, why)
-            elif (left := route.arming.due_at - now) < BEAT:
-                self._context.loop.call_later(left + NOT_TOO_EARLY, self._end_overdue)
 
     # --- the other side
 
@@ -456,7 +432,7 @@ class LinkArming:
             case Arm():
                 self._armed_there(route, self._peer_operators.says(message.who))
             case Armed():
-                if route.arming.asked and self.lease.state.slow:
+                if route.arming.phase is ArmingPhase.ASKED and self.lease.state.slow:
                     self.disarm(route, Disarmed.LINK_SLOW)
                 elif route.arming.agreed(self._context.now()):
                     self._armed_by(route, route.arming.by)
@@ -475,12 +451,10 @@ class LinkArming:
 
     def _armed_there(self, route: Route, who: str) -> None:
         arming, now = route.arming, self._context.now()
-        if arming.held and arming.console is None:
-            # A further Arm tells of a key (PROTOCOL.md, 7). It does not revive what is overdue.
-            if arming.crossing(now).flows:
-                arming.arm_for_peer(who, now)
+        arming.pressed_there(who, now)  # a further Arm tells of a key (PROTOCOL.md, 7)
+        if not arming.required or not arming.admits(ArmingEvent.ARM_THERE):
             return
-        if not arming.required or arming.spent or arming.armed or (arming.asked and self._peer.is_client):
+        if arming.phase is ArmingPhase.ASKED and self._peer.is_client:
             return  # of two operators who arm it at once, the client's does
         if not self._budget.take(1, now):
             self._refuse(route, Disarmed.TOO_OFTEN)

@@ -111,23 +111,68 @@ _QUESTION_LASTS = 2.0
 round figure."""
 
 
-class _Phase(Enum):
+class ArmingPhase(Enum):
+    """The phases of the one arming that an opening of a route may have."""
+
     FREE = auto()
     """It may be armed."""
     ASKED = auto()
     """An operator of this side has armed it; the other side has not agreed yet."""
+    BEGINS = auto()
+    """Both sides have agreed, and have not answered each other in time yet."""
     ARMED = auto()
     SPENT = auto()
-    """It was armed in this opening, and needs a new one."""
+    """It has ended; the next one needs a new opening."""
 
 
-_HELD = (_Phase.ASKED, _Phase.ARMED)
+class ArmingEvent(Enum):
+    """Events in an arming."""
+
+    OPEN = auto()
+    """The route has a new opening."""
+    ASK = auto()
+    """An operator of this side arms it."""
+    ARM_THERE = auto()
+    """An operator of the other side arms it."""
+    AGREE = auto()
+    """The other side agrees in time."""
+    LIVE = auto()
+    """The two sides hear each other, for the first time or again."""
+    KEY = auto()
+    """Its operator presses a key in time, on either side."""
+    END = auto()
+    """It is disarmed, or refused."""
+
+
+_ALWAYS = {ArmingEvent.OPEN: ArmingPhase.FREE, ArmingEvent.END: ArmingPhase.SPENT}
+
+TRANSITIONS: dict[ArmingPhase, dict[ArmingEvent, ArmingPhase]] = {
+    ArmingPhase.FREE: {ArmingEvent.ASK: ArmingPhase.ASKED, ArmingEvent.ARM_THERE: ArmingPhase.BEGINS, **_ALWAYS},
+    ArmingPhase.ASKED: {ArmingEvent.AGREE: ArmingPhase.BEGINS, ArmingEvent.ARM_THERE: ArmingPhase.BEGINS, **_ALWAYS},
+    ArmingPhase.BEGINS: {ArmingEvent.LIVE: ArmingPhase.ARMED, ArmingEvent.KEY: ArmingPhase.BEGINS, **_ALWAYS},
+    ArmingPhase.ARMED: {ArmingEvent.LIVE: ArmingPhase.ARMED, ArmingEvent.KEY: ArmingPhase.ARMED, **_ALWAYS},
+    ArmingPhase.SPENT: _ALWAYS,
+}
+
+HELD = (ArmingPhase.ASKED, ArmingPhase.BEGINS, ArmingPhase.ARMED)
+"""The phases in which an operator has armed it."""
+AGREED = (ArmingPhase.BEGINS, ArmingPhase.ARMED)
+"""The phases in which both sides have agreed on that."""
+
+_CROSSING = {
+    ArmingPhase.FREE: Crossing.DISARMED,
+    ArmingPhase.ASKED: Crossing.ASKED,
+    ArmingPhase.BEGINS: Crossing.BEGINS,
+    ArmingPhase.SPENT: Crossing.DISARMED,
+}
+"""What crosses in the phases in which nothing does."""
 
 
 class Arming:
     """The armed state of a route on one side.
 
     Attributes:
+        phase: of the arming in the present opening.
         required: whether either side's session demands arming.
         switched: called whenever `required` may have changed.
         deadman: s without a key after which it disarms, or 0 for no limit.
@@ -160,15 +205,15 @@ class Arming:
         self.first = 0
         self._answered: Callable[[], None] | None = None
         self.question: Question | None = None
-        self._clear(_Phase.FREE)
+        self.phase = ArmingPhase.FREE
+        self._clear()
 
-    def _clear(self, phase: _Phase) -> None:
+    def _clear(self) -> None:
         # A command may wait for the other side: it ends, and reports that nothing is armed.
         self._answer()
         question, self.question = self.question, None
         if question is not None:
             question.answered(None)
-        self._phase = phase
         self.by = self.account = ""
         self.console: Hashable | None = None
         self.shared = False
@@ -192,7 +237,8 @@ class Arming:
         self.required = False
         self.switched()
         self.demand(required=required, deadman=deadman)
-        self._clear(_Phase.FREE)
+        self._handle(ArmingEvent.OPEN)
+        self._clear()
 
     def follow(self, before: Arming) -> None:
         """Go on showing why the route is not armed in whose place this one's comes."""
@@ -205,42 +251,35 @@ class Arming:
 
     # --- state
 
+    def admits(self, event: ArmingEvent) -> bool:
+        """Whether an event belongs into the present phase; another one changes nothing."""
+        return event in TRANSITIONS[self.phase]
+
+    def _handle(self, event: ArmingEvent) -> bool:
+        """Move to the next phase; return whether the event belongs into this one."""
+        if not self.admits(event):
+            return False
+        self.phase = TRANSITIONS[self.phase][event]
+        return True
+
     @property
     def held(self) -> bool:
         """Whether an operator has armed it, even if the other side has not agreed yet."""
-        return self._phase in _HELD
-
-    @property
-    def armed(self) -> bool:
-        """Whether both sides hold it for armed, as far as this one knows."""
-        return self._phase is _Phase.ARMED
-
-    @property
-    def asked(self) -> bool:
-        """Whether this side waits for the other to agree."""
-        return self._phase is _Phase.ASKED
-
-    @property
-    def spent(self) -> bool:
-        """Whether it can be armed only in a new opening."""
-        return self._phase is _Phase.SPENT
+        return self.phase in HELD
 
     def crossing(self, now: float) -> Crossing:
         """Return whether messages may cross at `now` (s) as far as arming is concerned."""
         if not self.required:
             return Crossing.YES
-        if self._phase is _Phase.ASKED:
-            return Crossing.ASKED
-        if self._phase is not _Phase.ARMED or now >= self._deadline or self.lease is None:
+        if self.phase is not ArmingPhase.ARMED:
+            return _CROSSING[self.phase]
+        if now >= self._deadline or self.lease is None:
             return Crossing.DISARMED
-        # Before the lease has begun, a goal could overtake what shows the other side that it is heard, and be refused.
-        if not self.lease.begun:
-            return Crossing.BEGINS
         return Crossing.YES if self.lease.alive else Crossing.UNHEARD
 
     def has_run_out(self, now: float) -> bool:
         """Whether it is armed, and its deadman has run out at `now` (s)."""
-        return self._phase is _Phase.ARMED and now >= self._deadline
+        return self.phase is ArmingPhase.ARMED and now >= self._deadline
 
     def why_at(self, now: float) -> tuple[Disarmed, str]:
         """Return the reason why it is not armed at `now` (s), also in words."""
@@ -316,7 +355,9 @@ class Arming:
             account: the operator's (`rsb_bridge.model.commands.Operator`).
             shared: whether that operator's other consoles may publish by hand, too.
         """
-        self._hold(_Phase.ASKED, by, console)
+        if not self._hold(ArmingEvent.ASK, by, console):
+            answered()
+            return
         self.account, self.shared = account, shared
         self._answered = answered
         self._seen_at, self._deadline = now, now + ANSWERED_WITHIN
@@ -324,33 +365,47 @@ class Arming:
     def agreed(self, now: float) -> bool:
         """Take the other side's agreement at `now` (s). Return whether this side had asked."""
         # An agreement that comes too late arms nothing, even before the tick that gives it up.
-        if self._phase is not _Phase.ASKED or now >= self._deadline:
+        if now >= self._deadline or not self._handle(ArmingEvent.AGREE):
             return False
-        self._phase = _Phase.ARMED
         self._begin_deadman(now, 0.0)
         return True
 
-    def opens(self) -> None:
-        """Report success to the operator who armed it: messages may cross from now on."""
+    def lives(self) -> bool:
+        """Let messages cross, as the two sides hear each other; return whether both have agreed on that."""
+        # Not before: a goal could overtake what shows the other side that it is heard, and be refused.
+        if not self._handle(ArmingEvent.LIVE):
+            return False
         self._answer()
+        return True
 
     def arm_for_peer(self, by: str, now: float) -> None:
-        """Arm it for an operator of the other side, who armed it or pressed a key at `now` (s)."""
-        self._hold(_Phase.ARMED, by, None)
-        # This side's operator may have asked at the same moment: that command ends, and names the other operator.
-        self._answer()
-        self._begin_deadman(now, PEER_GRACE)
+        """Arm it for an operator of the other side at `now` (s)."""
+        if self._hold(ArmingEvent.ARM_THERE, by, None):
+            # This side's operator may have asked at the same moment: that command ends, and names the other operator.
+            self._answer()
+            self._begin_deadman(now, PEER_GRACE)
+
+    def pressed_there(self, by: str, now: float) -> None:
+        """Note that the operator of the other side who has armed it has pressed a key at `now` (s)."""
+        # A key after the deadline revives nothing, even before the tick that disarms.
+        if self.console is None and now < self._deadline and self._handle(ArmingEvent.KEY):
+            self.by = by
+            self._begin_deadman(now, PEER_GRACE)
 
     def end(self, why: Disarmed, reason: str = "") -> None:
         """Disarm this opening for good; `reason` replaces the usual text of `why`."""
         self.why, self.reason = why, reason or DISARM_TEXT[why]
-        self._clear(_Phase.SPENT)
+        self._handle(ArmingEvent.END)
+        self._clear()
 
-    def _hold(self, phase: _Phase, by: str, console: Hashable | None) -> None:
-        # A key on the other side comes here, too. With a newer number, messages from before the key would not pass.
-        if not self.held:
+    def _hold(self, event: ArmingEvent, by: str, console: Hashable | None) -> bool:
+        was_held = self.held
+        if not self._handle(event):
+            return False
+        if not was_held:
             self.first = self.lease.number if self.lease is not None else 0
-        self._phase, self.by, self.console = phase, by, console
+        self.by, self.console = by, console
+        return True
 
     def _answer(self) -> None:
         answered, self._answered = self._answered, None
@@ -373,8 +428,7 @@ class Arming:
         if self.console is None or console != self.console:
             return
         self._seen_at = now
-        # A key after the deadline revives nothing, even before the tick that disarms.
-        if pressed and self._phase is _Phase.ARMED and now < self._deadline:
+        if pressed and now < self._deadline and self._handle(ArmingEvent.KEY):
             self._begin_deadman(now, 0.0)
             self._key_pressed = True
 
@@ -396,7 +450,7 @@ class Arming:
             return None
         if now < self._deadline:
             return Disarmed.CONSOLE_GONE
-        return Disarmed.NO_ANSWER if self._phase is _Phase.ASKED else Disarmed.DEADMAN
+        return Disarmed.NO_ANSWER if self.phase is ArmingPhase.ASKED else Disarmed.DEADMAN
 
 
 def without_history(qos: Qos) -> Qos:

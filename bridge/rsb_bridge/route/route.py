@@ -21,7 +21,7 @@ from rsb_bridge.model.session import HIGHEST, weight_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
-from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
+from rsb_bridge.route.arming import AGREED, DISARM_TEXT, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.crossing import Crossing
@@ -351,7 +351,7 @@ class Route:
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Disarm this opening for good; `reason` replaces the usual text of `why`."""
         arming, lease = self.arming, self.arming.lease
-        if arming.armed and self.outgoing and lease is not None:
+        if arming.phase in AGREED and self.outgoing and lease is not None:
             self.settling.begin(self.id, lease.left)
         # `LinkArming` records an operator's disarm. Other causes are logged once nothing is published any more.
         if why is not Disarmed.OPERATOR:

@@ -121,6 +121,7 @@ def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..
     route.arming.arm_for_peer("anna", context.now())
     number, _ = lease.beat()
     lease.hear(2, number)
+    route.arming.lives()
     assert refusal(number) is Refused.PROVIDER_GONE, "it may pass"
     assert [refusal(each) for each in (0, before, number + 1)] == [Refused.DISARMED] * 3
     for _ in range(5):
@@ -142,6 +143,8 @@ def test_what_is_armed_is_not_said_to_be_disarmed_while_the_link_is_silent(
     route.arming.arm_for_peer("anna", context.now())
     for newest in range(1, 3):  # the second shows that the other side knows that it is heard
         lease.hear(newest, lease.beat()[0])
+    assert why_not_by_hand(route, context.now()) is Refused.DISARMED
+    route.arming.lives()
     assert why_not_by_hand(route, context.now()) is None
     while loop.time() <= LASTS + BEAT:
         loop.jump(BEAT)
