@@ -33,11 +33,11 @@ def test_every_phase_can_be_reached_refused_and_closed(phase: RoutePhase) -> Non
 
 
 def test_a_new_type_is_described_before_messages_flow_again() -> None:
-    life = in_phase(RoutePhase.READY)
-    assert life.handle(RouteEvent.DESCRIBE)
-    assert not life.ready
-    assert life.handle(RouteEvent.READY)
-    assert life.ready
+    life, phases = in_phase(RoutePhase.READY), []
+    for event in (RouteEvent.DESCRIBE, RouteEvent.READY):
+        assert life.handle(event)
+        phases.append(life.phase)
+    assert phases == [RoutePhase.DESCRIBED, RoutePhase.READY]
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_whatever_happens_the_way_is_gone_in_order(events: list[RouteEvent]) -> 
     for event in events:
         if life.handle(event):
             since_open = [event] if event is RouteEvent.OPEN else [*since_open, event]
-        if life.ready:
+        if life.phase is RoutePhase.READY:
             assert since_open[:2] == [RouteEvent.OPEN, RouteEvent.ACCEPT]
             assert since_open[-1] is RouteEvent.READY
             assert RouteEvent.DESCRIBE in since_open

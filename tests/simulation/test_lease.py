@@ -29,7 +29,7 @@ from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.arming import ArmingPhase, Settling
-from rsb_bridge.route.lease import GIVEN_UP_AFTER, LASTS, LeaseHalf, Marker, Standstill
+from rsb_bridge.route.lease import GIVEN_UP_AFTER, LASTS, LeaseHalf, LeasePhase, Marker, Standstill
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
@@ -490,11 +490,11 @@ def _blind_to(where: Standstill) -> Callable[[LeaseHalf], None]:
     """Replace `LeaseHalf._end_at_standstill` by a form that does not notice one kind of stall."""
 
     def look(self: LeaseHalf) -> None:
-        ended: list[bool] = []
+        phase, ended = self.phase, []
         with patch.object(self, "_ended", lambda: ended.append(True)):
             _look(self)
         if self.over is where and ended:
-            self.over = None
+            self.phase, self.over = phase, None
         elif ended:
             self._ended()
 
@@ -518,7 +518,7 @@ async def _at_once(self: Settling) -> None:
 
 _look = replaced.LEASE_END.value
 _marked = Marker.marked
-_ALIVE = property(lambda self: self.is_on)
+_ALIVE = property(lambda self: self.phase is not LeasePhase.OFF)
 
 _OLD = "s old, more than"
 _AFTER = "after a disarm, made before it"

@@ -321,8 +321,8 @@ class Publishing:
             # To arm it would not help: it is armed.
             if Refused.UNHEARD in refusals:
                 raise LinkError(PublishProblem.NOT_HEARD(topic=topic))
-            reason = next((each.reason for route in requiring if (each := route.arming.snapshot(now)) is not None), "")
-            raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})" if reason else ""))
+            _, reason = requiring[0].arming.why_at(now)
+            raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})"))
         if armed and (self._ending[topic] or self._ending[_EVERY_TOPIC]):
             raise LinkError(PublishProblem.ENDING(topic=topic))
         for route in armed:

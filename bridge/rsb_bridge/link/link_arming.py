@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from rsb_bridge.link.extension import LinkError
@@ -24,7 +25,7 @@ from rsb_bridge.model.demands import (
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.arming import AGREED, ANSWERED_WITHIN, DISARM_TEXT, ArmingEvent, ArmingPhase, Disarmed
-from rsb_bridge.route.lease import BEAT, LeaseHalf
+from rsb_bridge.route.lease import BEAT, LeaseHalf, LeasePhase
 from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.messages import Arm, Armed, Disarm
@@ -58,6 +59,7 @@ class ArmingProblem(Wording):
     WITHDRAWN = "{topic} is not armed: it was disarmed meanwhile, or the console that asked for it is gone"
 
 
+@dataclass(eq=False, slots=True)
 class WaitingCommand:
     """A console's command that takes a while before it arms a route.
 
@@ -65,9 +67,9 @@ class WaitingCommand:
         withdrawn: whether it is to arm nothing: the console is gone, or the route was disarmed meanwhile.
     """
 
-    def __init__(self, key: str, console: Hashable) -> None:
-        self.key, self.console = key, console
-        self.withdrawn = False
+    key: str
+    console: Hashable
+    withdrawn: bool = False
 
 
 class LinkLease:
@@ -83,9 +85,8 @@ class LinkLease:
 
     def hold(self) -> None:
         """Keep the lease from now on, for a route that is about to be armed, and send a number at once."""
-        if self.state.over is not None:  # noticed just now: the end that `_over` has planned would hit the new arming
-            self._end()
-        if not self.state.is_on:
+        self._end()  # if it was noticed just now: the end that `_over` has planned would hit the new arming
+        if self.state.phase is LeasePhase.OFF:
             self.state.begin()
         self._send()
         if self._timer is None:
@@ -97,7 +98,7 @@ class LinkLease:
         was_alive, had_begun = state.alive, state.begun
         state.hear(message.number, message.echo)
         lives = state.alive and not was_alive
-        if state.is_on and (lives or not message.echo):
+        if state.phase is not LeasePhase.OFF and (lives or not message.echo):
             self._send()
         if state.alive and state.begun and not (was_alive and had_begun):  # also after each time that it has lapsed
             self._arming.lives()
@@ -117,7 +118,7 @@ class LinkLease:
         self._send()
         self._watch()
         self._arming.end_overdue()
-        if self.state.over is None and self._timer is None:  # a number that comes late ends the lease
+        if self.state.phase is not LeasePhase.OVER and self._timer is None:  # a number that comes late ends the lease
             self._timer = self._loop.call_later(BEAT, self._beat)
 
     def _watch(self) -> None:
@@ -143,7 +144,7 @@ class LinkLease:
 
     def _end(self) -> None:
         over = self.state.over
-        if over is not None and self.state.is_on:
+        if over is not None and self.state.phase is LeasePhase.OVER:
             # First: how long the other side may still publish is forgotten with the lease.
             self._arming.disarm_all(Disarmed.LEASE, over.value)
             self.stop()

@@ -314,26 +314,25 @@ class Arming:
         """
         if not self.required:
             return None
-        armed = self.crossing(now).flows
-        grace = PEER_GRACE if self.console is None else 0.0  # the other side's operator has that much less time
+        armed, here = self.crossing(now).flows, self.console is not None
+        why, reason = ("", "") if armed else self.why_at(now)
+        grace = 0.0 if here else PEER_GRACE  # the other side's operator has that much less time
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
-        here = self.console is not None
-        if armed:
-            question = self.question_at(now)
-            return ArmingSnapshot(
-                armed,
-                self.by,
-                here,
-                left,
-                self.deadman,
-                self.demanded_by,
-                on_end=on_end,
-                velocity=velocity,
-                asked_by="" if question is None else question.who,
-                goes_in=None if question is None else max(0.0, question.until - now),
-            )
-        why, reason = self.why_at(now)
-        return ArmingSnapshot(armed, "", here, left, self.deadman, self.demanded_by, why, reason, on_end, velocity)
+        question = self.question_at(now) if armed else None
+        return ArmingSnapshot(
+            armed,
+            self.by if armed else "",
+            here,
+            left,
+            self.deadman,
+            self.demanded_by,
+            why,
+            reason,
+            on_end,
+            velocity,
+            asked_by="" if question is None else question.who,
+            goes_in=None if question is None else max(0.0, question.until - now),
+        )
 
     # --- arming
 

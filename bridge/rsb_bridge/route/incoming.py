@@ -29,7 +29,7 @@ from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import CAUSES, reported_ledger
-from rsb_bridge.route.lifecycle import RouteEvent
+from rsb_bridge.route.lifecycle import DESCRIBED, RouteEvent, RoutePhase
 from rsb_bridge.route.message_check import PUBLISHED_ASIDE, ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
@@ -190,7 +190,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def described(self, description: Describe) -> None:
         """Make the publishers for the messages that the sender describes, or refuse the route."""
         # Asked before the event, because the sender describes its messages again whenever it adds a source.
-        first = not self.life.described
+        first = self.life.phase is RoutePhase.ACCEPTED
         if not self.life.handle(RouteEvent.DESCRIBE):
             return
         if not self._agrees(description):
@@ -590,7 +590,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """
         report = self._received_report()
         before, self._last_report = self._last_report, report
-        if report == _with_latencies(before, report) and not (self._sender_ledger.in_flight and self.life.ready):
+        awaits = self._sender_ledger.in_flight and self.life.phase is RoutePhase.READY
+        if report == _with_latencies(before, report) and not awaits:
             return None
         verdict = lasting(report.verdict, self.verdict(), self.context.now())
         return msgspec.structs.replace(report, verdict=verdict)
@@ -630,7 +631,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return TopicProgress(
             self.endpoints,
             publishers=report.publishers if report else None,
-            described=self.life.described,
+            described=self.life.phase in DESCRIBED,
             type_name=self.type_name,
             qos=self._offered,
             why_unresolved=peer.text,

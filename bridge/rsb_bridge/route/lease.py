@@ -7,7 +7,7 @@ than that number. Neither a clock of the other side nor the order in which strea
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import Enum, auto
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
@@ -42,6 +42,23 @@ class Standstill(Enum):
     PEER = "the other side or the link stood still"
 
 
+class LeasePhase(Enum):
+    """The phases of one side's half of a lease; a standstill ends each but the first."""
+
+    OFF = auto()
+    """Nothing is armed, so that no numbers are sent."""
+    SENDS = auto()
+    """Numbers are sent, and none has been answered in time yet."""
+    ANSWERED = auto()
+    """The other side hears this one, and does not know yet that it is heard itself."""
+    BEGUN = auto()
+    """The other side knows that it is heard, so that it takes what is sent from now on."""
+    OVER = auto()
+    """Something stood still; it stays dead until it is switched off and on again."""
+
+
+_BEGINS = (LeasePhase.SENDS, LeasePhase.ANSWERED)
+_MOVES = (*_BEGINS, LeasePhase.BEGUN)
 M = TypeVar("M", "RawMessage", "Request")
 
 
@@ -53,8 +70,9 @@ class LeaseHalf:
         ended: called once when it is over, after the last message has passed.
 
     Attributes:
+        phase: OFF, until `begin`.
         number: the newest that this side has sent.
-        over: place where nothing moved, or None; the lease stays dead until `begin`.
+        over: the place where nothing moved, if it is or was OVER.
         round_trip: s from the newest number that was answered to its answer.
     """
 
@@ -62,12 +80,11 @@ class LeaseHalf:
         self._steady = steady
         self._turns = turns
         self._ended = ended
+        self.phase = LeasePhase.OFF
         self.number = 0
         self.over: Standstill | None = None
-        self.is_on = False
         self._began = self._beaten = 0.0
         self._sent: dict[int, float] = {}  # when, by number
-        self._answered = self._begun = False
         self._newest_before = 0  # the newest number of this side before `begin`
         self._first_answer = 0  # the first number since `begin` that carried one of the other side's, or 0
         self._acknowledged = 0  # the newest number that the other side has heard
@@ -80,16 +97,16 @@ class LeaseHalf:
     def begin(self) -> None:
         """Send numbers from now on. It is alive once the other side has answered one of them."""
         self._turns.watch(self)
-        self.is_on, self.over = True, None
+        self.phase, self.over = LeasePhase.SENDS, None
         self._began = self._beaten = self._steady()
-        self._confirmed, self._answered, self._begun = float("-inf"), False, False
+        self._confirmed = float("-inf")
         self._first_answer = 0
         self._acknowledged = self._newest_before = self.number  # those up to this one do not count
 
     def end(self) -> None:
         """Send no more numbers, and forget the other side's."""
         self._turns.leave(self)
-        self.is_on = False
+        self.phase = LeasePhase.OFF
         self._heard = ()
 
     # --- numbers
@@ -117,24 +134,20 @@ class LeaseHalf:
         now = self._steady()
         # While it is off, a number that answers one of this side belongs to a lease that is over, and came late. If it
         # counted, the next lease could count as begun before the other side had begun it, and a goal would be refused.
-        if (self.is_on or not echo) and (not self._heard or number > self._heard[-1][0]):
+        if (self.phase is not LeasePhase.OFF or not echo) and (not self._heard or number > self._heard[-1][0]):
             self._heard = (*self._heard[1 - _KEPT :], (number, now))
         sent = self._sent.get(echo)
         if sent is not None and echo > self._acknowledged:
             self._acknowledged, self._confirmed, self.round_trip = echo, sent, now - sent
-            in_time = self.round_trip <= LASTS
-            self._answered = self._answered or in_time
-            self._begun = self._begun or (in_time and 0 < self._first_answer <= echo)
+            if self.round_trip <= LASTS and self.phase in _BEGINS:
+                self.phase = LeasePhase.BEGUN if 0 < self._first_answer <= echo else LeasePhase.ANSWERED
 
     # --- what it is asked
 
     @property
     def begun(self) -> bool:
-        """Whether the two sides have answered each other in time since `begin`, as far as this one knows.
-
-        The other side has then heard that this one hears it, so it takes what is sent from now on.
-        """
-        return self._begun
+        """Whether the two sides have answered each other in time since `begin`, as far as this one knows."""
+        return self.phase is LeasePhase.BEGUN
 
     @property
     def now(self) -> float:
@@ -145,7 +158,7 @@ class LeaseHalf:
     def alive(self) -> bool:
         """Whether the other side has heard a number that this side has sent within the last second."""
         self._end_at_standstill()
-        return self.is_on and self.over is None and self._steady() - self._confirmed <= LASTS
+        return self.phase in _MOVES and self._steady() - self._confirmed <= LASTS
 
     @property
     def lasts_for(self) -> float:
@@ -173,7 +186,8 @@ class LeaseHalf:
 
     def _end_at_standstill(self) -> None:
         """End it if nothing has moved for too long."""
-        if not self.is_on or self.over is not None:
+        phase = self.phase
+        if phase not in _MOVES:
             return
         now = self._steady()
         # This side comes first: while it stands still, it hears nothing of the other one either.
@@ -181,12 +195,13 @@ class LeaseHalf:
             self.over = Standstill.LOOP
         elif now - self._turns.at > LASTS:
             self.over = Standstill.ROS_THREAD
-        elif (self._answered and now - self._confirmed > GIVEN_UP_AFTER) or (
-            not self.begun and now - self._began > _FIRST_WITHIN
+        elif (phase is not LeasePhase.SENDS and now - self._confirmed > GIVEN_UP_AFTER) or (
+            phase in _BEGINS and now - self._began > _FIRST_WITHIN
         ):
             self.over = Standstill.PEER
         else:
             return
+        self.phase = LeasePhase.OVER
         self._ended()
 
 

@@ -48,6 +48,9 @@ class RouteEvent(Enum):
     """The opening ends for no fault of the route's: the link is lost, or the route is opened again."""
 
 
+DESCRIBED = (RoutePhase.DESCRIBED, RoutePhase.READY)
+"""The phases in which the sender has described its messages."""
+
 _END = {RouteEvent.REFUSE: RoutePhase.CLOSED, RouteEvent.CLOSE: RoutePhase.CLOSED}
 
 TRANSITIONS: dict[RoutePhase, dict[RouteEvent, RoutePhase]] = {
@@ -63,15 +66,13 @@ class Lifecycle:
     """The phase of one route's half.
 
     Attributes:
-        accepted: whether both sides want the route.
-        described: whether the sender has described its messages.
-        ready: whether both sides agree that messages may be sent.
+        accepted: whether both sides want the route; with each message, it is asked once more.
         refusal: reason of the last refusal or end, empty if it opened again since.
     """
 
     def __init__(self) -> None:
         self.phase = RoutePhase.CLOSED
-        self.accepted = self.described = self.ready = False
+        self.accepted = False
         self.refusal = NO_REASON
 
     def handle(self, event: RouteEvent, reason: Reason = NO_REASON) -> bool:
@@ -85,9 +86,7 @@ class Lifecycle:
         if new is None:
             return False
         self.phase = new
-        self.ready = new is RoutePhase.READY
-        self.described = self.ready or new is RoutePhase.DESCRIBED
-        self.accepted = self.described or new is RoutePhase.ACCEPTED
+        self.accepted = new is RoutePhase.ACCEPTED or new in DESCRIBED
         if event is RouteEvent.REFUSE:
             self.refusal = reason
         elif event is RouteEvent.OPEN:
@@ -146,7 +145,7 @@ class Reopening:
         Args:
             open_for: seconds for which the route has been open, or 0 if it is closed.
         """
-        if life.ready or open_for >= _REFUSED_WITHIN:
+        if life.phase is RoutePhase.READY or open_for >= _REFUSED_WITHIN:
             self.refused = NO_REASON
         return life.refusal or self.refused
 

@@ -24,7 +24,7 @@ from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, SendersDelay, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.lifecycle import RouteEvent
+from rsb_bridge.route.lifecycle import DESCRIBED, RouteEvent, RoutePhase
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath, remedy_for_size
@@ -160,7 +160,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         """Subscribe: the peer has publishers. Its counts of the previous opening settle the ledger."""
         # Asked before the event, because the peer answers each description, and only its first answer has this side
         # subscribe.
-        again = self.life.ready
+        again = self.life.phase is RoutePhase.READY
         if not self.life.handle(RouteEvent.READY):
             return
         if not self._ledger.settle(ready.before, self.peer.instance):
@@ -207,7 +207,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             return
         described = self._resolve()
         if described is None:
-            if self.life.ready:
+            if self.life.phase is RoutePhase.READY:
                 self._look_who_is_present()
             return
         if self._described is not None and described.type_hash != self._described.type_hash:
@@ -220,7 +220,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._subscription.unsubscribe()
             self.life.handle(RouteEvent.DESCRIBE)
             self._describe(described)
-        if not self.life.ready:
+        if self.life.phase is not RoutePhase.READY:
             return
         self._look_who_is_present()
         if self.channel is None:
@@ -520,7 +520,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             publishers=len(self.endpoints) if self.endpoints or looks else None,
             loop_note=self._loop_filter.left_out(),
             similar=self._resolver.similar,
-            described=self.life.described,
+            described=self.life.phase in DESCRIBED,
             type_name=self.type_name,
             qos=self.qos,
             unresolved=None if unresolved is None else unresolved.cause,
