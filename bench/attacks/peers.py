@@ -17,6 +17,7 @@ from tests.support.rogue import Rogue
 from rsb_bridge.cdr.known_types import STRING_HASH
 from rsb_bridge.model.limits import ROUTES_PER_LINK, dds_ports
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.messages import (
     Accept,
@@ -201,7 +202,7 @@ def types(target: Target, tally: Tally) -> None:
             kind = (f"made_up_msgs/msg/Blob{number}", f"RIHS01_{number:064x}")
             rogue.say(Describe(route, *kind, qos=Qos(), sources=(Source((f"rsb_rogue{name}",)),)))
             tally["types" if isinstance(rogue.wait_for(Ready, Refuse), Ready) else "types refused"] += 1
-            rogue.say(Close(route, "done", removed=True))
+            rogue.say(Close(route, "done", EndCode.REMOVED))
 
 
 def volatile(target: Target, tally: Tally) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from tests.support.bridge import Bridge, carries, find, happened, heard, linked, route
+from tests.support.bridge import Bridge, carries, find, happened, heard, linked, now, route
 from tests.support.domain import Domain, text
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -16,6 +16,8 @@ from rsb_bridge.config.session_file import load_file, save
 from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 
 CHAT = Topic("/chat", "transmit")
 
@@ -65,17 +67,25 @@ def test_each_client_has_its_own_and_the_rest_of_the_session_stays(bridge: Bridg
     assert server.session.clients == (replace(clients[0], topics=(CHAT,)), clients[1])
 
 
-def test_the_clients_own_takes_its_place_and_it_stays_in_the_session(bridge: Bridge) -> None:
+def test_two_entries_that_differ_are_refused_with_both_lines(bridge: Bridge, robot: Domain, tmp_path: Path) -> None:
+    robot.publisher("/chat")
     clients = (Client("robot1", topics=(replace(CHAT, protocol="udp"),)),)
-    server = bridge.server(clients=clients)
-    client = bridge.client(CHAT)
-    eventually(lambda: find(server, "/chat") and route(server, "/chat").transport == "tcp")
-    eventually(lambda: route(client, "/chat").transport == "tcp")
-    assert happened(server, EventCode.ROUTE_REPLACED, "/chat: replaced by the other side's")
+    server, client = bridge.server(clients=clients), bridge.client(Topic("/map", "transmit"), CHAT)
+    for engine, name in ((server, "pc.yaml"), (client, "robot1.yaml")):
+        save(engine.session, tmp_path / name)
+        engine.use_file(tmp_path / name)
+    for engine in (server, client):
+        for place in ("topics[1] of robot1.yaml", "clients[0].topics[0] of pc.yaml"):
+            eventually(lambda engine=engine, place=place: place in route(engine, "/chat").reason)
+        shown = route(engine, "/chat")
+        assert (shown.state, shown.cause) == (State.DOWN, Cause.LISTED_DIFFERENTLY)
+        assert [each.cause for each in now(engine).routes if each.topic != "/chat"] == [Cause.NO_PUBLISHER]
     assert server.session.clients == clients
-    assert client.session.topics == (CHAT,)
+    assert client.session.topics == (Topic("/map", "transmit"), CHAT)
     client.remove_topic(route(client, "/chat").key).result(60)
-    eventually(lambda: not find(server, "/chat"))
+    eventually(lambda: find(client, "/chat") and route(client, "/chat").transport == "udp")
+    assert list(client.session.topics) == [Topic("/map", "transmit")]
+    server.remove_topic(route(server, "/chat").key).result(60)
     assert server.session.clients == (Client("robot1"),), "removed by an operator"
 
 

@@ -26,6 +26,7 @@ from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.route.incoming import IncomingRoute
@@ -273,7 +274,7 @@ def test_types_that_are_not_installed(bridge: Bridge, server: Engine, rogue: Rog
     assert isinstance(refused, Refuse)
     assert package_of("made_up_msgs") in refused.reason
     assert happened(server, EventCode.ROUTE_TYPE_DIFFERS, "have 2 types that are not installed on this side")
-    rogue.say(Close(route=routes[-1][0], reason="", removed=True))
+    rogue.say(Close(route=routes[-1][0], reason="", code=EndCode.REMOVED))
     assert isinstance(described("/then", "Third")[1], Ready)
     rogue.close()
     eventually(lambda: not linked(server))

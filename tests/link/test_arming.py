@@ -6,11 +6,9 @@ import asyncio
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
-import msgspec
 import pytest
 from tests.link.test_route_table import Pair, Side, hear_all, pair_of
 from tests.route.test_unpacking import OnePublisher
-from tests.support.offline import proposal_for
 
 from rsb_bridge.engine.topic_commands import ArmingCommands
 from rsb_bridge.link.extension import LinkError
@@ -20,6 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import ArmTopic, AskHolder, DisarmTopic, TakeArming, acting, on_console
 from rsb_bridge.model.demands import DemandSource
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.session import ArmedName as ArmedEntry
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
@@ -75,8 +74,7 @@ def pair(make_armable: Callable[..., Pair]) -> Pair:
 
 
 def propose(side: Side, topic: Topic) -> None:
-    proposal = proposal_for(topic, side.context)
-    side.table.add(topic, proposal, proposed_here=True)
+    side.proposed.add(topic)
 
 
 def let_time_pass(pair: Pair, seconds: float) -> None:
@@ -471,8 +469,8 @@ def test_who_only_answers_arms_nothing(pair: Pair) -> None:
 def test_a_side_marks_its_own_topic_whatever_the_peer_proposes(pair: Pair) -> None:
     """The control PC removes the robot's topic, and proposes it without a mark, from a topic of another name."""
     robot, pc = pair
-    pc.table.handle(Close(route(pc).id, "removed", removed=True))
-    robot.inbox.append(Close(route(robot).id, "removed", removed=True))
+    pc.table.handle(Close(route(pc).id, "removed", code=EndCode.REMOVED))
+    robot.inbox.append(Close(route(robot).id, "removed", code=EndCode.REMOVED))
     hear_all(pair)
     assert not robot.routes
     for number, name in enumerate(("/cmd_vel", "/another")):
@@ -550,8 +548,7 @@ def test_a_side_that_marks_a_topic_late_is_heeded_where_the_peer_has_taken_it_ov
     propose(pc, Topic("/cmd_vel", "receive"))
     hear_all(pair)
     assert passes(*pair) == [True, True]
-    with pytest.raises(LinkError):
-        propose(robot, COMMANDS)
+    propose(robot, COMMANDS)
     assert not route(robot).life.accepted, "closed at once, and opened again with the mark"
     for _ in range(20):
         let_time_pass(pair, 1.0)
@@ -710,9 +707,7 @@ def test_a_max_age_that_the_other_side_edits_holds_on_both(make_armable: Callabl
     pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", max_age=0.5))
     robot.context.demands.apply()
     for seconds in (0.2, 2.0, 0.3):
-        topic = msgspec.structs.replace(route(pc).spec, max_age=seconds)
-        proposal = proposal_for(topic, pc.context)
-        pc.table.amend(route(pc), topic, proposal)
+        pc.change(route(pc), max_age=seconds)
         hear_all(pair)
         assert [route(side).age.max_age for side in pair] == [seconds, seconds]
         turn(pair[0])
@@ -723,9 +718,7 @@ def test_a_max_age_that_the_other_side_edits_holds_on_both(make_armable: Callabl
 def test_an_edit_of_another_limit_there_leaves_the_entry_without_a_max_age(make_armable: Callable[..., Pair]) -> None:
     pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", arm=True))
     robot.context.demands.apply()
-    topic = msgspec.structs.replace(route(pc).spec, max_rate=5.0)
-    proposal = proposal_for(topic, pc.context)
-    pc.table.amend(route(pc), topic, proposal)
+    pc.change(route(pc), max_rate=5.0)
     hear_all(pair)
     assert (route(robot).spec.max_rate, route(robot).spec.max_age) == (5.0, None)
     assert [route(side).age.max_age for side in pair] == [1.0, 1.0]

@@ -118,10 +118,12 @@ def test_a_file_that_no_longer_lists_a_topic_ends_the_servers(bridge: Bridge, pc
     assert reloaded(client, file).changed == ()
     eventually(lambda: find(server, "/cmd_vel"))
     changed = msgspec.structs.replace(route(server, "/cmd_vel").spec, protocol="udp")
-    server.edit_topic(route(server, "/cmd_vel").key, changed).result(60)  # it is the server's from now on
+    server.edit_topic(route(server, "/cmd_vel").key, changed).result(60)
     eventually(lambda: find(client, "/cmd_vel") and route(client, "/cmd_vel").transport == "udp")
     reloaded(client, file, topics=())
     assert find(client, "/cmd_vel") is None
+    eventually(lambda: find(server, "/cmd_vel") is None)
+    server.add_topic(CMD_VEL).result(60)
     eventually(lambda: route(server, "/cmd_vel").cause == "refused")
 
 

@@ -11,6 +11,7 @@ from tests.link.test_route_table import Side
 from tests.route.test_unpacking import OnePublisher, grown
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.wire.messages import Close, Describe, Propose
 from rsb_bridge.wire.records import Source
@@ -73,7 +74,7 @@ def test_after_many_routes_every_count_is_zero(
         most |= Counter(held(side))
         ending = random.randrange(5)
         if ending < 3:
-            side.table.handle(Close(number, "enough", removed=ending > 0))
+            side.table.handle(Close(number, "enough", EndCode.REMOVED if ending else EndCode.DECIDED))
         elif ending == 3 and random.random() < 0.05:
             side.table.disconnected()
             side.ids.take_of_peer(number)

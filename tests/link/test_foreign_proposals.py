@@ -111,7 +111,6 @@ REFUSED: tuple[tuple[Purpose, dict[str, Any], str], ...] = (
     (VIEW, {"from_client": False, "kind": "service"}, "kind"),
     (VIEW, {"from_client": False, "qos": Qos(durability="transient_local")}, "late joiners"),
     (VIEW, {"from_client": False, "transport": "zenoh"}, "protocol"),
-    (VIEW, {"from_client": False, "replaces": 3}, "place"),
     (VIEW, {"from_client": False, "purpose": "topic"}, "absolute"),
     (VIEW, {"from_client": False, "purpose": "telepathy"}, "update"),
 )

@@ -465,7 +465,7 @@ def test_a_foreign_edit_gives_no_motion(serves: bool, make_driven: Callable[...,
     driven.drive()
     pc = driven.pair[1]
     if serves:
-        pc.add(driven.entry(TWIST, {"x": 1.0}, "transmit"), route(pc))
+        pc.change(route(pc), on_end={"x": 1.0})
     else:
         session = msgspec.structs.replace(pc.context.session, armed=(ArmedName("/cmd_*", on_end={"x": 1.0}),))
         pc.context.session = session

@@ -15,6 +15,7 @@ from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.server_link import PortDenied, TopicPorts, check_topic_port
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import DEFAULT_PORT, PORTS_PER_CLIENT, dds_ports, discovery_domain
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.transports import named
 from rsb_bridge.transport.transport import ListenError
@@ -110,7 +111,7 @@ def test_a_client_has_so_many_however_it_asks(bridge: Bridge) -> None:
         (refused,) = [answer for answer in answers if isinstance(answer, Refuse)]
         assert PortDenied.TOO_MANY(client="robot1", limit=PORTS_PER_CLIENT) in refused.reason
         accepted = next(answer.route for answer in answers if isinstance(answer, Accept))
-        rogue.say(Close(route=accepted, reason="", removed=True))
+        rogue.say(Close(route=accepted, reason="", code=EndCode.REMOVED))
         assert isinstance(asks(rogue, 101, ports[-1]), Accept)
         assert isinstance(asks(rogue, 103, free_port()), Refuse)
     eventually(lambda: not linked(server))

@@ -75,7 +75,7 @@ def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
     bridge.client.happens(EventCode.LINK_UDP_RESTORED)
     bridge.all_flow(_BACK_WITHIN)
     assert not bridge.client.happened(EventCode.LINK_LOST)
-    assert not bridge.server.happened(EventCode.ROUTE_ABANDONED)
+    assert not bridge.server.happened(EventCode.ROUTE_REMOVED)
     bridge.robot.hush()
     bridge.settled("/scan", "/odom")
 

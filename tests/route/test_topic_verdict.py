@@ -73,6 +73,7 @@ LATE = Late(1.4, 0.2, "", None, NOW)
 LOST, FULL = Loss(9, 10, "lost on the way", NOW - 2.0), Fullness(5e3, 14e3)
 HALF, EXPIRED = Loss(50, 100, "incomplete", NOW - 12.0), Expired(Cause.LINK_SLOW, 325, 333, 0.3, 0.0)
 OUT = "Connection timed out"
+APART = Reason("max_rate 5", EndCode.LISTED_DIFFERENTLY)
 DATA_OUT, PIPE = Reason(OUT, EndCode.TIMED_OUT), Reason("Broken pipe", EndCode.BROKE)
 DENIED, STUCK = Reason("denied"), Verdict(State.DOWN, Cause.NO_PATH, "stuck")
 MAPPER, ODD = endpoint("/map", LATCHED), endpoint("/odd", type_name=INT)
@@ -113,6 +114,7 @@ def test_a_route_that_flows_is_fine() -> None:
         (RECEIVER, {"refusal": DATA_OUT, "reopens": True}, State.WAITING, Cause.AWAITS_LINK, [f"({OUT})"]),
         (SENDER, {"refusal": PIPE, "reopens": True, "path": LOSSY}, State.DOWN, Cause.LOSSY, [LOSSY.text]),
         (SENDER, {"refusal": DENIED, "reopens": True}, State.DOWN, Cause.REFUSED, ["denied"]),
+        (SENDER, {"refusal": APART, "paused": True}, State.DOWN, Cause.LISTED_DIFFERENTLY, ["max_rate"]),
         (SENDER, {"path": LOSSY, "late": LATE}, State.LATE, Cause.LOSSY, [LOSSY.text]),
         (SENDER, {"path": LOSSY, "loss": LOST}, State.SLOW, Cause.LOSSY, [LOSSY.text]),
         (SENDER, {"path": LOSSY, "no_path": STUCK}, State.DOWN, Cause.LOSSY, [LOSSY.text]),
@@ -373,7 +375,9 @@ def test_both_sides_show_the_same_and_never_less_than_either_says(one: Verdict, 
     sender.receive(record_of(other), NOW)
     receiver.receive(record_of(one), NOW)
     shown = [sender.shown(one), receiver.shown(other)]
-    own = {Cause.LINK_DOWN, Cause.AWAITS_LINK, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED}
+    own = {
+        Cause.LINK_DOWN, Cause.AWAITS_LINK, Cause.REFUSED, Cause.LISTED_DIFFERENTLY, Cause.PAUSED, Cause.DISARMED,
+    }  # fmt: skip
     if not own & {one.cause, other.cause}:
         assert len({(each.verdict.state, each.verdict.cause) for each in shown}) == 1
         for each in shown:

@@ -10,11 +10,12 @@ import pytest
 from tests.simulation.beds import Yard, until
 from tests.simulation.conftest import bed_of
 
-from rsb_bridge.link.client_link import ClientLink
-from rsb_bridge.link.reloading import client_steps
+from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import AddTopic, ArmTopic, EditTopic, PauseTopics, RemoveTopic
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import ArmingPhase, Disarmed
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from tests.simulation.engine_host import EngineHost
 
-    from rsb_bridge.link.reloading import ReloadStep
     from rsb_bridge.route.route import Route
 
 CHAT = Topic("/chat", "transmit", qos=5)
@@ -124,6 +124,10 @@ class Edits(Yard):
     def _linked(self, side: str) -> bool:
         return self.link(on_server=side == "server").linked
 
+    def depths(self, side: str) -> list[object]:
+        """The depths of the QoS in a side's session."""
+        return [qos and qos.depth for qos in (each.parsed_qos() for each in self.session(side))]
+
     def session(self, side: str) -> tuple[Topic, ...]:
         """The topics that a side would save, with their QoS."""
         return self.link(on_server=side == "server").listed_topics()
@@ -138,16 +142,23 @@ LISTERS = pytest.mark.parametrize("lister", ["robot", "server"])
 
 
 @LISTERS
-async def test_an_entry_comes_back_once_the_side_that_edited_it_has_forgotten_that(lister: str, edits: Edits) -> None:
-    """It has been started again, and has not saved the edit."""
+async def test_an_edit_from_the_other_side_changes_the_entry_where_it_is_listed(lister: str, edits: Edits) -> None:
+    for depth in (EDITED, 9):
+        await edits.edit(edits.other, qos=depth)
+        await edits.both(depth)
+        assert edits.depths(lister) == [depth]
+        assert edits.session(edits.other) == ()
+    assert EventCode.OPERATOR_EDITED in edits.codes(on_server=lister == "server")
+
+
+@LISTERS
+@pytest.mark.parametrize("again", ["lister", "other"])
+async def test_an_edit_lasts_as_long_as_the_bridge_that_lists_it(lister: str, again: str, edits: Edits) -> None:
+    """Nobody has saved it there."""
     await edits.edit(edits.other, qos=EDITED)
     await edits.both(EDITED)
-    assert [each.qos for each in edits.session(lister)] == [5], "saved, its file would have lost it"
-    await edits.restart(edits.other)
-    await edits.both(5)
-    assert EventCode.ROUTE_ABANDONED in edits.codes(on_server=lister == "server")
-    await edits.restart(edits.other)
-    await edits.both(5)
+    await edits.restart(lister if again == "lister" else edits.other)
+    await edits.both(5 if again == "lister" else EDITED)
 
 
 @LISTERS
@@ -163,52 +174,55 @@ async def test_an_edited_topic_that_is_removed_stays_removed(lister: str, remove
 
 
 @LISTERS
-async def test_an_edit_that_is_taken_back_and_forgotten(lister: str, edits: Edits) -> None:
-    for depth in (EDITED, 9, 5):
-        await edits.edit(edits.other, qos=depth)
-        await edits.both(depth)
-    await edits.restart(edits.other)
-    await edits.both(5)
-    assert [each.qos for each in edits.session(lister)] == [5]
-
-
-@LISTERS
-async def test_what_the_listing_side_edits_since_stays(lister: str, edits: Edits) -> None:
-    """A limit changes the open route; another QoS makes a new one, which is the listing side's again."""
+async def test_both_sides_edit_one_entry(lister: str, edits: Edits) -> None:
+    """A limit changes the open route; another QoS makes a new one."""
     await edits.edit(edits.other, qos=EDITED)
     await edits.both(EDITED)
     await edits.edit(lister, max_rate=2.0)
-    await edits.restart(edits.other)
-    await edits.both(5)
-    assert [each.max_rate for each in edits.session(lister)] == [2.0]
-    await edits.edit(edits.other, qos=EDITED)
+    await edits.edit(edits.other, qos=9)
+    await edits.both(9)
+    await edits.edit(lister, qos=EDITED)
     await edits.both(EDITED)
-    await edits.edit(lister, qos=9)
-    await edits.both(9)
-    await edits.restart(edits.other)
-    await edits.both(9)
-    assert [each.qos for each in edits.session(lister)] == [9]
+    assert [(each.qos, each.max_rate) for each in edits.session(lister)] == [(EDITED, 2.0)]
 
 
 @LISTERS
-@pytest.mark.parametrize("again", [("robot", "server"), ("lister",)], ids=["both", "that lists it"])
-async def test_the_side_that_lists_it_is_started_again(lister: str, again: tuple[str, ...], edits: Edits) -> None:
-    """The client's entry takes precedence; nothing else has been saved."""
-    await edits.edit(edits.other, qos=EDITED)
+async def test_an_edit_of_limits_and_qos_is_one(lister: str, edits: Edits) -> None:
+    await edits.edit(edits.other, qos=EDITED, max_rate=2.0, max_age=3.0)
     await edits.both(EDITED)
-    await edits.restart(*(lister if each == "lister" else each for each in again))
-    await edits.both(EDITED if again == ("lister",) and lister == "server" else 5)
+    assert [(each.max_rate, each.max_age) for each in edits.session(lister)] == [(2.0, 3.0)]
+    assert [half.spec.max_rate for half in edits.halves() if half is not None] == [2.0, 2.0]
+
+
+@LISTERS
+async def test_an_edit_pauses_and_resumes(lister: str, edits: Edits) -> None:
+    for keys in ({"paused": True}, {"paused": False}, {"paused": True, "qos": EDITED}, {"paused": False, "qos": 9}):
+        await edits.edit(edits.other, **keys)
+        await edits.both(keys.get("qos", 5))
+        assert [half is not None and half.paused for half in edits.halves()] == [keys["paused"]] * 2
+
+
+@LISTERS
+async def test_an_edit_without_the_link_changes_nothing(lister: str, edits: Edits) -> None:
+    with edits.world.trouble("stopped", *edits.world.robots):
+        await edits.host(lister).stop()
+        await until(lambda: not edits.link(on_server=edits.other == "server").linked, 60.0)
+        with pytest.raises(EngineError):
+            await edits.edit(edits.other, qos=EDITED)
+        edits.host(lister).start()
+        await until(lambda: all(edits.link(on_server=each).linked for each in (True, False)), 60.0)
+    await edits.both(5)
 
 
 @LISTERS
 @pytest.mark.parametrize("pauser", ["robot", "server"])
-async def test_a_paused_topic_comes_back_paused(lister: str, pauser: str, edits: Edits) -> None:
+async def test_an_edited_topic_stays_paused(lister: str, pauser: str, edits: Edits) -> None:
     """Nobody has resumed it."""
     await edits.edit(edits.other, qos=EDITED)
     await edits.both(EDITED)
     await edits.pause(pauser)
     await edits.restart(edits.other)
-    await edits.both(5)
+    await edits.both(EDITED)
     assert [route is not None and route.pausing.paused for route in edits.halves()] == [True, True]
 
 
@@ -223,55 +237,42 @@ async def test_a_side_that_pauses_and_stops_at_once_has_paused_it(waits: float, 
     assert [route is not None and route.pausing.paused for route in edits.halves()] == [True, True]
 
 
-async def test_a_topic_that_was_renamed_comes_back_under_its_name(edits: Edits) -> None:
+async def test_a_topic_is_renamed_from_the_other_side(edits: Edits) -> None:
     await edits.edit("server", topic="/talk", remote_topic=None)
     await edits.both(5, "/talk")
     await edits.both(None)
-    assert [each.topic for each in edits.session("robot")] == ["/chat"]
+    assert [(each.topic, each.remote_topic) for each in edits.session("robot")] == [("/talk", None)]
     await edits.restart("server")
-    await edits.both(5)
-    await edits.both(None, "/talk")
-
-
-async def test_a_topic_that_was_renamed_is_removed_by_its_new_name(edits: Edits) -> None:
-    await edits.edit("server", topic="/talk", remote_topic=None)
     await edits.both(5, "/talk")
     await edits.remove("server", "/talk")
     await edits.both(None, "/talk")
-    await edits.restart("server")
-    await edits.both(None)
     assert edits.session("robot") == ()
 
 
-def test_an_edit_that_the_client_refuses_leaves_the_clients_entry(edits: Edits) -> None:
-    edits.robot.session = msgspec.structs.replace(edits.robot.session, deny=("/talk",))
+@pytest.mark.bed(topic=msgspec.structs.replace(CHAT, direction="receive"))
+@pytest.mark.parametrize("rights", [{"allow": ()}, {"deny": ("/talk",)}], ids=["not allowed", "denied"])
+def test_no_edit_gets_the_server_a_name_that_it_may_not_have(rights: dict[str, Any], edits: Edits) -> None:
+    """A server publishes on a client only what the client's operators have listed or allowed."""
+    edits.robot.session = msgspec.structs.replace(edits.robot.session, **rights)
 
     async def live() -> None:
-        await edits.edit("server", topic="/talk", remote_topic=None)
+        with pytest.raises(EngineError):
+            await edits.edit("server", topic="/talk", remote_topic=None)
         await edits.both(5)
-        assert edits.half("server", "/talk").status().refusal
+        assert [each.topic for each in edits.session("robot")] == ["/chat"]
+        await edits.edit("server", qos=EDITED)
+        await edits.both(EDITED)
 
     edits.world.play(life=edits.live(live()))
 
 
-async def test_an_entry_that_is_added_anew_meanwhile_is_listed_once(edits: Edits) -> None:
-    await edits.edit("server", topic="/talk", remote_topic=None)
-    await edits.both(5, "/talk")
-    await edits.add("robot", msgspec.structs.replace(CHAT, qos=9))
-    await edits.both(9)
-    assert [(each.topic, each.qos) for each in edits.session("robot")] == [("/chat", 9)]
-    await edits.restart("server")
-    await edits.both(None, "/talk")
-    await edits.both(9)
-
-
 @pytest.mark.bed(topic=Topic("/ch*", "transmit", qos=5))
-async def test_what_a_pattern_has_made_comes_back_through_it(edits: Edits) -> None:
+async def test_an_edit_of_what_a_pattern_has_made_lists_it_by_name(edits: Edits) -> None:
     await edits.edit("server", qos=EDITED)
     await edits.both(EDITED)
     await edits.restart("server")
-    await edits.both(5)
-    assert [each.topic for each in edits.session("robot")] == ["/ch*"]
+    await edits.both(EDITED)
+    assert [each.topic for each in edits.session("robot")] == ["/chat", "/ch*"]
 
 
 @LISTERS
@@ -294,37 +295,152 @@ async def test_an_armed_topic_that_is_edited_says_on_both_sides_why_it_is_not_ar
 
 
 @LISTERS
-async def test_a_file_that_is_read_again_undoes_an_edit_of_the_other_sides_entry(lister: str, edits: Edits) -> None:
-    for depth in (EDITED, 9):
-        await edits.edit(edits.other, qos=depth)
-        await edits.both(depth)
-    (step,), failed = await edits.reload(edits.other)
-    assert step.endswith("the edit is undone; the other side's own entry applies again")
+async def test_a_file_that_is_read_again_undoes_an_edit_of_the_other_side(lister: str, edits: Edits) -> None:
+    await edits.edit(edits.other, qos=EDITED)
+    await edits.both(EDITED)
+    assert await edits.reload(edits.other) == ([], []), "its session does not list it"
+    (_,), failed = await edits.reload(lister)
     assert failed == []
     await edits.both(5)
-    assert edits.session(edits.other) == ()
-    assert [each.qos for each in edits.session(lister)] == [5]
-    assert await edits.reload(edits.other) == ([], [])
 
 
-async def test_a_file_that_is_read_again_while_while_the_servers_edit_takes_precedence(edits: Edits) -> None:
-    def steps(*topics: Topic) -> list[ReloadStep]:
-        link = edits.link()
-        assert isinstance(link, ClientLink)
-        session = msgspec.structs.replace(edits.robot.session, topics=topics)
-        return list(client_steps(link, session, link.key))
+class Both(Edits):
+    """A robot and a server that both list a topic.
 
-    await edits.edit("server", qos=EDITED)
-    await edits.both(EDITED)
-    assert steps(CHAT) == []
-    (step,) = steps(msgspec.structs.replace(CHAT, qos=9))
-    assert step.text.endswith("an edit on the server takes precedence")
-    step.apply()
-    assert [each.qos for each in edits.session("robot")] == [9]
-    await edits.both(EDITED)
-    (step,) = steps()
-    step.apply()
-    assert edits.session("robot") == ()
-    assert steps() == []
-    await edits.restart("server")
-    await edits.both(None)
+    Args:
+        on_server: the server's entry.
+    """
+
+    def __init__(self, on_server: Topic = CHAT, on_robot: Topic = CHAT) -> None:
+        super().__init__("robot", on_robot)
+        self.list_on_server(on_server)
+
+    async def begin(self) -> None:
+        await Yard.begin(self)
+
+    def verdicts(self) -> list[tuple[str, str]]:
+        halves = [half.snapshot() for half in self.halves() if half is not None]
+        return [(half.state, half.cause) for half in halves]
+
+    async def apart(self) -> None:
+        """Wait until nothing crosses since the two entries differ; then it stays so."""
+        for wait in (0.0, 20.0):
+            await asyncio.sleep(wait)
+            await until(lambda: self.verdicts() == [(State.DOWN, Cause.LISTED_DIFFERENTLY)] * 2, _WITHIN)
+
+    def reported(self) -> list[int]:
+        return [self.codes(on_server=each).count(EventCode.ROUTE_LISTED_DIFFERENTLY) for each in (False, True)]
+
+
+@pytest.fixture
+def two(request: pytest.FixtureRequest) -> Both:
+    return Both(**bed_of(request))
+
+
+BOTH = ("robot", "server")
+
+
+async def test_one_entry_on_both_sides_is_one_route(two: Both) -> None:
+    await two.both(5)
+    assert [[each.topic for each in two.session(side)] for side in BOTH] == [["/chat"], ["/chat"]]
+    assert two.reported() == [0, 0]
+    for side in BOTH:
+        assert await two.reload(side) == ([], [])
+
+
+@pytest.mark.parametrize("side", BOTH)
+async def test_one_entry_on_both_sides_outlives_either(side: str, two: Both) -> None:
+    await two.both(5)
+    for _ in range(2):
+        await two.restart(side)
+        await two.both(5)
+    assert [[each.topic for each in two.session(side)] for side in BOTH] == [["/chat"], ["/chat"]]
+
+
+@pytest.mark.bed(on_server=msgspec.structs.replace(CHAT, arm=True, max_age=3.0))
+async def test_demands_make_no_other_entry(two: Both) -> None:
+    """Either side's demand holds."""
+    await two.both(5)
+    assert [half is not None and half.arming.required for half in two.halves()] == [True, True]
+    assert [[each.arm for each in two.session(side)] for side in BOTH] == [[False], [True]]
+
+
+@pytest.mark.parametrize("editor", BOTH)
+async def test_an_edit_changes_both_entries(editor: str, two: Both) -> None:
+    await two.both(5)
+    for depth, rate in ((EDITED, None), (EDITED, 2.0), (9, None)):
+        await two.edit(editor, qos=depth, max_rate=rate)
+        await two.both(depth)
+    assert [two.depths(side) for side in BOTH] == [[9], [9]]
+    assert [half.spec.max_rate for half in two.halves() if half is not None] == [None, None]
+    await two.restart("robot", "server")
+    await two.both(5)
+
+
+@pytest.mark.parametrize("remover", BOTH)
+async def test_what_both_list_is_removed_on_both(remover: str, two: Both) -> None:
+    await two.both(5)
+    await two.remove(remover)
+    await two.both(None)
+    assert two.session("robot") == two.session("server") == ()
+
+
+@pytest.mark.bed(on_server=msgspec.structs.replace(CHAT, qos=EDITED, max_rate=5.0))
+@pytest.mark.parametrize("mender", BOTH)
+async def test_two_entries_that_differ_are_refused_on_both_sides(mender: str, two: Both) -> None:
+    await two.apart()
+    assert two.reported() == [1, 1]
+    for side in BOTH:
+        reason = two.half(side).snapshot().reason
+        assert "depth: 5" in reason
+        assert "depth: 7" in reason
+        assert "max_rate 5" in reason
+    other = "server" if mender == "robot" else "robot"
+    wanted = two.half(other).spec
+    await two.edit(mender, qos=wanted.qos, max_rate=wanted.max_rate)
+    await two.both(5 if other == "robot" else EDITED)
+
+
+@pytest.mark.bed(on_server=msgspec.structs.replace(CHAT, max_rate=5.0))
+@pytest.mark.parametrize("remover", BOTH)
+async def test_of_two_entries_one_is_removed(remover: str, two: Both) -> None:
+    await two.apart()
+    await two.remove(remover)
+    await two.both(5)
+    assert [half is not None and half.spec.max_rate for half in two.halves()] == [
+        5.0 if remover == "robot" else None
+    ] * 2
+
+
+@pytest.mark.bed(on_server=Topic("/ch*", "transmit", qos=EDITED))
+async def test_an_entry_goes_before_a_pattern_of_the_other_side(two: Both) -> None:
+    await two.both(5)
+    assert two.reported() == [0, 0]
+
+
+@pytest.mark.bed(on_robot=Topic("/ch*", "transmit", qos=EDITED))
+async def test_the_servers_entry_goes_before_a_pattern_of_the_client(two: Both) -> None:
+    await two.both(5)
+    assert two.reported() == [0, 0]
+    await two.restart("robot")
+    await two.both(5)
+
+
+@pytest.mark.bed(on_robot=Topic("/ch*", "transmit", qos=5), on_server=Topic("/c*", "transmit", qos=EDITED))
+async def test_of_two_patterns_the_clients_counts(two: Both) -> None:
+    await two.both(5)
+    assert two.reported() == [0, 0]
+
+
+@LISTERS
+@pytest.mark.parametrize("same", [True, False])
+async def test_an_entry_is_added_that_the_other_side_lists(lister: str, same: bool, edits: Edits) -> None:
+    if same:
+        await edits.add(edits.other, CHAT)
+    else:
+        with pytest.raises(EngineError):
+            await edits.add(edits.other, msgspec.structs.replace(CHAT, max_rate=2.0))
+    await edits.both(5)
+    assert [each.topic for each in edits.session(edits.other)] == (["/chat"] if same else [])
+    await edits.restart(lister)
+    await edits.both(5)

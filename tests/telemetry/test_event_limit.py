@@ -16,6 +16,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.telemetry.event_log import A_SECOND, AT_ONCE
 from rsb_bridge.wire.messages import Close, Pause, Ping, Pong, Propose
@@ -52,7 +53,7 @@ def propose(number: int, topic: str) -> Propose:
 def come_and_go(rogue: Rogue) -> None:
     for number in range(1, 2 * FRAMES, 2):
         rogue.say(propose(number, f"/came{number}"))
-        rogue.say(Close(route=number, reason="gone", removed=True))
+        rogue.say(Close(route=number, reason="gone", code=EndCode.REMOVED))
 
 
 def are_refused(rogue: Rogue) -> None:

@@ -54,11 +54,18 @@ PLAIN = [filled(msgspec.inspect.type_info(kind), all_fields=each) for kind in KI
 """Two of each message, as plain data."""
 
 
+def says(written: Any, plain: Any) -> bool:
+    """Whether a message says at least what another one does."""
+    if isinstance(written, dict) and isinstance(plain, dict):
+        return all(key in written and says(written[key], value) for key, value in plain.items())
+    return bool(written == plain)
+
+
 @pytest.mark.parametrize("plain", PLAIN, ids=[f"{each['message']}{number % 2}" for number, each in enumerate(PLAIN)])
 def test_a_message_reads_as_it_was_written(plain: dict[str, Any]) -> None:
     message: Any = decode(msgspec.msgpack.encode(plain))
     assert type(message).__name__.lower() == plain["message"]
-    assert msgspec.msgpack.decode(encode(message)).items() >= plain.items()
+    assert says(msgspec.msgpack.decode(encode(message)), plain)
     assert decode(encode(message)) == message
 
 

@@ -72,6 +72,18 @@ def changes(
     ]
 
 
+def values_apart(here: Topic, there: Topic, *, leave_out: Collection[str]) -> tuple[str, str]:
+    """Return what differs between two entries of one kind, as each has it: ``max_rate 5`` and ``max_rate 10``."""
+    written = as_written(here), as_written(there)
+    names = [
+        name
+        for name in written[0].__struct_fields__
+        if name not in leave_out and getattr(written[0], name) != getattr(written[1], name)
+    ]
+    mine, theirs = (", ".join(f"{name} {_value(getattr(each, name))}" for name in names) for each in written)
+    return mine, theirs
+
+
 def named(topic: Topic) -> str:
     """Return a topic among the others of its session: ``/scan (transmit)``, ``service /dock (provider: server)``."""
     if topic.kind == "topic":

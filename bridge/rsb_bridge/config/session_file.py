@@ -27,6 +27,8 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from rsb_bridge.model.session import Identity
+
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
 
 
@@ -157,12 +159,16 @@ class SessionInFile:
 
     Attributes:
         session: of the file, or None without a file.
+        name: of the file, without its folder.
     """
 
     def __init__(self) -> None:
         self.session: Session | None = None
+        self.name = ""
         self._compared: tuple[Session | None, Session | None] = None, None
         self._differs = False
+        self._placed: Session | None = None
+        self._places: dict[tuple[str, Identity], str] = {}
 
     def differs(self, running: Session) -> bool:
         """Whether the running session is not the file's. Cheap while neither changes: every snapshot asks."""
@@ -171,6 +177,22 @@ class SessionInFile:
             self._compared = self.session, running
             self._differs = self.session is not None and not same(self.session, running)
         return self._differs
+
+    def place(self, client: str, identity: Identity) -> str:
+        """Return where the file lists an entry: ``topics[2] of robot1.yaml``, or an empty string if it does not.
+
+        Args:
+            client: on a server, the client that the entry is for, or an empty string.
+        """
+        if self.session is not self._placed:  # a link asks for each of a thousand topics
+            self._placed, self._places = self.session, {}
+            holders = [] if self.session is None else [("", "", self.session.topics)]
+            for at, each in enumerate([] if self.session is None else self.session.listed_clients):
+                holders.append((each.name, join("clients", at), each.topics))
+            for name, where, topics in holders:
+                for topic, here in zip(topics, locations(topics), strict=True):
+                    self._places[name, topic.identity] = f"{join(where, here)} of {self.name}"
+        return self._places.get((client, identity), "")
 
 
 def save(session: Session, path: Path, opened: SessionFile | None = None, notes: Iterable[str] = ()) -> SessionFile:

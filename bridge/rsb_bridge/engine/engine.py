@@ -357,6 +357,7 @@ class Engine(EngineApi):
         self._file = path
         self._opened = None if path is None else open_file(path)
         self._in_file.session = None if path is None else holds or self.session
+        self._in_file.name = "" if path is None else path.name
         self._places = {} if path is None else demand_places(path)
         if (bridge := self._bridge) is not None:
             places = self._places
@@ -489,6 +490,7 @@ class Engine(EngineApi):
                 raise EngineError(Unable.RELOADS_OTHER())
         if not dry_run:
             self.access.warn_of(keys, granted)
+            self._in_file.session = session  # now, since what fails names the lines of this file
         done, failed = await bridge.reload(session, keys, dry_run=dry_run, drop_arm=command.drop_arm)
         if not dry_run:
             self._places = places
@@ -496,7 +498,7 @@ class Engine(EngineApi):
         done += self.access.reload(granted, dry_run=dry_run)
         if not dry_run:
             self._session = session
-            self._base, self._opened, self._in_file.session = path.parent, opened, session
+            self._base, self._opened = path.parent, opened
             if not (done or failed or left):
                 text = f"reload by {who}: nothing differs in {path}"
                 self._events.add(Level.INFO, EventCode.OPERATOR_RELOADED, text, who=who)

@@ -142,43 +142,52 @@ class TopicCommands:
 
     async def edit(self, command: EditTopic) -> str:
         named = await self._stopped(command.key)
+        link, old, route = named
         routes = named.routes()
         with self._demands.changing(operator()):
             # A form, a plan or an undo writes the whole topic: it would take back what another operator has changed.
-            if command.seen is not None and (differences := changes(command.seen, named.entry)):
-                raise LinkError(Denied.CHANGED(topic=named.entry.topic, differences=", ".join(differences)))
-            new_key = self._edit(named, command.topic, drop_arm=command.drop_arm)
-        await _settled(routes)
-        return new_key
-
-    def _edit(self, named: Named, topic: Topic, *, drop_arm: bool) -> str:
-        if drop_arm and topic.arm:
-            raise LinkError(f"{topic.topic} would still have to be armed: set arm=false together with --drop-arm")
-        link, old, route = named
-        if route is None:
-            if not topic.is_pattern:
-                raise LinkError(f"{old.topic} is a pattern, and {topic.topic} is none: {_INSTEAD}")
-            # Before `_drop_demands`, after which nothing may refuse the edit.
-            link.patterns.check_replace(old.identity, topic)
-            self._drop_demands(link, old, _local(link, old), None, wanted=drop_arm, names_it=old.arm and not topic.arm)
-            new_key, name = link.patterns.replace(old.identity, topic), topic.topic
-        else:
-            if topic.is_pattern:
-                raise LinkError(f"{topic.topic} is a pattern, and {old.topic} is none: {_INSTEAD}")
-            # The present name is the client's already, and may look like one with the client's name before it.
-            if topic.topic != old.topic:
-                topic = link.client_names(topic)
-            # Before `_drop_demands`, as above.
-            link.proposed.check_replace(route, topic)
-            names_it = old.arm and not topic.arm
-            self._drop_demands(link, old, route.local_topic, route, wanted=drop_arm, names_it=names_it)
-            new = link.proposed.replace(route, topic)
-            new_key, name = new.key, new.local_topic
+            if command.seen is not None and (differences := changes(command.seen, old)):
+                raise LinkError(Denied.CHANGED(topic=old.topic, differences=", ".join(differences)))
+            topic = self._checked(named, command)
+            there = None
+            if route is None:
+                new_key, name = link.patterns.replace(old.identity, topic), topic.topic
+            elif route.proposed_here:
+                new = link.proposed.replace(route, topic)
+                new_key, name = new.key, new.local_topic
+            else:
+                new_key, name = link.proposed.names(topic)
+                there = link.proposed.demand(route, topic)
+        if route is not None and there is not None:
+            await link.proposed.edit_there(route, there)
         what = f"changed ({', '.join(changes(old, topic)) or 'nothing differs'})"
         self._log.add(
             EventCode.OPERATOR_EDITED, what, topic=name, link=link.name, old=described(old), new=described(topic)
         )
+        await _settled(routes)
         return new_key
+
+    def _checked(self, named: Named, command: EditTopic) -> Topic:
+        """Return the entry with the client's names, and drop the demands that an operator drops by it."""
+        topic, drop_arm = command.topic, command.drop_arm
+        if drop_arm and topic.arm:
+            raise LinkError(f"{topic.topic} would still have to be armed: set arm=false together with --drop-arm")
+        link, old, route = named
+        names_it = old.arm and not topic.arm
+        if (route is None) != topic.is_pattern:
+            one, other = (topic.topic, old.topic) if route is not None else (old.topic, topic.topic)
+            raise LinkError(f"{one} is a pattern, and {other} is none: {_INSTEAD}")
+        # Before `_drop_demands`, after which nothing may refuse the edit.
+        if route is None:
+            link.patterns.check_replace(old.identity, topic)
+            self._drop_demands(link, old, _local(link, old), None, wanted=drop_arm, names_it=names_it)
+        else:
+            # The present name is the client's already, and may look like one with the client's name before it.
+            if topic.topic != old.topic:
+                topic = link.client_names(topic)
+            link.proposed.check_replace(route, topic)
+            self._drop_demands(link, old, route.local_topic, route, wanted=drop_arm, names_it=names_it)
+        return topic
 
     async def remove(self, command: RemoveTopic) -> None:
         # A pattern that matches the topic leaves it out from then on.
@@ -239,9 +248,9 @@ class TopicCommands:
             lines = ", ".join(map(demands.origin, others)) or PEER_DEMANDS
             raise LinkError(f"{name} still has to be armed: {lines} demands it, too; change that instead")
         demands.drop({each: demands.origin(each) for each in own})
-        # This side's own entry comes back once the other side's goes, and would bring the demand back.
-        if route is not None and (listed := link.table.superseded.get(route.key)) is not None:
-            link.table.superseded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)
+        # This side's entry stays as it was if the other side refuses the edit, and would bring the demand back.
+        if route is not None and route.own is not None:
+            route.spec = msgspec.structs.replace(route.spec, arm=False, deadman=None, on_end=None)
 
     async def pause(self, command: PauseTopics) -> None:
         paused = command.paused

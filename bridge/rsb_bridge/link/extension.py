@@ -116,7 +116,17 @@ class Denied(Wording):
     RESTART_FAILED = "{failure}. The server keeps trying"
     NO_ROUTE = "there is no route {key!r} any more"
     CHANGED = "{topic} was changed meanwhile ({differences}): open it again"
-    BRIDGED_ALREADY = "{topic} is bridged in that direction already"
+    LISTED_TOO = "the other side's session lists {topic}, too"
+    LISTED_DIFFERENTLY = (
+        "listed on both sides: {here} here: {mine}; {there} there: {theirs}; make them equal, or remove one"
+    )
+    THIS_SESSION = "this session"
+    ITS_SESSION = "its session"
+    NOT_LISTED = "{topic} is not listed there any more: look at it again"
+    OUT_OF_REACH = "the other side lists {topic}, and is out of reach: edit it there, or once the link is up"
+    ARMED_THERE = "{topic} has to be armed: rename it on the side that lists it"
+    PORT_OF_SERVER = "{topic} is listed on the server, and so is its port: change that there"
+    LIMITS_OF_PEER = "the other side lists {topic}: set its limits there, or here under armed"
     EDIT_THAT_ROUTE = "{topic} is bridged in that direction already: edit or remove that route"
     FOLLOWED_ALREADY = "{topic} is followed in that direction already: edit or remove that pattern"
     TOO_MANY_PATTERNS = "this link has {limit} patterns already, which is the limit"
@@ -135,3 +145,7 @@ class Denied(Wording):
 
 class LinkError(Exception):
     """A link denies or fails a command; the message gives the reason."""
+
+
+class ListedTooError(LinkError):
+    """This side proposes, too, what the peer proposes."""

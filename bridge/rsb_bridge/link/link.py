@@ -250,7 +250,7 @@ class Link(BaseLink):
     A part of it is an `Extension` that `__init__` registers; those of features come last.
 
     Attributes:
-        proposed: the topics that this side proposes.
+        proposed: the topics of this side's session, by name.
         patterns: the same for patterns of names, and the names that the peer follows here.
         topic_lists: questions of the two sides about their graphs.
         views: pictures of topics, for viewers of both sides.
@@ -272,7 +272,7 @@ class Link(BaseLink):
         self.open_channel = self.route_channels.open
         self.report_soon = self.extend(RouteReports(self)).add
         self.table = self.extend(RouteTable(self))
-        self.proposed = ProposedTopics(self, self.table)
+        self.proposed = self.extend(ProposedTopics(self, self.table))
         self.patterns = self.extend(LinkPatterns(self, self.table, self.proposed))
         self.topic_lists = self.extend(TopicLists(self))
         self.type_questions = self.extend(TypeQuestions(self))

@@ -233,12 +233,11 @@ class LinkArming:
         self._say_who_demands(route)
         return False
 
-    def keep_demand(self, route: Route, topic: Topic) -> None:
-        """Keep the demand of an entry that is not added because the other side bridges the same."""
-        key, max_age = ("", route.local_topic), default_max_age(topic.max_age, armed=True)
-        on_end = end_text(topic.on_end)
+    def keep_demand(self, name: str, topic: Topic) -> None:
+        """Demand for a name of this side what an entry demands that the other side's session lists."""
+        max_age, on_end = default_max_age(topic.max_age, armed=True), end_text(topic.on_end)
         source = DemandSource(
-            key, route.local_topic, topic.deadman_seconds, max_age=max_age, on_end=on_end, limits=topic.limits
+            ("", name), name, topic.deadman_seconds, max_age=max_age, on_end=on_end, limits=topic.limits
         )
         self._context.demands.keep(source)
 

@@ -218,7 +218,7 @@ class LinkPatterns(Extension):
         self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
         self._logged_full: set[Identity] = set()
         table.on_removed = self.leave_out
-        table.on_vacated = self._vacated
+        table.on_given_up = self._given_up
 
     # --- what operators want
 
@@ -471,7 +471,6 @@ class LinkPatterns(Extension):
         for route in matched:
             counts[_identity_of(route)] = counts.get(_identity_of(route), 0) + 1
         taken = {route.spec.identity for route in self._link.routes.values()}
-        taken |= {topic.identity for topic in self._table.superseded.values()}
         for identity, (entry, topic) in wanted.items():
             if identity in taken:
                 continue
@@ -521,10 +520,8 @@ class LinkPatterns(Extension):
             self.gone = {identity: at for identity, at in self.gone.items() if identity not in over}
             self.reconcile()
 
-    def _vacated(self, entry: Topic | None) -> None:
-        """Use the place of a route that the other side has given up: for this side's entry of it, or for a pattern."""
-        if entry is not None:
-            self._proposed.restore(entry)
+    def _given_up(self) -> None:
+        """Look soon whether a pattern matches what the other side has given up."""
         self._due = True
 
     # --- what operators see

@@ -64,9 +64,9 @@ class PeerOperators:
         what = "paused" if paused else "resumed"
         self._did(code, what, route, who, pause_word(paused=not paused), pause_word(paused=paused))
 
-    def proposed(self, route: Route, proposal: Propose) -> None:
+    def proposed(self, route: Route, proposal: Propose, *, edited: bool) -> None:
         """Record that an operator there has added or edited a topic, if the proposal names one."""
-        if proposal.who and proposal.replaces:
+        if proposal.who and edited:
             self.edited(route, proposal.who, None)
         elif proposal.who:
             self._did(EventCode.OPERATOR_ADDED, "added", route, proposal.who, "", described(route.spec))

@@ -5,19 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
-from msgspec import UNSET
 
 from rsb_bridge import __version__
 from rsb_bridge.config.rights import Use, uses
+from rsb_bridge.config.session_changes import values_apart
 from rsb_bridge.config.topic_rules import entry_problems, internal_problems, overlap, problems_here
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.calls import LANES
-from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
-from rsb_bridge.model.names import server_topic
+from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER, TEXT_LENGTH
+from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.purposes import TOPIC, Purpose, purposes
 from rsb_bridge.model.session import RANKS, Topic, priority_of
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import NO_PROFILE, compression_of
 from rsb_bridge.wire.messages import Amend, Propose
@@ -126,7 +127,7 @@ def _known(names: Mapping[str, T], name: str) -> T:
     return found
 
 
-_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "replaces": 0}
+_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "place": "", "by_pattern": False}
 
 
 def same_route(one: Propose, other: Propose) -> bool:
@@ -137,13 +138,11 @@ def same_route(one: Propose, other: Propose) -> bool:
 
 def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
     """Return a proposal with the limits of another one, or of a change."""
-    new = {name: getattr(limits, name) for name in _AMENDABLE}
-    new |= {name: getattr(proposal, name) for name, value in new.items() if value is UNSET}
-    return msgspec.structs.replace(proposal, **new)
+    return msgspec.structs.replace(proposal, **{name: getattr(limits, name) for name in _AMENDABLE})
 
 
 def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
-    """Return the message with a proposal's limits; `who` has changed them, or is empty in an answer."""
+    """Return the message with a proposal's limits; `who` has changed them, or is empty."""
     return Amend(route_id, who=who, **{name: getattr(proposal, name) for name in _AMENDABLE})
 
 
@@ -154,10 +153,64 @@ def amended_topic(topic: Topic, limits: Propose) -> Topic:
     return msgspec.structs.replace(topic, **values, priority=priority)
 
 
-def with_changes(entry: Topic, old: Topic, new: Topic) -> Topic:
-    """Return another entry of a topic with what differs between two, of what can change in an open route."""
-    changed = {name: value for name in _AMENDABLE if (value := getattr(new, name)) != getattr(old, name)}
+ARMING_KEYS = ("arm", "deadman", "on_end", "limits")
+"""Keys that each session sets for itself: what either one demands holds."""
+_OF_SESSION = frozenset({*ARMING_KEYS, "paused", "excepts"})
+
+
+def edited_entry(entry: Topic, old: Propose, new: Propose, *, usual_name: str) -> Topic:
+    """Return an entry with what differs between two proposals of it, apart from what each session demands for itself.
+
+    Args:
+        usual_name: the server's name of the new topic if no `remote_topic` sets another one.
+    """
+    before, after = topic_of(old), topic_of(new)
+    differing = (name for name in Topic.__struct_fields__ if getattr(after, name) != getattr(before, name))
+    changed = {name: getattr(after, name) for name in differing if name not in _OF_SESSION}
+    if changed.keys() & {"topic", "remote_topic"}:
+        changed["remote_topic"] = None if after.remote_topic == usual_name else after.remote_topic
     return msgspec.structs.replace(entry, **changed)
+
+
+def usual_server_name(topic: str, link: BaseLink) -> str:
+    """Return the server's name of a client's topic if no `remote_topic` sets another one."""
+    return server_topic(topic, link.name) if link.use_name else topic
+
+
+def with_server_name(proposal: Propose, link: BaseLink) -> Propose:
+    """Return this side's proposal with the name that the server gives the topic."""
+    field = "remote_topic" if proposal.from_client else "topic"
+    name = getattr(proposal, field)
+    if link.is_client and link.use_name and client_topic(name, link.name) is None:
+        proposal = msgspec.structs.replace(proposal, **{field: server_topic(name, link.name)})
+    return proposal
+
+
+def place_of(entry: Topic, link: BaseLink, pattern: str = "") -> str:
+    """Return where this side's file lists an entry, or the pattern that has made it, or an empty string."""
+    identity = entry.kind, pattern or entry.topic, entry.direction
+    return sanitize_text(link.context.in_file.place("" if link.is_client else link.name, identity), TEXT_LENGTH)
+
+
+def listed_differently(entry: Topic, ours: Propose, theirs: Propose, link: BaseLink) -> str:
+    """Return how this side's entry differs from the peer's in what both have to agree on, or an empty string.
+
+    Args:
+        ours: the proposal of the entry.
+    """
+    here, there = topic_of(with_server_name(ours, link)), topic_of(theirs)
+    own, other = here.parsed_qos(), there.parsed_qos()
+    if own and other:  # only the policies that differ
+        names = [name for name in own.__struct_fields__ if getattr(own, name) != getattr(other, name)]
+        here, there = (
+            msgspec.structs.replace(each, qos={name: getattr(qos, name) for name in names})
+            for each, qos in ((here, own), (there, other))
+        )
+    # Each side's profile chooses where an entry leaves that open.
+    left_open = {"compression"} if entry.compression is None else set()
+    mine, others = values_apart(here, there, leave_out=_OF_SESSION | {"max_age"} | left_open)
+    place, far_place = place_of(entry, link) or Denied.THIS_SESSION(), theirs.place or Denied.ITS_SESSION()
+    return Denied.LISTED_DIFFERENTLY(here=place, mine=mine, there=far_place, theirs=others) if mine else ""
 
 
 def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
@@ -169,20 +222,37 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
     purpose = _known(purposes(), proposal.purpose)
     if not purpose.in_graph:
         return _authorized_internal(proposal, purpose, link, session)
+    check_wanted(proposal, link)
+    ours = link.with_local_name(proposal)
+    for problem in problems_here(topic_of(ours), session):
+        raise LinkError(str(problem))
+    check_use(use_of(ours, is_client=link.is_client), link, session)
+    return ours
+
+
+def check_wanted(proposal: Propose, link: BaseLink) -> None:
+    """Check by itself the entry that a peer wants.
+
+    Raises:
+        LinkError: it has a mistake.
+    """
     if pattern := next(filter(is_pattern, (proposal.topic, proposal.remote_topic)), ""):
         raise LinkError(f"{pattern} is a pattern: the other side has to propose each that matches by its name")
     for problem in entry_problems(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
         raise LinkError(str(problem))
-    ours = link.with_local_name(proposal)
-    use = use_of(ours, is_client=link.is_client)
-    if refusal := _refusal(ours, link.rights, is_client=link.is_client):
+
+
+def check_use(use: Use, link: BaseLink, session: Session) -> None:
+    """Check the peer's rights to a use of a topic on this side.
+
+    Raises:
+        LinkError: the peer may not have it.
+    """
+    if refusal := link.rights.refusal(use):
         raise LinkError(str(refusal))
-    for problem in problems_here(topic_of(ours), session):
-        raise LinkError(str(problem))
     if use.may == "publish" and use.topic == session.shutdown_topic:
         raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
     check_driver_topic(use, session)
-    return ours
 
 
 def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, session: Session) -> Propose:
@@ -193,8 +263,6 @@ def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, se
     """
     for problem in internal_problems(topic_of(proposal), purpose, session):
         raise LinkError(str(problem))
-    if proposal.replaces:  # it would keep a session's entry waiting behind it
-        raise LinkError(f"a route for {purpose.name} cannot take the place of another one")
     if proposal.qos is not None and proposal.qos.latched:
         raise LinkError(f"a route for {purpose.name} needs a QoS that keeps nothing for late joiners")
     if refusal := _refusal(proposal, link.rights, is_client=link.is_client):

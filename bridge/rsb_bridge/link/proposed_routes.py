@@ -4,13 +4,29 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import validate_topic
-from rsb_bridge.link.extension import LinkError
-from rsb_bridge.link.proposals import check_driver_topic, proposal_of, same_route, use_of
-from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level
+from rsb_bridge.link.extension import Denied, Extension, LinkError
+from rsb_bridge.link.peer_operators import acting_operator
+from rsb_bridge.link.proposals import (
+    ARMING_KEYS,
+    check_driver_topic,
+    check_use,
+    check_wanted,
+    edited_entry,
+    listed_differently,
+    proposal_of,
+    same_route,
+    topic_of,
+    use_of,
+    usual_server_name,
+)
+from rsb_bridge.link.questions import Questions
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.route import route_key
+from rsb_bridge.wire.messages import Edit, EditAnswer
 
 if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
@@ -19,35 +35,69 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Propose
 
+_ANSWERED_WITHIN = 10.0
+"""Seconds that the other side has to change an entry. A round figure: nothing was measured."""
 
-class ProposedTopics:
-    """Adds and changes topics in a link's route table."""
+
+class ProposedTopics(Extension):
+    """Adds and changes the topics of this side's session, for operators of both sides."""
 
     def __init__(self, link: BaseLink, table: RouteTable) -> None:
         self._link = link
         self._context = link.context
         self._table = table
+        self._questions: Questions[str] = Questions(link, _ANSWERED_WITHIN)
+        self._asked = 0
+        self.messages = {Edit: self._asked_to_edit, EditAnswer: self._answered}
+
+    def disconnected(self) -> None:
+        self._questions.disconnected()
 
     def all(self) -> tuple[Topic, ...]:
-        """Return the topics that this side proposes by name, in the session's order. May be called from any thread."""
-        routes = tuple(self._link.routes.values())
-        listed = [route for route in routes if route.proposed_here and not route.pattern and route.purpose.in_graph]
-        return (*(route.spec for route in listed), *tuple(self._table.superseded.values()))
+        """Return the topics that the session lists by name, in its order. May be called from any thread."""
+        return tuple(route.spec for route in tuple(self._link.routes.values()) if route.listed)
 
     def add(self, topic: Topic, *, by_pattern: bool = False) -> Route:
-        """Bridge one more topic, which this side proposes; it takes over a route that a pattern has made.
+        """Bridge one more topic, which this side lists; it takes over a route that a pattern has made.
 
         Args:
             by_pattern: whether a pattern adds it, whose entry makes the demands.
 
         Raises:
-            LinkError: the topic has a mistake, or is bridged already.
+            LinkError: the topic has a mistake, or is bridged already, and the other side's entry is another one.
         """
         proposal = self._proposal(topic)
         route = self._link.routes.get(route_key(self._link.name, proposal))
         if route is not None and route.pattern:
             return self.replace(route, topic)
-        return self._table.add(topic, proposal, proposed_here=True, by_pattern=by_pattern)
+        if route is not None and not (route.proposed_here or route.own or by_pattern):
+            return self._list_too(route, topic, proposal)
+        return self._table.add(topic, proposal, proposed_here=True)
+
+    def _list_too(self, route: Route, topic: Topic, proposal: Propose) -> Route:
+        """List what the other side has opened in this side's session, too; return its route.
+
+        Raises:
+            LinkError: the two entries differ. Only this one's demand is kept.
+        """
+        if route.proposal.by_pattern:  # an entry that names it goes before that
+            return self._table.change(route, topic, proposal)
+        if text := listed_differently(topic, proposal, route.proposal, self._link):
+            self._table.keep_demand(topic, route.key)
+            raise LinkError(text)
+        route.own, route.spec = proposal, msgspec.structs.replace(topic, paused=route.paused)
+        self._table.listed.add(topic.identity)
+        self._context.demands.changed()
+        self._context.demands.apply()
+        if topic.paused and not route.paused:
+            self._table.pause(route, paused=True)
+        return route
+
+    def unlist(self, route: Route) -> None:
+        """Take what the other side has opened, and lists, too, out of this side's session."""
+        self._table.listed.discard(route.spec.identity)
+        route.own, route.spec = None, msgspec.structs.replace(topic_of(route.proposal), paused=route.paused)
+        self._context.demands.changed()
 
     def check(self, topic: Topic) -> None:
         """Check a pattern.
@@ -66,15 +116,15 @@ class ProposedTopics:
             return False
 
     def can_amend(self, route: Route, topic: Topic) -> bool:
-        """Whether a route can go on, with its counts, if another topic takes its place.
+        """Whether a route goes on, with its counts, if another topic takes its place: only limits differ.
 
         Raises:
             LinkError: the topic has a mistake.
         """
-        return _can_amend(route, self._proposal(topic))
+        return same_route(route.proposal, self._proposal(topic))
 
     def replace(self, route: Route, topic: Topic) -> Route:
-        """Put another topic in a route's place; a pattern no longer controls it.
+        """Put another topic in the place of one that this side proposes; a pattern no longer controls it.
 
         The route goes on if only limits differ, else there is a new one.
 
@@ -84,36 +134,19 @@ class ProposedTopics:
         table, proposal = self._table, self._proposal(topic)
         if (key := route_key(self._link.name, proposal)) != route.key:  # the peer may bridge the new name already
             table.keep_demand(topic, key)
-        self._check_replace(route, topic, proposal)  # before the old route gives way: if it is refused, that one stays
-        if _can_amend(route, proposal):
-            route.pattern = ""
-            table.amend(route, topic, proposal)
-            return route
-        at = list(self._link.routes).index(route.key)
-        new = table.add(topic, proposal, proposed_here=True, replaces=table.give_way(route))
-        new.edits_peer = route.edits_peer or not route.proposed_here
-        new.arming.follow(route.arming)
-        table.move(new, at)
-        return new
-
-    def restore(self, topic: Topic) -> None:
-        """Propose an entry of this side again, whose place the other side's own had taken."""
-        try:
-            self.add(topic)
-        except LinkError as error:
-            self._link.log(
-                Level.WARNING,
-                EventCode.ROUTE_REFUSED,
-                f"{topic.topic}: left out until a reload: {error}",
-                topic=topic.topic,
-            )
+        self._check_replace(route, topic, proposal)
+        if not same_route(route.proposal, proposal):
+            return table.change(route, topic, proposal)
+        route.pattern = ""
+        table.amend(route, topic, proposal)
+        return route
 
     def check_replace(self, route: Route, topic: Topic) -> None:
-        """Raise `LinkError` where `replace` would."""
+        """Raise `LinkError` where `replace` or `edit_there` would."""
         self._check_replace(route, topic, self._proposal(topic))
 
     def _check_replace(self, route: Route, topic: Topic, proposal: Propose) -> None:
-        if not _can_amend(route, proposal):
+        if not same_route(route.proposal, proposal):
             self._table.check_add(topic, proposal, route_key(self._link.name, proposal), instead_of=route)
 
     def _proposal(self, topic: Topic) -> Propose:
@@ -125,7 +158,104 @@ class ProposedTopics:
         check_driver_topic(use_of(proposal, is_client=self._link.is_client), self._context.session)
         return proposal
 
+    # --- entries of the other side's session
 
-def _can_amend(route: Route, proposal: Propose) -> bool:
-    """Whether a route can go on as this is proposed: nothing but limits change, and its proposer can be asked."""
-    return same_route(route.proposal, proposal) and bool(route.proposed_here or route.id)
+    def names(self, topic: Topic) -> tuple[str, str]:
+        """Return the key that a topic's route has, or will have, and the topic's name on this side."""
+        proposal = self._proposal(topic)
+        use = use_of(proposal, is_client=self._link.is_client)
+        return route_key(self._link.name, proposal), use.topic
+
+    def demand(self, route: Route, topic: Topic) -> Topic:
+        """Have this side's session demand what an edit of a route says that the other side lists.
+
+        Returns:
+            The edit without that: what is left to ask the other side for.
+
+        Raises:
+            LinkError: this session has no place for it.
+        """
+        old = route.spec
+        new = {name: getattr(topic, name) for name in ARMING_KEYS}
+        if all(getattr(old, name) == value for name, value in new.items()):
+            return topic
+        if route.own is not None:
+            route.spec = msgspec.structs.replace(old, **new)
+            self._context.demands.changed()
+        elif topic.arm:
+            self._table.arming.keep_demand(self.names(topic)[1], topic)
+        elif topic.limits != old.limits:
+            raise LinkError(Denied.LIMITS_OF_PEER(topic=route.local_topic))
+        return msgspec.structs.replace(topic, **{name: getattr(route.spec, name) for name in new})
+
+    async def edit_there(self, route: Route, topic: Topic) -> None:
+        """Have the other side change its entry of a route.
+
+        Raises:
+            LinkError: it is out of reach, or does not change it.
+        """
+        was_listed, question = route.listed, self.question(route, topic)
+        if topic.paused and not route.paused:
+            self._table.pause(route, paused=True)
+        if question is not None:
+            if not (self._link.linked and question.route):
+                raise LinkError(Denied.OUT_OF_REACH(topic=route.local_topic))
+            if problem := await self._questions.ask(question.number, question):
+                raise LinkError(f"refused by the other side: {problem}")
+        new = self._link.routes.get(self.names(topic)[0])
+        if new is not None and new.paused and not topic.paused:
+            self._table.pause(new, paused=False)
+        if new is not None and was_listed and not new.listed:  # under another name
+            self._list_too(new, topic, self._proposal(topic))
+
+    def question(self, route: Route, topic: Topic) -> Edit | None:
+        """Return the message that asks the other side to put a topic in a route's place, or None if nothing differs."""
+        seen, wanted = (self._proposal(msgspec.structs.replace(each, paused=False)) for each in (route.spec, topic))
+        if seen == wanted:
+            return None
+        self._asked += 1
+        return Edit(
+            number=self._asked, route=self._link.ids.last_of(route), seen=seen, wanted=wanted, who=acting_operator()
+        )
+
+    def _answered(self, message: EditAnswer) -> None:
+        self._questions.answered(message.number, message.problem)
+
+    def _asked_to_edit(self, message: Edit) -> None:
+        try:
+            self._edit_for_peer(message)
+        except LinkError as error:
+            problem = sanitize_text(str(error))
+        else:
+            problem = ""
+
+        async def answer() -> None:  # after the new proposal, whose task has begun before
+            self._link.send(EditAnswer(message.number, problem))
+
+        self._link.spawn(answer())
+
+    def _edit_for_peer(self, message: Edit) -> None:
+        """Change an entry as the peer asks for it, within the peer's rights.
+
+        Raises:
+            LinkError: the peer may not have what it asks for.
+        """
+        link, route = self._link, self._link.ids.find(message.route)
+        if route is None or not (route.proposed_here and route.purpose.in_graph):
+            raise LinkError(Denied.NOT_LISTED(topic=message.wanted.topic))
+        check_wanted(message.wanted, link)
+        seen, wanted = message.seen, message.wanted
+        if (wanted.topic, wanted.remote_topic) != (seen.topic, seen.remote_topic):
+            wanted = link.with_local_name(wanted)  # with `use_name`, a client reaches only its own names
+        before, usual_name = route.spec, usual_server_name(topic_of(wanted).topic, link)
+        entry = edited_entry(before, seen, wanted, usual_name=usual_name)
+        renamed = (before.identity, before.remote_topic) != (entry.identity, entry.remote_topic)
+        if before.arm and renamed:  # the demand on each name that it had would stay, and a peer makes none grow
+            raise LinkError(Denied.ARMED_THERE(topic=message.wanted.topic))
+        if before.port != entry.port and not link.is_client:
+            raise LinkError(Denied.PORT_OF_SERVER(topic=message.wanted.topic))
+        use = use_of(self._proposal(entry), is_client=link.is_client)
+        if use != use_of(route.proposal, is_client=link.is_client):
+            check_use(use, link, self._context.session)
+        new = self.replace(route, entry)
+        self._table.peer_operators.edited(new, message.who, before)

@@ -64,8 +64,7 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
         yield ReloadStep(f"{change}: {effect}", partial(link.change_key, key))
     yield from _topic_steps(link, session.topics)
     listed = {topic.identity for topic in session.topics}
-    own = {route.spec.identity for route in link.routes.values() if route.proposed_here}
-    own |= {topic.identity for topic in link.table.superseded.values()}
+    own = {route.spec.identity for route in link.routes.values() if route.proposed_here or route.listed}
     for identity in sorted(link.table.listed - listed - own):  # the other side has removed it already
         kind, name, direction = identity
         text = f"{named(Topic(name, direction, kind=kind))}: no longer listed"
@@ -133,34 +132,18 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[ReloadStep]:
     topics = tuple(topics)
     yield from _pattern_steps(link, [topic for topic in topics if topic.is_pattern])
     wanted = {topic.identity: topic for topic in topics if not topic.is_pattern}
-    routes = {
-        route.spec.identity: route
-        for route in link.routes.values()
-        if route.proposed_here and not route.pattern and route.purpose.in_graph  # others are in no file
-    }
-    superseded = {topic.identity: key for key, topic in link.table.superseded.items()}
+    routes = {route.spec.identity: route for route in link.routes.values() if route.listed}  # others are in no file
     for identity, route in routes.items():
-        if identity not in wanted and route.edits_peer:
-            text = f"{named(route.spec)}: the edit is undone; the other side's own entry applies again"
-            yield ReloadStep(text, partial(_undo_edit, link, identity))
-        elif identity not in wanted:
-            yield ReloadStep(_removed(route.spec), partial(_remove, link, identity))
-    for identity, key in superseded.items():
         if identity not in wanted:
-            yield ReloadStep(_removed(link.table.superseded[key]), partial(_drop_superseded, link, key))
+            yield ReloadStep(_removed(route.spec), partial(_remove, link, identity))
     for identity, topic in wanted.items():
         if identity in routes:
             route = routes[identity]
             if route.spec != topic:
-                effect = "" if link.proposed.can_amend(route, topic) else "; reopened, counted from 0"
+                goes_on = route.own is not None or link.proposed.can_amend(route, topic)
+                effect = "" if goes_on else "; reopened, counted from 0"
                 text = f"{named(topic)}: {', '.join(changes(route.spec, topic))}{effect}"
                 yield ReloadStep(text, partial(_replace, link, topic))
-        elif identity in superseded:
-            key = superseded[identity]
-            if differs := changes(link.table.superseded[key], topic):
-                others = "an edit on the server" if link.is_client else "the client's own entry"
-                text = f"{named(topic)}: {', '.join(differs)}; {others} takes precedence"
-                yield ReloadStep(text, partial(_change_superseded, link, key, topic))
         else:
             yield ReloadStep(_added(topic), partial(_add, link, topic))
 
@@ -200,36 +183,26 @@ def _add_to_client(server: Server, name: str, topic: Topic) -> None:
 
 
 def _remove(link: Link, identity: Identity) -> None:
-    if (route := _proposed(link, identity)) is not None:  # else the other side has removed it meanwhile
+    route = _listed(link, identity)
+    if route is not None and route.own is not None:
+        link.proposed.unlist(route)
+    elif route is not None:  # else the other side has removed it meanwhile
         link.table.remove(route, _NOT_IN_FILE)
 
 
-def _undo_edit(link: Link, identity: Identity) -> None:
-    if (route := _proposed(link, identity)) is not None:
-        link.table.undo_edit(route, _NOT_IN_FILE)
-
-
-def _drop_superseded(link: Link, key: str) -> None:
-    if (topic := link.table.superseded.pop(key, None)) is not None:
-        link.table.listed.discard(topic.identity)
-    link.context.demands.changed()
-
-
-def _change_superseded(link: Link, key: str, topic: Topic) -> None:
-    link.table.superseded[key] = topic
-    link.context.demands.changed()
-
-
 def _replace(link: Link, topic: Topic) -> None:
-    if (route := _proposed(link, topic.identity)) is not None:
+    route = _listed(link, topic.identity)
+    if route is not None and route.own is None:
         link.proposed.replace(route, topic)
-    else:  # the other side has removed it meanwhile, and the file lists it
-        link.proposed.add(topic)
+        return
+    if route is not None:  # the other side has opened it: it stays listed here if the two still say the same
+        link.proposed.unlist(route)
+    link.proposed.add(topic)  # else the other side has removed it meanwhile, and the file lists it
 
 
-def _proposed(link: Link, identity: Identity) -> Route | None:
-    """Return a topic's present route, which earlier steps may have replaced, or None."""
-    routes = (route for route in link.routes.values() if route.proposed_here)
+def _listed(link: Link, identity: Identity) -> Route | None:
+    """Return the present route of a topic that this side lists, which earlier steps may have replaced, or None."""
+    routes = (route for route in link.routes.values() if route.listed)
     return next((route for route in routes if route.spec.identity == identity), None)
 
 

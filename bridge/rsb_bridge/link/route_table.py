@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 
 import msgspec
-from msgspec import UNSET
 
 from rsb_bridge.cdr.description import CompareTypes, unknown_difference
-from rsb_bridge.link.extension import Denied, Extension, LinkError
+from rsb_bridge.link.extension import Denied, Extension, LinkError, ListedTooError
 from rsb_bridge.link.holder_questions import HolderQuestions
 from rsb_bridge.link.link_arming import DROPPED, LinkArming
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
 from rsb_bridge.link.proposals import (
+    ARMING_KEYS,
     allow_rate,
     amended,
     amended_topic,
@@ -21,13 +21,17 @@ from rsb_bridge.link.proposals import (
     check_overlap,
     check_room,
     denied,
+    edited_entry,
+    listed_differently,
+    place_of,
     same_route,
     topic_of,
-    with_changes,
+    usual_server_name,
 )
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
-from rsb_bridge.model.reason import Reason
+from rsb_bridge.model.purposes import purposes
+from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
@@ -81,11 +85,7 @@ _AboutOpenRoute: TypeAlias = Accept | Refuse | _HalfMessage | Close | Limit | By
 RouteMessage: TypeAlias = Propose | Amend | Pause | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
 
-_EDITED = "edited"
 _NOT_ASKED_FOR = "the other side no longer asks for it"
-_EDIT_REFUSED = "the other side's edit of it is refused"
-_EDIT_UNDONE = "the other side has undone its edit"
-_COMES_BACK = "; this side's own entry takes its place again"
 
 
 _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
@@ -158,32 +158,29 @@ class RouteTable(Extension):
     """Negotiates a link's routes, which live on while the peer is away.
 
     Attributes:
-        superseded: entries of this side whose place the other side's own have taken, by the keys of those routes; they
-            come back once the other side no longer proposes its own.
         listed: identities of the topics that this side proposes; named ones stay even if the other side removes them.
         on_removed: is called with a route that an operator of the other side has removed.
-        on_vacated: is called with an entry of this side that comes back, or with None, after the other side has given
-            up a route.
+        on_given_up: is called after the other side has given up a route.
+        peer_operators: records what operators of the other side do.
         compare_types: asks the peer how its version of a type differs.
     """
 
     def __init__(self, link: BaseLink) -> None:
         self.messages = dict.fromkeys(get_args(RouteMessage), self.handle)
-        self.superseded: dict[str, Topic] = {}
         self.listed: set[Identity] = set()
         self.on_removed: Callable[[Route], None] = lambda _: None
-        self.on_vacated: Callable[[Topic | None], None] = lambda _: None
+        self.on_given_up: Callable[[], None] = lambda: None
         self.compare_types: CompareTypes = unknown_difference
         self._context = link.context
         self._link = link
         self._refused: dict[str, str] = {}
-        self._peer_operators = PeerOperators(link.context, "server" if link.is_client else link.name)
-        self._pausing = Pausing(link, self._peer_operators)
+        self.peer_operators = PeerOperators(link.context, "server" if link.is_client else link.name)
+        self._pausing = Pausing(link, self.peer_operators)
         self.arming = LinkArming(
-            link.context, link, self._peer_operators, lambda: tuple(link.routes.values()), self.propose
+            link.context, link, self.peer_operators, lambda: tuple(link.routes.values()), self.propose
         )
 
-        self.questions = HolderQuestions(link.context, link, self._peer_operators)
+        self.questions = HolderQuestions(link.context, link, self.peer_operators)
 
     # --- the connection
 
@@ -197,37 +194,29 @@ class RouteTable(Extension):
         self._refused.clear()
         for route in self._link.routes.values():
             route.close(self._link.status.reason)
-            route.replaces = 0
+            route.lead()  # the peer's next session may not list it any more
         self.arming.lease.stop()  # after the routes, which ask how long the other side may still publish
 
     # --- adding and removing
 
-    def add(
-        self, spec: Topic, proposal: Propose, *, proposed_here: bool, replaces: int = 0, by_pattern: bool = False
-    ) -> Route:
+    def add(self, spec: Topic, proposal: Propose, *, proposed_here: bool) -> Route:
         """Make this side's half of a route, and ask the peer for the other half if this side proposes it.
 
         Args:
             proposal: of it, with this side's names.
-            replaces: the id that `give_way` has returned, if it takes that route's place.
-            by_pattern: whether a pattern adds it, whose entry makes the demands.
 
         Raises:
             LinkError: there is such a route, or one that bridges the same service.
         """
         key = route_key(self._link.name, proposal)
-        if not by_pattern:  # a pattern demands by itself, and a kept name would outlive it
-            self.keep_demand(spec, key)  # even if the route is refused, because the other side has one of this name
         self.check_add(spec, proposal, key)
         half = _half_of(proposal, is_client=self._link.is_client)
         route = self._link.routes[key] = half(self._context, self._link, spec, proposal, proposed_here=proposed_here)
         allow_rate(route, self._link)
         if isinstance(route, IncomingRoute | CallingRoute):
             route.compare_types = self.compare_types
-        route.replaces = replaces
         if proposed_here and route.purpose.in_graph:
             self.listed.add(spec.identity)
-            self.superseded = {key: topic for key, topic in self.superseded.items() if topic.identity != spec.identity}
             self._context.demands.changed()
         if proposed_here and self._link.linked:
             self.propose(route, acting_operator())
@@ -243,10 +232,10 @@ class RouteTable(Extension):
         """Keep the demand of a topic that cannot be added because the other side proposes its route."""
         route = self._link.routes.get(key)
         if spec.arm and route is not None and not route.proposed_here:
-            self.arming.keep_demand(route, spec)
+            self.arming.keep_demand(route.local_topic, spec)
             self._context.demands.apply()
 
-    def move(self, route: Route, at: int) -> None:
+    def _move(self, route: Route, at: int) -> None:
         """Move a route to an index; a session lists its topics in this order."""
         routes = [each for each in self._link.routes.values() if each is not route]
         routes.insert(at, route)
@@ -254,26 +243,23 @@ class RouteTable(Extension):
 
     def remove(self, route: Route, reason: str, *, anonymous: bool = False) -> None:
         """Remove a route on both sides; `anonymous` keeps the operator's name from the other side."""
-        self.listed -= {topic.identity for topic in (route.spec, self.superseded.get(route.key)) if topic is not None}
-        self._tell_removed(route, reason, "" if anonymous else acting_operator())  # first: `_forget` forgets its ids
+        self.listed.discard(route.spec.identity)
+        self._tell_end(route, EndCode.REMOVED, reason, "" if anonymous else acting_operator())
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
-    def undo_edit(self, route: Route, reason: str) -> None:
-        """Remove this side's edit of an entry of the peer's, which applies again."""
+    def change(self, route: Route, spec: Topic, proposal: Propose) -> Route:
+        """Put another route in the place of one that this side proposes."""
+        at = list(self._link.routes).index(route.key)
         self.listed.discard(route.spec.identity)
-        self._tell_removed(route, reason, edited=True)
-        self._forget(route, EventCode.ROUTE_REMOVED, reason)
-
-    def give_way(self, route: Route) -> int:
-        """Remove a route in whose place this side proposes another; return the id that the peer knows it by, or 0."""
-        route_id = self._link.ids.last_of(route)
-        self.listed.discard(route.spec.identity)
-        if route_id:
-            self._link.send(Close(route=route_id, reason=_EDITED, edited=True))
+        same_name = route_key(self._link.name, proposal) == route.key
+        self._tell_end(route, EndCode.EDITED if same_name else EndCode.REMOVED, "edited")
         if route.arming.held:
             route.disarm(Disarmed.EDITED)
-        self._forget(route, EventCode.ROUTE_REMOVED, _EDITED)
-        return route_id
+        self._forget(route, EventCode.ROUTE_REMOVED, "edited")
+        new = self.add(spec, proposal, proposed_here=True)
+        new.arming.follow(route.arming)
+        self._move(new, at)
+        return new
 
     def deny(self, route: Route, reason: str) -> None:
         """End a route that the peer has proposed and may no longer have; the peer keeps asking for it."""
@@ -294,19 +280,16 @@ class RouteTable(Extension):
         if route.id:
             self._link.send(Limit(route=route.id, max_rate=route.limit.here))
 
-    def _tell_removed(self, route: Route, reason: str, who: str = "", *, edited: bool = False) -> None:
-        """Tell the peer that a route is removed; a closed route is named by its last id."""
+    def _tell_end(self, route: Route, code: EndCode, reason: str, who: str = "") -> None:
+        """Tell the peer how a route ends; a closed one is named by its last id, which `_forget` forgets."""
         if route_id := self._link.ids.last_of(route):
-            reason = sanitize_text(reason)
-            self._link.send(Close(route=route_id, reason=reason, removed=True, who=who, edited=edited))
+            self._link.send(Close(route=route_id, reason=sanitize_text(reason), code=code, who=who))
 
     def _forget(self, route: Route, code: EventCode, reason: str) -> None:
         """Remove a route on this side."""
         self._link.routes.pop(route.key, None)
         self.listed -= {route.spec.identity} if route.pattern else set()
-        # A route that only ends may be proposed again: this side's own entry waits behind it.
-        superseded = self.superseded.pop(route.key, None) if code is EventCode.ROUTE_REMOVED else None
-        if route.proposed_here or superseded is not None:
+        if route.proposed_here or route.listed:
             self._context.demands.changed()
         if route.arming.held:  # else `destroy` would name another cause
             route.disarm(Disarmed.REMOVED)
@@ -315,50 +298,41 @@ class RouteTable(Extension):
         route.log(Level.INFO, code, reason)
 
     def amend(self, route: Route, spec: Topic, proposal: Propose) -> None:
-        """Change the limits of a route on both sides, while it stays open.
+        """Change the limits of a route that this side proposes, while it stays open.
 
         Args:
             spec: the topic as it is wanted, validated.
             proposal: of it, with this side's names.
         """
-        changed = amended(route.proposal, proposal)
-        if route.proposed_here:
-            route.amend(msgspec.structs.replace(spec, paused=route.pausing.paused), changed)
-            self._context.demands.changed()
-        elif (entry := self.superseded.get(route.key)) is not None:
-            self.superseded[route.key] = with_changes(entry, route.spec, spec)
-            self._context.demands.changed()
+        route.amend(msgspec.structs.replace(spec, paused=route.pausing.paused), amended(route.proposal, proposal))
+        self._context.demands.changed()
+        if not self.arming.renew_demand(route):
+            route.settle_age()
         if route.id:
-            self._link.send(self._amendment(route, changed, acting_operator()))
+            self._link.send(self._amendment(route, acting_operator()))
+        elif self._link.linked:
+            self.propose(route)  # it may be what it was refused for
         if spec.paused != route.pausing.paused:
             self.pause(route, paused=spec.paused)
 
     def _amended(self, message: Amend) -> None:
-        """Take the peer's change of a route's limits, or its request for one."""
+        """Take the limits of a route that the peer proposes."""
         route = self._link.ids.find(message.route)
-        if route is None:
+        if route is None or route.proposed_here:
             return  # it was removed here before the message arrived
-        proposal, old = amended(route.proposal, message), route.spec
-        route.amend(amended_topic(route.spec, proposal), proposal)
-        if route.proposed_here and route.spec.max_age != old.max_age:
-            self._context.demands.changed()
-            if not self.arming.renew_demand(route):
-                route.settle_age()
+        old = route.spec
+        spec = amended_topic(old, amended(route.proposal, message))
+        if route.own is not None:  # this side's entry changes with the peer's, but keeps the `max_age` of its own
+            route.own = msgspec.structs.replace(amended(route.own, message), max_age=route.own.max_age)
+            spec = msgspec.structs.replace(spec, max_age=old.max_age)
+        route.amend(spec, amended(route.proposal, message))
         if message.who:
-            self._peer_operators.edited(route, message.who, old)
-            route.pattern = ""
-        if route.proposed_here and route.id:
-            self._link.send(self._amendment(route, proposal))
+            self.peer_operators.edited(route, message.who, old)
 
-    def _amendment(self, route: Route, proposal: Propose, who: str = "") -> Amend:
-        """Return the message that changes a route's limits to a proposal's."""
-        if route.proposed_here:
-            proposal = msgspec.structs.replace(proposal, max_age=self.arming.max_age(route, proposal))
-        message = amendment(proposal, route.id, who)
-        if not route.proposed_here and proposal.max_age == route.proposal.max_age:
-            # The proposer's entry may set none: then its limit comes from another line, which is not to be copied.
-            message = msgspec.structs.replace(message, max_age=UNSET)
-        return message
+    def _amendment(self, route: Route, who: str = "") -> Amend:
+        """Return the message with a route's present limits."""
+        max_age = self.arming.max_age(route, route.proposal)
+        return amendment(msgspec.structs.replace(route.proposal, max_age=max_age), route.id, who)
 
     def pause(self, route: Route, *, paused: bool) -> None:
         """Pause or resume a route on both sides, and disarm it."""
@@ -376,7 +350,7 @@ class RouteTable(Extension):
                     route.request_reopen(EventCode.ROUTE_AMENDED, "its demands in this side's session have changed")
             elif route.arming.own.max_age != before:
                 route.settle_age()
-                self._link.send(self._amendment(route, route.proposal))
+                self._link.send(self._amendment(route))
 
     def retry(self) -> None:
         """Propose refused routes at once."""
@@ -411,8 +385,9 @@ class RouteTable(Extension):
                 route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, Reason(str(error)))
         if route.id == route_id:  # else it was refused, or opened again while the port was being bound
             pausing = route.pausing
-            opening = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
-            opening["replaces"] = route.replaces
+            opening: dict[str, Any] = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
+            if route.purpose.in_graph:
+                opening |= {"place": place_of(route.spec, self._link, route.pattern), "by_pattern": bool(route.pattern)}
             opening |= self.arming.demanded(route)
             # Together with the sending: each Propose advances the chain of keys on both sides (PROTOCOL.md, 1.3).
             self._link.derive_keys(route_id, proposed_here=True)
@@ -425,10 +400,10 @@ class RouteTable(Extension):
         match message:
             case Propose():
                 self._proposed(message)
-            case Close(removed=True):  # first: an edit that is undone is both
+            case Close(code=EndCode.REMOVED):
                 self._removed(message)
-            case Close(edited=True):
-                self._give_way_to_peer(message)
+            case Close(code=EndCode.EDITED):
+                self._edited(message)
             case Amend():
                 self._amended(message)
             case Lease():
@@ -458,54 +433,81 @@ class RouteTable(Extension):
             self._link.protocol_error(f"invalid route id {proposal.route} in a proposal")
             return
         self._link.derive_keys(proposal.route, proposed_here=False)  # also if it is refused below (PROTOCOL.md, 1.3)
-        replaced = self._link.ids.find(proposal.replaces)
         try:
-            route = self._take_up(proposal, replaced)
+            route, is_new = self._take_up(proposal)
+        except ListedTooError as error:
+            self._link.closed(proposal.route)
+            self._link.send(Refuse(route=proposal.route, code="listed_too", reason=sanitize_text(str(error))))
         except LinkError as error:
             self._link.closed(proposal.route)
             self._refuse(proposal, "denied", str(error))
-            if replaced is not None and not (replaced.id or replaced.proposed_here):
-                self._abandoned(replaced, _EDIT_REFUSED)
         else:
-            if replaced is not None and replaced.key != route.key:
-                self._renamed(replaced, route)
             self._link.spawn(self._accept(route, proposal))
-            self._peer_operators.proposed(route, proposal)
+            self.peer_operators.proposed(route, proposal, edited=not is_new)
 
-    def _take_up(self, proposal: Propose, replaced: Route | None) -> Route:
-        """Return this side's half of a route that the peer proposes.
-
-        Args:
-            replaced: the route whose place it takes, or None.
+    def _take_up(self, proposal: Propose) -> tuple[Route, bool]:
+        """Return this side's half of a route that the peer proposes, and whether it was not bridged before.
 
         Raises:
             LinkError: the peer may not have it.
         """
         link = self._link
         ours = authorized(proposal, link, self._context.session)
-        before = known = link.routes.get(route_key(link.name, ours))
+        before = known = self._known(ours)
+        if known is not None and known.proposed_here:
+            self._settle_double(known, ours)
+            known = known if known.own is not None else None
         if known is None:
-            # The one that it replaces goes as soon as it is there.
-            check_room([each for each in link.routes.values() if each is not replaced], self._context.session)
-        elif known.proposed_here and link.is_client:
-            raise LinkError(Denied.BRIDGED_ALREADY(topic=ours.topic))
-        if known is not None and (known.proposed_here or not same_route(known.proposal, ours)):
-            # Where both propose, the client's is the one that stays. The client may have removed it since, and taken up
-            # this side's.
-            if known.proposed_here:
-                self._tell_removed(known, "replaced by the client's")
-                self._keep_entry(known, known.key)
-            self._forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
-            known = None
-        if known is not None:
-            known.amend(amended_topic(known.spec, ours), amended(known.proposal, ours))
-        route = known or self.add(topic_of(ours), ours, proposed_here=False)
+            check_room(link.routes.values(), self._context.session)
+            route = self.add(topic_of(ours), ours, proposed_here=False)
+        elif same_route(known.proposal, ours):
+            route = known
+            if known.own is None:
+                known.amend(amended_topic(known.spec, ours), amended(known.proposal, ours))
+        else:
+            route = self._changed_by_peer(known, ours)
         if before is not None:
             route.arming.follow(before.arming)
         same_process = route.instance == link.instance  # before it is opened, which notes the present process
         self._reopen(route, proposal.route)
         self._pausing.taken_up(route, proposal, known=same_process)
-        return route
+        return route, before is None
+
+    def _known(self, ours: Propose) -> Route | None:
+        """Return the route that a proposal of the peer is about, or None."""
+        known = self._link.routes.get(route_key(self._link.name, ours))
+        if known is not None or not self._link.is_client:
+            return known
+        # With `use_name`, a client's own proposal of what the server sends may have another name, and so another key.
+        identity, routes = topic_of(ours).identity, self._link.routes.values()
+        return next((each for each in routes if each.proposed_here and each.spec.identity == identity), None)
+
+    def _settle_double(self, known: Route, theirs: Propose) -> None:
+        """Decide about a topic that both sides propose. The peer comes to the same end.
+
+        An entry that names a topic goes before what a pattern has made. Of two patterns, the client's counts. Two
+        entries that say the same are one, which the client proposes. If they differ, neither opens.
+
+        Raises:
+            ListedTooError: the peer's proposal is refused; else this side's has given way.
+        """
+        link = self._link
+        named, named_there = known.listed, purposes()[theirs.purpose].in_graph and not theirs.by_pattern
+        if not named and (named_there or not link.is_client):
+            self._tell_end(known, EndCode.REMOVED, "the other side lists it")
+            self._forget(known, EventCode.ROUTE_REPLACED, "the other side lists it")
+            return
+        if named and named_there:
+            if text := listed_differently(known.spec, known.proposal, theirs, self._link):
+                known.refuse(EventCode.ROUTE_LISTED_DIFFERENTLY, Reason(text, EndCode.LISTED_DIFFERENTLY))
+            elif not link.is_client:
+                # The client may have removed its entry since, and accepted this side's.
+                self._tell_end(known, EndCode.REMOVED, "the client's is open")
+                known.follow(theirs)
+                return
+            elif not known.id:
+                self.propose(known)
+        raise ListedTooError(Denied.LISTED_TOO(topic=theirs.topic))
 
     async def _accept(self, route: Route, proposal: Propose) -> None:
         connection = self._link.connections
@@ -546,55 +548,35 @@ class RouteTable(Extension):
         route = self._link.ids.find(message.route)
         if route is None:
             return  # both sides removed it
-        if message.removed and message.edited:
-            if not route.proposed_here:
-                self._abandoned(route, _EDIT_UNDONE)
-            return
         reason = f"removed by the other side: {message.reason}"
         if route.id != message.route:  # a newer opening, of which the peer hears later, would bring it back
-            self._tell_removed(route, reason)
+            self._tell_end(route, EndCode.REMOVED, reason)
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
         if message.who:
-            self._peer_operators.removed(route, message.who)
+            self.peer_operators.removed(route, message.who)
             self.on_removed(route)
 
-    def _give_way_to_peer(self, message: Close) -> None:
-        """Close a route in whose place the peer is about to propose another one, and keep this side's entry of it.
+    def _edited(self, message: Close) -> None:
+        """End an opening in whose place its proposer is about to propose another one."""
+        route = self._link.ids.open_route(message.route)
+        if route is not None and not route.proposed_here:
+            if route.arming.held:
+                route.disarm(Disarmed.EDITED)
+            route.close(message.reason)
 
-        If that proposal never comes, the route is abandoned after a while, as any other of the peer's.
-        """
-        route = self._link.ids.find(message.route)
-        if route is not None and not route.purpose.in_graph:
-            self._removed(message)  # no session lists it
-            return
-        if route is None or route.id not in (0, message.route):
-            return  # it was removed here, or this side has proposed it again; of two proposals the client's stays
-        self._keep_entry(route, route.key)
-        route.proposed_here, route.pattern = False, ""
-        if route.arming.held:
-            route.disarm(Disarmed.EDITED)
-        route.close(f"{_EDITED} by the other side")
-
-    def _keep_entry(self, route: Route, key: str) -> None:
-        """Keep this side's entry of a route whose place the peer's route with that key takes."""
-        if route.proposed_here and not route.pattern and route.purpose.in_graph:
-            self.superseded[key] = route.spec
-
-    def _renamed(self, old: Route, new: Route) -> None:
-        """Remove the route of a topic that the peer has edited so much that the new one has another key."""
-        self._keep_entry(old, new.key)
-        if (entry := self.superseded.pop(old.key, None)) is not None:
-            self.superseded[new.key] = entry
-        new.arming.follow(old.arming)
-        if old.id:
-            self._tell_removed(old, _EDITED)
-        self._forget(old, EventCode.ROUTE_REPLACED, "replaced by the other side's")
-
-    def _abandoned(self, route: Route, reason: str) -> None:
-        """Remove a route that the peer no longer proposes; this side's own entry, whose place it took, comes back."""
-        entry = self.superseded.pop(route.key, None)
-        self._forget(route, EventCode.ROUTE_ABANDONED, reason if entry is None else f"{reason}{_COMES_BACK}")
-        self.on_vacated(None if entry is None else msgspec.structs.replace(entry, paused=route.pausing.paused))
+    def _changed_by_peer(self, known: Route, ours: Propose) -> Route:
+        """Put a changed proposal of the peer in the place of its earlier one; this side's entry of it follows."""
+        self._forget(known, EventCode.ROUTE_REPLACED, "changed by the other side")
+        if known.own is None:
+            return self.add(topic_of(ours), ours, proposed_here=False)
+        usual_name = usual_server_name(topic_of(ours).topic, self._link)
+        spec = edited_entry(known.spec, known.proposal, ours, usual_name=usual_name)
+        spec = msgspec.structs.replace(spec, max_age=known.spec.max_age)
+        route = self.add(spec, ours, proposed_here=False)
+        demands = {name: getattr(known.own, name) for name in (*ARMING_KEYS, "max_age")}
+        route.own, route.spec = msgspec.structs.replace(ours, **demands), spec
+        self._context.demands.changed()
+        return route
 
     def _about_route(self, route: Route, message: _AboutOpenRoute) -> None:
         match message:
@@ -606,6 +588,10 @@ class RouteTable(Extension):
                 self._accepted(route)
             case Limit():
                 route.limit.allow_there(message.max_rate)
+            case Refuse(code="listed_too"):
+                # The peer's own proposal decides. If none comes, this side tries again.
+                route.close(message.reason)
+                route.reopening.failed(self._context.now(), broke=False)
             case Refuse():
                 route.refuse(EventCode.ROUTE_REFUSED, Reason(f"refused by the other side: {message.reason}"))
             case Describe() | Ready() | Publishers() | Provide():
@@ -616,7 +602,7 @@ class RouteTable(Extension):
                     reason = Reason(f"closed by the other side: {message.reason}")
                 route.refuse(EventCode.ROUTE_CLOSED, reason)
             case ByHand():
-                self._peer_operators.called(route, message)
+                self.peer_operators.called(route, message)
             case Arm() | Armed() | Disarm():
                 self.arming.handle(route, message)
             case AskForArming() | AskEnded():
@@ -642,4 +628,9 @@ class RouteTable(Extension):
             if route.proposed_here and not route.id and now >= route.reopening.retry_at:
                 self.propose(route)
             elif not route.proposed_here and not route.id and now > route.reopening.awaited_until(link.linked_at):
-                self._abandoned(route, _NOT_ASKED_FOR)
+                if route.own is not None:  # this side's session lists it, too
+                    route.lead()
+                    self.propose(route)
+                else:
+                    self._forget(route, EventCode.ROUTE_REMOVED, _NOT_ASKED_FOR)
+                    self.on_given_up()

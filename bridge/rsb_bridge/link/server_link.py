@@ -413,7 +413,6 @@ class ServerLink(Link):
             self.control.shut_down("use_name was changed on the server", retry_after=0.0)
         own = self.listed_topics()
         self.destroy_routes()
-        self.table.superseded.clear()
         for topic in own:
             if not topic.is_pattern:
                 self.proposed.add(topic)

@@ -11,12 +11,21 @@ class EndCode(StrEnum):
 
     DECIDED = "decided"
     """One of the sides ended or refused it; the words say why."""
+    REMOVED = "removed"
+    """It ends for good: no session lists it any more."""
+    EDITED = "edited"
+    """Its proposer proposes it again, changed."""
+    LISTED_DIFFERENTLY = "listed_differently"
+    """Both sessions list it, with values that differ."""
     LEFT = "left"
     """The other end closed the connection."""
     TIMED_OUT = "timed_out"
     """The kernel tried for long to get something through (ETIMEDOUT)."""
     BROKE = "broke"
     """The connection failed in another way."""
+
+
+_BROKE = frozenset({EndCode.LEFT, EndCode.TIMED_OUT, EndCode.BROKE})
 
 
 class Reason(NamedTuple):
@@ -38,7 +47,7 @@ class Reason(NamedTuple):
     @property
     def broke(self) -> bool:
         """Whether a connection ended that nobody wanted to end."""
-        return self.code is not EndCode.DECIDED
+        return self.code in _BROKE
 
     @property
     def timed_out(self) -> bool:

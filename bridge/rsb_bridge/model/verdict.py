@@ -18,6 +18,8 @@ class Cause(StrEnum):
     NONE = ""
     LINK_DOWN = "link_down"
     REFUSED = "refused"
+    LISTED_DIFFERENTLY = "listed_differently"
+    """Both sessions list it, with values that differ."""
     LOOP = "loop"
     PAUSED = "paused"
     DISARMED = "disarmed"

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.channel.channel import REOPENS
-from rsb_bridge.model.reason import NO_REASON, Reason
+from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import FINE, Cause, LinkCause, Verdict
 from rsb_bridge.route.crossing import Crossing
@@ -211,6 +211,8 @@ def _breaking(status: RouteStatus) -> Verdict | None:
 def _refused(status: RouteStatus) -> Verdict | None:
     if not status.refusal:
         return None
+    if status.refusal.code is EndCode.LISTED_DIFFERENTLY:
+        return Verdict(State.DOWN, Cause.LISTED_DIFFERENTLY, status.refusal.text)
     if not status.refusal.broke:
         return Verdict(State.DOWN, Cause.REFUSED, status.refusal.text)
     # Nobody has refused it. If the path is at fault, the link finds out within seconds, and shows it for all topics.

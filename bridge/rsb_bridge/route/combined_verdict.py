@@ -19,7 +19,11 @@ if TYPE_CHECKING:
     from rsb_bridge.model.faults import PathFault
     from rsb_bridge.ros.ros_interface import Endpoint
 
-_SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.AWAITS_LINK, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED})
+_SAME_ON_BOTH = frozenset(
+    {
+        Cause.LINK_DOWN, Cause.AWAITS_LINK, Cause.REFUSED, Cause.LISTED_DIFFERENTLY, Cause.PAUSED, Cause.DISARMED,
+    }
+)  # fmt: skip
 """Causes that each side knows for itself."""
 _ENOUGH_SAID_HERE = frozenset(
     {
@@ -62,8 +66,8 @@ goes would fill the log."""
 _MOST_LOGGED = 32  # verdicts remembered for that. A round figure
 _LOGGED_ELSEWHERE = frozenset(
     {
-        Cause.LINK_DOWN, Cause.REFUSED, Cause.LOOP, Cause.PAUSED, Cause.DISARMED, Cause.DISARMING,
-        Cause.SUBSCRIBE_FAILED, Cause.SILENT, Cause.NO_MESSAGE,
+        Cause.LINK_DOWN, Cause.REFUSED, Cause.LISTED_DIFFERENTLY, Cause.LOOP, Cause.PAUSED, Cause.DISARMED,
+        Cause.DISARMING, Cause.SUBSCRIBE_FAILED, Cause.SILENT, Cause.NO_MESSAGE,
     }
 )  # fmt: skip
 """Causes that have events of their own, on both sides."""

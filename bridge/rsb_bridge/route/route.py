@@ -76,8 +76,7 @@ class Route:
         proposed_here: whether this side opens it again after a reconnect.
         pattern: pattern of this side's session that created it, or an empty string.
         id: route id on the present connection, or 0 if it is not open.
-        edits_peer: whether it is this side's edit of an entry of the peer's.
-        replaces: the last opening, on the present connection, of the route in whose place an edit has put it, or 0.
+        own: this side's proposal of it, which waits because the same proposal of the other side is open, or None.
         instance: id of the peer's process in its present or last opening.
         life: phase of the agreement between the two sides.
         pausing: whether an operator of either side has paused it.
@@ -112,8 +111,7 @@ class Route:
         self.key = route_key(peer.name, proposal)
         self.pattern = ""
         self.id = 0
-        self.edits_peer = False
-        self.replaces = 0
+        self.own: Propose | None = None
         self.instance = ""
         self.life = Lifecycle()
         self.opened_at = 0.0
@@ -252,6 +250,20 @@ class Route:
         # The other side's verdict belongs to the opening before.
         self.judged.receive(None, self.context.now())
         self._may_flow()
+
+    @property
+    def listed(self) -> bool:
+        """Whether this side's session lists it by its name."""
+        return self.own is not None or (self.proposed_here and not self.pattern and self.purpose.in_graph)
+
+    def follow(self, proposal: Propose) -> None:
+        """Have the other side's proposal open it, as both sessions list the same."""
+        self.own, self.proposal, self.proposed_here = self.proposal, proposal, False
+
+    def lead(self) -> None:
+        """Propose it from this side again, if its session lists it."""
+        if self.own is not None:
+            self.proposal, self.own, self.proposed_here = self.own, None, True
 
     def close(self, reason: str) -> None:
         """End the present opening; state that outlives openings stays."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import Meta
 
 from rsb_bridge.model.benchmark import MOST_SIZE
 from rsb_bridge.model.by_hand import VelocityLimits
@@ -123,7 +123,8 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
             ``none``, the JSON of its fields, or empty if the session says nothing.
         limits: what a hand may ask, by the proposer's session, or None for any velocity.
         who: the operator who has just added or edited the topic, or empty if unknown.
-        replaces: the opening that ended with `Close.edited` and whose place it takes, or 0.
+        place: where the proposer's session lists it, for operators: ``topics[2] of robot1.yaml``.
+        by_pattern: whether a pattern of the proposer's has made it. An entry that names it goes before it.
         kind: a key of `rsb_bridge.model.calls.LANES`; another kind is a newer peer's, and refused. For calls, the
             "sending side" is the callers'.
         timeout: s until a call without an answer is given up, or 0 for 30 s and for topics.
@@ -148,7 +149,8 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     arm: bool = False
     deadman: Seconds = 0.0
     who: Name = ""
-    replaces: Count = 0
+    place: Name = ""
+    by_pattern: bool = False
     kind: Name = "topic"
     timeout: Seconds = 0.0
     priority: Rank = 0
@@ -272,19 +274,14 @@ class Close(ControlMessageBase, frozen=True):
     """Either side: the route ends.
 
     Attributes:
-        code: whether its data connection has ended, and how.
-        removed: whether it ends for good; else its proposer opens it again.
+        code: whether it is removed, or edited, or its data connection has ended, and how.
         who: the operator who has removed it, or empty if unknown.
-        edited: whether its sender proposes another one in its place, and has the receiver keep its own entry of it; if
-            it is removed, whether the sender had edited the receiver's entry, which applies again.
     """
 
     route: RouteId
     reason: Reason
     code: EndCode = EndCode.DECIDED
-    removed: bool = False
     who: Name = ""
-    edited: bool = False
 
 
 class Ping(ControlMessageBase, frozen=True):
@@ -398,12 +395,8 @@ class TypeText(ControlMessageBase, frozen=True):
 class Amend(ControlMessageBase, frozen=True):
     """The route goes on with other limits. Its fields are as in `Propose`.
 
-    The route's proposer decides, and sends the new limits. The other side asks it by the same message, and changes
-    nothing before the proposer has answered. `who` is the operator who changes it, or empty in an answer.
-
-    Attributes:
-        max_age: as in `Propose`. The other side leaves it out unless it asks for another one: the proposer's entry may
-            set none, and then its limit is another line's.
+    Its proposer sends it; the other side asks for other limits by `Edit`. `who` is the operator who changes them, or
+    empty if unknown.
     """
 
     route: RouteId
@@ -413,10 +406,40 @@ class Amend(ControlMessageBase, frozen=True):
     who: Name = ""
     priority: Rank = 0
     late_after: Seconds | None = None
-    max_age: Seconds | UnsetType | None = UNSET
+    max_age: Seconds | None = None
 
     def __post_init__(self) -> None:
         check_limits(self)
+
+
+class Edit(ControlMessageBase, frozen=True, kw_only=True):
+    """The side that did not propose a route asks its proposer to change the entry. Answered by `EditAnswer`.
+
+    Attributes:
+        number: of this question among its sender's.
+        route: the route's present or last opening.
+        seen: a proposal of the entry as the sender sees it.
+        wanted: the same with changes. What differs is changed, except `arm`, `deadman`, `on_end` and `limits`, which
+            each session demands for itself.
+        who: the operator who edits it, or empty if unknown.
+    """
+
+    number: Count
+    route: RouteId
+    seen: Propose
+    wanted: Propose
+    who: Name = ""
+
+
+class EditAnswer(ControlMessageBase, frozen=True):
+    """The answer to `Edit`.
+
+    Attributes:
+        problem: the reason why the entry stays as it was, or empty if it was changed.
+    """
+
+    number: Count
+    problem: Reason = ""
 
 
 class Limit(ControlMessageBase, frozen=True):
@@ -719,6 +742,8 @@ ControlMessage: TypeAlias = (
     | Neighbours
     | Close
     | Amend
+    | Edit
+    | EditAnswer
     | Limit
     | Pause
     | Arm
