@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, cast, get_args
 
 import msgspec
 import pytest
@@ -47,7 +47,9 @@ class Link:
         prefixed: whether the client's topics have its name before theirs.
     """
 
+    name = "robot1"
     is_client = False
+    routes: ClassVar[dict[str, object]] = {}
     rights = rights_of_client(Client("robot1"), "pc")
 
     def __init__(self, *, prefixed: bool) -> None:

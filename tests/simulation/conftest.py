@@ -14,7 +14,7 @@ from tests.simulation.beds import Bed, Yard
 from tests.simulation.call_harness import CallHarness
 from tests.support.coroutines import arguments_of
 
-_PARAMETERS = ("seed", "provider", "lister")
+_PARAMETERS = ("seed", "provider", "lister", "direction")
 """Of a test, and of its bed."""
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from tests.simulation.engine_host import EngineHost
 
+    from rsb_bridge.model.session import Direction
     from rsb_bridge.route.route import Route
 
 CHAT = Topic("/chat", "transmit", qos=5)
@@ -237,16 +238,45 @@ async def test_a_side_that_pauses_and_stops_at_once_has_paused_it(waits: float, 
     assert [route is not None and route.pausing.paused for route in edits.halves()] == [True, True]
 
 
-async def test_a_topic_is_renamed_from_the_other_side(edits: Edits) -> None:
-    await edits.edit("server", topic="/talk", remote_topic=None)
+@LISTERS
+async def test_a_topic_is_renamed_from_the_other_side(lister: str, edits: Edits) -> None:
+    await edits.edit(edits.other, topic="/talk", remote_topic=None)
     await edits.both(5, "/talk")
     await edits.both(None)
-    assert [(each.topic, each.remote_topic) for each in edits.session("robot")] == [("/talk", None)]
-    await edits.restart("server")
+    assert [(each.topic, each.remote_topic) for each in edits.session(lister)] == [("/talk", None)]
+    await edits.restart(edits.other)
     await edits.both(5, "/talk")
-    await edits.remove("server", "/talk")
+    await edits.remove(edits.other, "/talk")
     await edits.both(None, "/talk")
-    assert edits.session("robot") == ()
+    assert edits.session(lister) == ()
+
+
+@LISTERS
+@pytest.mark.bed(topic=msgspec.structs.replace(CHAT, arm=True))
+async def test_the_other_side_renames_nothing_that_has_to_be_armed(lister: str, edits: Edits) -> None:
+    """The demand on each name would stay, so that a peer could make them grow."""
+    with pytest.raises(EngineError):
+        await edits.edit(edits.other, topic="/talk", remote_topic=None)
+    await edits.both(5)
+    assert [each.topic for each in edits.session(lister)] == ["/chat"]
+
+
+@pytest.mark.bed(lister="server")
+async def test_a_client_opens_no_port_of_the_server_by_an_edit(edits: Edits) -> None:
+    with pytest.raises(EngineError):
+        await edits.edit("robot", port=9_999)
+    await edits.both(5)
+
+
+@LISTERS
+async def test_what_an_edit_demands_is_demanded_by_the_side_that_makes_it(lister: str, edits: Edits) -> None:
+    await edits.edit(edits.other, arm=True, deadman=30.0, qos=EDITED)
+    await edits.both(EDITED)
+    assert [half is not None and half.arming.required for half in edits.halves()] == [True, True]
+    assert [each.arm for each in edits.session(lister)] == [False]
+    await edits.restart(lister)
+    await edits.both(5)
+    assert [half is not None and half.arming.required for half in edits.halves()] == [True, True]
 
 
 @pytest.mark.bed(topic=msgspec.structs.replace(CHAT, direction="receive"))
@@ -308,12 +338,20 @@ class Both(Edits):
     """A robot and a server that both list a topic.
 
     Args:
-        on_server: the server's entry.
+        on_server: the server's entry, or None for the robot's, with what is `changed`.
+        direction: of both.
     """
 
-    def __init__(self, on_server: Topic = CHAT, on_robot: Topic = CHAT) -> None:
+    def __init__(
+        self,
+        on_robot: Topic = CHAT,
+        on_server: Topic | None = None,
+        changed: dict[str, Any] | None = None,
+        direction: Direction = "transmit",
+    ) -> None:
+        on_robot = msgspec.structs.replace(on_robot, direction=direction)
         super().__init__("robot", on_robot)
-        self.list_on_server(on_server)
+        self.list_on_server(on_server or msgspec.structs.replace(on_robot, **(changed or {})))
 
     async def begin(self) -> None:
         await Yard.begin(self)
@@ -338,14 +376,24 @@ def two(request: pytest.FixtureRequest) -> Both:
 
 
 BOTH = ("robot", "server")
+DIRECTIONS = pytest.mark.parametrize("direction", ["transmit", "receive"])
+"""The server has another name for the topic, and so of what it sends, another key than the client."""
 
 
-async def test_one_entry_on_both_sides_is_one_route(two: Both) -> None:
+@DIRECTIONS
+async def test_one_entry_on_both_sides_is_one_route(direction: Direction, two: Both) -> None:
     await two.both(5)
     assert [[each.topic for each in two.session(side)] for side in BOTH] == [["/chat"], ["/chat"]]
     assert two.reported() == [0, 0]
     for side in BOTH:
         assert await two.reload(side) == ([], [])
+
+
+def test_what_the_server_lists_itself_needs_no_right(two: Both) -> None:
+    """As little as any entry of its own."""
+    clients = tuple(msgspec.structs.replace(each, deny=("/*",)) for each in two.server.session.accepted_clients)
+    two.server.session = msgspec.structs.replace(two.server.session, clients=clients)
+    two.world.play(life=two.live(two.both(5)))
 
 
 @pytest.mark.parametrize("side", BOTH)
@@ -357,7 +405,7 @@ async def test_one_entry_on_both_sides_outlives_either(side: str, two: Both) -> 
     assert [[each.topic for each in two.session(side)] for side in BOTH] == [["/chat"], ["/chat"]]
 
 
-@pytest.mark.bed(on_server=msgspec.structs.replace(CHAT, arm=True, max_age=3.0))
+@pytest.mark.bed(changed={"arm": True, "max_age": 3.0})
 async def test_demands_make_no_other_entry(two: Both) -> None:
     """Either side's demand holds."""
     await two.both(5)
@@ -385,9 +433,10 @@ async def test_what_both_list_is_removed_on_both(remover: str, two: Both) -> Non
     assert two.session("robot") == two.session("server") == ()
 
 
-@pytest.mark.bed(on_server=msgspec.structs.replace(CHAT, qos=EDITED, max_rate=5.0))
+@DIRECTIONS
+@pytest.mark.bed(changed={"qos": EDITED, "max_rate": 5.0})
 @pytest.mark.parametrize("mender", BOTH)
-async def test_two_entries_that_differ_are_refused_on_both_sides(mender: str, two: Both) -> None:
+async def test_two_entries_that_differ_are_refused_on_both_sides(direction: Direction, mender: str, two: Both) -> None:
     await two.apart()
     assert two.reported() == [1, 1]
     for side in BOTH:
@@ -401,7 +450,7 @@ async def test_two_entries_that_differ_are_refused_on_both_sides(mender: str, tw
     await two.both(5 if other == "robot" else EDITED)
 
 
-@pytest.mark.bed(on_server=msgspec.structs.replace(CHAT, max_rate=5.0))
+@pytest.mark.bed(changed={"max_rate": 5.0})
 @pytest.mark.parametrize("remover", BOTH)
 async def test_of_two_entries_one_is_removed(remover: str, two: Both) -> None:
     await two.apart()
@@ -418,7 +467,7 @@ async def test_an_entry_goes_before_a_pattern_of_the_other_side(two: Both) -> No
     assert two.reported() == [0, 0]
 
 
-@pytest.mark.bed(on_robot=Topic("/ch*", "transmit", qos=EDITED))
+@pytest.mark.bed(on_robot=Topic("/ch*", "transmit", qos=EDITED), on_server=CHAT)
 async def test_the_servers_entry_goes_before_a_pattern_of_the_client(two: Both) -> None:
     await two.both(5)
     assert two.reported() == [0, 0]

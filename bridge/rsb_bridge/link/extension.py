@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.records import RefuseCode
 
 _E = TypeVar("_E", bound="Extension")
 
@@ -147,5 +148,9 @@ class LinkError(Exception):
     """A link denies or fails a command; the message gives the reason."""
 
 
-class ListedTooError(LinkError):
-    """This side proposes, too, what the peer proposes."""
+class RefusedError(LinkError):
+    """A proposal of the peer is refused for a reason that has a code of its own."""
+
+    def __init__(self, code: RefuseCode, text: str) -> None:
+        super().__init__(text)
+        self.code = code

@@ -21,6 +21,7 @@ from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import NO_PROFILE, compression_of
+from rsb_bridge.route.route import route_key
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
@@ -226,7 +227,9 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
     ours = link.with_local_name(proposal)
     for problem in problems_here(topic_of(ours), session):
         raise LinkError(str(problem))
-    check_use(use_of(ours, is_client=link.is_client), link, session)
+    own = link.routes.get(route_key(link.name, ours))
+    if own is None or not own.listed or listed_differently(own.spec, own.own or own.proposal, ours, link):
+        check_use(use_of(ours, is_client=link.is_client), link, session)  # what this side's session lists needs none
     return ours
 
 
@@ -327,7 +330,9 @@ def check_overlap(topic: Topic, routes: Iterable[Route]) -> None:
 def denied(routes: Collection[Route], rights: Rights, *, is_client: bool) -> dict[Route, str]:
     """Return the routes that the peer proposed and may not have by these rights, each with the reason."""
     found = {
-        route: _refusal(route.proposal, rights, is_client=is_client) for route in routes if not route.proposed_here
+        route: _refusal(route.proposal, rights, is_client=is_client)
+        for route in routes
+        if not (route.proposed_here or route.listed)
     }
     return {route: str(refusal) for route, refusal in found.items() if refusal}
 

@@ -81,6 +81,7 @@ class ProposedTopics(Extension):
             LinkError: the two entries differ. Only this one's demand is kept.
         """
         if route.proposal.by_pattern:  # an entry that names it goes before that
+            self._table.check_add(topic, proposal, route.key, instead_of=route)
             return self._table.change(route, topic, proposal)
         if text := listed_differently(topic, proposal, route.proposal, self._link):
             self._table.keep_demand(topic, route.key)

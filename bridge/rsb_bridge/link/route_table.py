@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 import msgspec
 
 from rsb_bridge.cdr.description import CompareTypes, unknown_difference
-from rsb_bridge.link.extension import Denied, Extension, LinkError, ListedTooError
+from rsb_bridge.link.extension import Denied, Extension, LinkError, RefusedError
 from rsb_bridge.link.holder_questions import HolderQuestions
 from rsb_bridge.link.link_arming import DROPPED, LinkArming
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
@@ -435,9 +435,9 @@ class RouteTable(Extension):
         self._link.derive_keys(proposal.route, proposed_here=False)  # also if it is refused below (PROTOCOL.md, 1.3)
         try:
             route, is_new = self._take_up(proposal)
-        except ListedTooError as error:
+        except RefusedError as error:
             self._link.closed(proposal.route)
-            self._link.send(Refuse(route=proposal.route, code="listed_too", reason=sanitize_text(str(error))))
+            self._link.send(Refuse(route=proposal.route, code=error.code, reason=sanitize_text(str(error))))
         except LinkError as error:
             self._link.closed(proposal.route)
             self._refuse(proposal, "denied", str(error))
@@ -476,9 +476,9 @@ class RouteTable(Extension):
     def _known(self, ours: Propose) -> Route | None:
         """Return the route that a proposal of the peer is about, or None."""
         known = self._link.routes.get(route_key(self._link.name, ours))
-        if known is not None or not self._link.is_client:
+        if known is not None:
             return known
-        # With `use_name`, a client's own proposal of what the server sends may have another name, and so another key.
+        # What this side proposes of the same topic has another key if its name on the server is another one.
         identity, routes = topic_of(ours).identity, self._link.routes.values()
         return next((each for each in routes if each.proposed_here and each.spec.identity == identity), None)
 
@@ -489,7 +489,7 @@ class RouteTable(Extension):
         entries that say the same are one, which the client proposes. If they differ, neither opens.
 
         Raises:
-            ListedTooError: the peer's proposal is refused; else this side's has given way.
+            RefusedError: the peer's proposal is refused; else this side's has given way.
         """
         link = self._link
         named, named_there = known.listed, purposes()[theirs.purpose].in_graph and not theirs.by_pattern
@@ -499,15 +499,18 @@ class RouteTable(Extension):
             return
         if named and named_there:
             if text := listed_differently(known.spec, known.proposal, theirs, self._link):
+                # The peer may have it open under another key.
+                self._tell_end(known, EndCode.LISTED_DIFFERENTLY, text)
                 known.refuse(EventCode.ROUTE_LISTED_DIFFERENTLY, Reason(text, EndCode.LISTED_DIFFERENTLY))
-            elif not link.is_client:
+                raise RefusedError("listed_differently", text)
+            if not link.is_client:
                 # The client may have removed its entry since, and accepted this side's.
                 self._tell_end(known, EndCode.REMOVED, "the client's is open")
                 known.follow(theirs)
                 return
-            elif not known.id:
+            if not known.id:
                 self.propose(known)
-        raise ListedTooError(Denied.LISTED_TOO(topic=theirs.topic))
+        raise RefusedError("listed_too", Denied.LISTED_TOO(topic=theirs.topic))
 
     async def _accept(self, route: Route, proposal: Propose) -> None:
         connection = self._link.connections
@@ -593,13 +596,17 @@ class RouteTable(Extension):
                 route.close(message.reason)
                 route.reopening.failed(self._context.now(), broke=False)
             case Refuse():
-                route.refuse(EventCode.ROUTE_REFUSED, Reason(f"refused by the other side: {message.reason}"))
+                reason, differs = Reason(f"refused by the other side: {message.reason}"), EndCode.LISTED_DIFFERENTLY
+                if message.code == "listed_differently":  # this side may have found out already, in its own words
+                    known = route.reopening.refused
+                    reason = known if known.code is differs else Reason(reason.text, differs)
+                route.refuse(EventCode.ROUTE_REFUSED, reason)
             case Describe() | Ready() | Publishers() | Provide():
                 _dispatch(message, route)
             case Close():
                 reason = Reason(message.reason, message.code)
                 if not reason.broke:
-                    reason = Reason(f"closed by the other side: {message.reason}")
+                    reason = Reason(f"closed by the other side: {message.reason}", message.code)
                 route.refuse(EventCode.ROUTE_CLOSED, reason)
             case ByHand():
                 self.peer_operators.called(route, message)

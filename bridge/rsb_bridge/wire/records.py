@@ -54,7 +54,7 @@ MOST_PUBLISHERS = 4096
 HistoryDepths: TypeAlias = Annotated[dict[PublisherId, HistoryDepth], Meta(max_length=MOST_PUBLISHERS)]
 NewestNumbers: TypeAlias = Annotated[dict[PublisherId, MessageNumber], Meta(max_length=MOST_PUBLISHERS)]
 
-RefuseCode = Literal["type_differs", "denied", "port_taken", "listed_too"]
+RefuseCode = Literal["type_differs", "denied", "port_taken", "listed_too", "listed_differently"]
 
 
 class Source(msgspec.Struct, frozen=True, omit_defaults=True):
