@@ -137,7 +137,7 @@ class EngineApi(ABC):
     def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False, seen: Topic | None = None) -> Future[str]:
         return self.do(commands.EditTopic(key, topic, drop_arm, seen))
 
-    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
+    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[str]:
         return self.do(commands.RemoveTopic(key, drop_arm))
 
     def pause(self, key: str, paused: bool) -> Future[None]:

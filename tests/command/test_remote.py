@@ -271,6 +271,13 @@ def test_reload_says_what_has_changed_and_what_has_not(ran: Any, engine: Scripte
     assert engine.commands == [("reload", False), ("reload", True), ("reload", False), ("reload", False, "drop_arm")]
 
 
+@pytest.mark.parametrize("lines", ["nav2.yaml:7", ""])
+def test_remove_says_whether_the_demand_to_arm_stays(lines: str, ran: Any, engine: ScriptedEngine) -> None:
+    engine.demanded = lines
+    assert (RemoteProblem.STILL_DEMANDED(lines=lines) in ran("remove", "/scan").out) == bool(lines)
+    assert ran("remove", "/scan", "--json").json["demanded"] == bool(lines)
+
+
 def test_changes_say_that_they_are_not_saved(ran: Any, engine: ScriptedEngine, tmp_path: Path) -> None:
     saved, path = ran("pause", "/scan"), tmp_path / "nav2.yaml"
     assert "not saved" not in saved.out

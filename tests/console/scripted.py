@@ -242,6 +242,7 @@ class ScriptedEngine(EngineApi):
         self.described: str | None = None
         self.called: Future[str] = Future()
         self.templates: dict[str, str] = {}
+        self.demanded = ""
         self.reloads = Reloaded(("/scan (transmit): max_rate none → 5.0",))
         self.looking: Future[PeekedMessage | None] = Future()
         self.looking.cancel()  # nobody looks yet
@@ -291,7 +292,7 @@ class ScriptedEngine(EngineApi):
             case commands.ArmTopic(key, shared):
                 return self._done(None, "arm", key, *["shared"] * shared)
             case commands.RemoveTopic(key, drop_arm):
-                return self._done(None, "remove", key, *["drop_arm"] * drop_arm)
+                return self._done(self.demanded, "remove", key, *["drop_arm"] * drop_arm)
             case commands.Acknowledge(key, acknowledged, link):
                 return self._done(None, "acknowledge", key or link, acknowledged)
             case commands.KeepArmed(pressed):  # not noted: a sign of life

@@ -119,7 +119,7 @@ def edited(server: Engine, client: Engine) -> None:
 
 
 def removed(server: Engine, client: Engine) -> None:
-    server.remove_topic(route(server, "/cmd_vel").key).result(60)
+    assert server.remove_topic(route(server, "/cmd_vel").key).result(60), "it says that its demand stays"
     client.restart().result(60)
     client.add_topic(Topic("/cmd_vel", "receive")).result(60)
 

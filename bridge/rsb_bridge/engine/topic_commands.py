@@ -189,13 +189,20 @@ class TopicCommands:
             self._drop_demands(link, old, route.local_topic, route, wanted=drop_arm, names_it=names_it)
         return topic
 
-    async def remove(self, command: RemoveTopic) -> None:
+    async def remove(self, command: RemoveTopic) -> str:
         # A pattern that matches the topic leaves it out from then on.
         named = await self._stopped(command.key)
         routes = named.routes()
         with self._demands.changing(operator()):
             self._remove(named, drop_arm=command.drop_arm)
         await _settled(routes)
+        link, entry, route = named
+        if route is None:
+            sources = [each for each in self._demands.sources if each.arm and each.name == _local(link, entry)]
+        else:
+            demand = link.table.arming.demand_on(route, self._demands)
+            sources = [] if demand is None else [*demand.sources]
+        return ", ".join(map(self._demands.origin, sources))
 
     def _remove(self, named: Named, *, drop_arm: bool) -> None:
         link, topic, route = named

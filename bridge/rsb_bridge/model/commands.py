@@ -123,8 +123,10 @@ class EditTopic(Command[str], frozen=True, tag="edit"):
         return Effect.MOVES if self.drop_arm or (was_paused and not self.topic.paused) else Effect.HARMLESS
 
 
-class RemoveTopic(Command[None], frozen=True, tag="remove"):
+class RemoveTopic(Command[str], frozen=True, tag="remove"):
     """Stop bridging a topic on both sides, or following a pattern.
+
+    It returns the lines of this side's session that still demand that the name be armed, or an empty string.
 
     Attributes:
         key: of the route or the pattern.

@@ -80,6 +80,7 @@ _DIRECTIONS = ("transmit", "receive")
 class RemoteProblem(Wording):
     """Reasons why a command for a running bridge is refused, or fails."""
 
+    STILL_DEMANDED = "; it still has to be armed, under armed ({lines}): rsb-console reload --drop-arm ends that"
     OPERATOR_MACHINE = "The machine of this command, {host}, now (rsb-console doctor):"
     NOT_REACHED = "not {condition} within {seconds:g} s{reason}"
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
@@ -186,8 +187,9 @@ def _echo(arguments: Namespace) -> int:
 def _remove(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         found = chosen(engine, arguments)
-        result(engine.remove_topic(found.key, drop_arm=arguments.drop_arm))
-        return _changed(engine, arguments, [found], "removed")
+        stays = result(engine.remove_topic(found.key, drop_arm=arguments.drop_arm))
+        note = RemoteProblem.STILL_DEMANDED(lines=stays) if stays else ""
+        return _changed(engine, arguments, [found], "removed", note=note, demanded=bool(stays))
 
 
 def _changed(
@@ -195,11 +197,12 @@ def _changed(
     arguments: Namespace,
     found: Sequence[RouteSnapshot | PatternSnapshot],
     what: str,
+    note: str = "",
     **results: object,
 ) -> int:
     """Report a change of the session as `done_with` does, and whether the session is saved."""
     unsaved = engine.snapshot().unsaved
-    return done_with(arguments, found, what, note=_not_saved(engine), unsaved=unsaved, **results)
+    return done_with(arguments, found, what, note=f"{note}{_not_saved(engine)}", unsaved=unsaved, **results)
 
 
 def _not_saved(engine: RemoteEngine) -> str:
