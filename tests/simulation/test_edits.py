@@ -200,7 +200,7 @@ async def test_an_edit_pauses_and_resumes(lister: str, edits: Edits) -> None:
     for keys in ({"paused": True}, {"paused": False}, {"paused": True, "qos": EDITED}, {"paused": False, "qos": 9}):
         await edits.edit(edits.other, **keys)
         await edits.both(keys.get("qos", 5))
-        assert [half is not None and half.paused for half in edits.halves()] == [keys["paused"]] * 2
+        assert [half is not None and half.pausing.paused for half in edits.halves()] == [keys["paused"]] * 2
 
 
 @LISTERS

@@ -86,18 +86,18 @@ class ProposedTopics(Extension):
         if text := listed_differently(topic, proposal, route.proposal, self._link):
             self._table.keep_demand(topic, route.key)
             raise LinkError(text)
-        route.own, route.spec = proposal, msgspec.structs.replace(topic, paused=route.paused)
+        route.own, route.spec = proposal, msgspec.structs.replace(topic, paused=route.pausing.paused)
         self._table.listed.add(topic.identity)
         self._context.demands.changed()
         self._context.demands.apply()
-        if topic.paused and not route.paused:
+        if topic.paused and not route.pausing.paused:
             self._table.pause(route, paused=True)
         return route
 
     def unlist(self, route: Route) -> None:
         """Take what the other side has opened, and lists, too, out of this side's session."""
         self._table.listed.discard(route.spec.identity)
-        route.own, route.spec = None, msgspec.structs.replace(topic_of(route.proposal), paused=route.paused)
+        route.own, route.spec = None, msgspec.structs.replace(topic_of(route.proposal), paused=route.pausing.paused)
         self._context.demands.changed()
 
     def check(self, topic: Topic) -> None:
@@ -196,7 +196,7 @@ class ProposedTopics(Extension):
             LinkError: it is out of reach, or does not change it.
         """
         was_listed, question = route.listed, self.question(route, topic)
-        if topic.paused and not route.paused:
+        if topic.paused and not route.pausing.paused:
             self._table.pause(route, paused=True)
         if question is not None:
             if not (self._link.linked and question.route):
@@ -204,7 +204,7 @@ class ProposedTopics(Extension):
             if problem := await self._questions.ask(question.number, question):
                 raise LinkError(f"refused by the other side: {problem}")
         new = self._link.routes.get(self.names(topic)[0])
-        if new is not None and new.paused and not topic.paused:
+        if new is not None and new.pausing.paused and not topic.paused:
             self._table.pause(new, paused=False)
         if new is not None and was_listed and not new.listed:  # under another name
             self._list_too(new, topic, self._proposal(topic))
