@@ -74,7 +74,7 @@ def nasty(kind: msgspec.inspect.Type, text: str, figure: float) -> Any:
         case inspect.NoneType():
             return None
         case inspect.AnyType():  # of a feature
-            return {text: [text, figure]}
+            return {text: [text, figure, -(10**9), {text: text}]}
     raise AssertionError(f"a type that no message has had before: {kind}")
 
 

@@ -318,7 +318,7 @@ class AttachedConsole:
             self._requests -= 1
         reply: protocol.Reply | protocol.CommandFailed
         try:
-            reply = protocol.reply(request.id, done.result())
+            reply = protocol.Reply(request.id, done.result())
         except EngineError as error:
             reply = protocol.CommandFailed(request.id, str(error), isinstance(error, InvalidRequestError))
         except asyncio.CancelledError:

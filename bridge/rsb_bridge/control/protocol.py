@@ -10,27 +10,21 @@ bridge refuses consoles of another one, with the words that tell which side to u
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar, Union, cast, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Union, cast, get_args
 
 import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.api import EngineError
 from rsb_bridge.feature import installed
-from rsb_bridge.model.benchmark import Outcome
-from rsb_bridge.model.by_hand import Draft, Held, Published
 from rsb_bridge.model.commands import Command
-from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import PictureError, Viewed, check_picture
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import (
     Event,
     LinkSnapshot,
-    PeekedMessage,
     RefusedClient,
-    Reloaded,
     RouteSnapshot,
-    TopicInfo,
 )
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.framing import FrameReader, pack_frame
@@ -282,22 +276,15 @@ class RestartStep(_Message, frozen=True, tag="step"):
 
 
 class Reply(_Message, frozen=True, tag="reply"):
-    """The result of a command. `value` has room for one kind of object only, so there is a field for each other kind.
+    """The result of a command.
 
     Attributes:
-        value: a route's key, topics, a message, the description of a type, or None.
+        value: plain data, of which `result_of` makes the type that the command names.
         ticket: for requests of the next moment.
     """
 
     id: int
-    value: str | tuple[TopicInfo, ...] | PeekedMessage | None = None
-    reloaded: Reloaded | None = None
-    history: HistoryReport | None = None
-    bench: Outcome | None = None
-    viewed: Viewed | None = None
-    draft: Draft | None = None
-    published: Published | None = None
-    held: Held | None = None
+    value: Any = None
     ticket: int = 0
 
 
@@ -338,22 +325,6 @@ def encode(message: ToBridge | ToConsole) -> bytes:
     return pack_frame(_encoder.encode(message))
 
 
-_FIELD_OF: Final = {
-    Reloaded: "reloaded",
-    HistoryReport: "history",
-    Outcome: "bench",
-    Viewed: "viewed",
-    Draft: "draft",
-    Published: "published",
-    Held: "held",
-}
-
-
-def reply(request: int, result: object) -> Reply:
-    """Return the message that holds the result of a command."""
-    return msgspec.structs.replace(Reply(request), **{_FIELD_OF.get(type(result), "value"): result})
-
-
 def result_of(command: Command[R], reply: Reply) -> R:
     """Return the result that a message holds.
 
@@ -363,10 +334,10 @@ def result_of(command: Command[R], reply: Reply) -> R:
     kind = get_args(type(command).__orig_bases__[0])[0]  # type: ignore[attr-defined]
     if kind is type(None):
         return cast("R", None)
-    value = next((each for name in _FIELD_OF.values() if (each := getattr(reply, name)) is not None), reply.value)
-    # A bridge on another machine may answer anything.
-    if not isinstance(value, get_origin(kind) if get_origin(kind) is tuple else kind):
-        raise EngineError("unexpected reply to this command")
+    try:
+        value = msgspec.convert(reply.value, kind)
+    except msgspec.ValidationError:  # a bridge on another machine may answer anything
+        raise EngineError("unexpected reply to this command") from None
     if isinstance(value, Viewed):
         try:
             value = msgspec.structs.replace(value, picture=check_picture(value.picture))
