@@ -131,14 +131,19 @@ class Feature:
     # --- a console
 
     def subcommands(self, add: Any, complete: Any) -> None:
-        """Add subcommands of ``rsb-console``; for the arguments see `rsb_console.command.remote_arguments`."""
+        """Add subcommands of ``rsb-console``, each with a parser and a function that `late` imports when it is run.
+
+        Args:
+            add: a `rsb_console.command.remote_arguments.AddCommand`. That module has `late`, and common arguments.
+            complete: completes an argument of a parser by one of the functions of `rsb_console.command.completion`.
+        """
 
     def actions(self) -> Iterable[Any]:
         """Return actions with their keys, each a `rsb_console.actions.Action` with `run`."""
         return ()
 
     def columns(self) -> Iterable[Any]:
-        """Return columns of the topics, each a `rsb_console.widgets.selectable_list.Column`."""
+        """Return columns of the topics, each a `rsb_console.look.topic_column.TopicColumn`."""
         return ()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
@@ -108,3 +110,11 @@ def test_a_subcommand_writes_a_note(bridge: Bridge, machine: Any, ran: Any) -> N
     shows(server, "lens is dirty")
     (shown_route,) = (each for each in ran("status", "--json").json["routes"] if each["topic"] == "/scan")
     assert shown_route["note"] == "lens is dirty"
+    assert ran("note", "/none", "lens is dirty").code == 2
+
+
+def test_a_subcommand_costs_nothing_until_it_runs() -> None:
+    program = "import sys; from rsb_console.command.arguments import parser_and_commands; parser_and_commands()"
+    program += "; print('rsb_note' in sys.modules, {'rsb_note.console', 'rsb_note.bridge', 'textual'} & {*sys.modules})"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert ran.stdout == "True set()\n"

@@ -35,4 +35,4 @@ def test_the_feature_of_the_page_works(tmp_path: Path) -> None:
         cwd=ROOT, env=environ, capture_output=True, text=True, timeout=900, check=False,
     )  # fmt: skip
     assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert "6 passed" in ran.stdout
+    assert "7 passed" in ran.stdout

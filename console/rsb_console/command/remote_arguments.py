@@ -428,6 +428,18 @@ def lazily(name: str, module: str = "remote") -> Callable[[argparse.Namespace], 
     return run
 
 
+def late(place: str) -> Callable[[argparse.Namespace], int]:
+    """Return the same of a feature's command, ``package.module:function``."""
+    module, function = place.split(":")
+
+    def run(arguments: argparse.Namespace) -> int:
+        from rsb_console.command.target import reported  # noqa: PLC0415 (only once a command runs)
+
+        return reported(getattr(import_module(module), function), arguments)
+
+    return run
+
+
 def route_arguments(
     parser: argparse.ArgumentParser, complete: Complete, kinds: tuple[str, ...] = KINDS, metavar: str = "NAME"
 ) -> None:
