@@ -29,7 +29,8 @@ LIMIT := 2400
 # If a worker is killed, its test fails, and what its lane had left is not run: with a new worker, pytest-xdist 3.8 hangs at the end.
 AT_ONCE = $(PYTEST) -n $(WORKERS) --dist loadscope --max-worker-restart 0
 # tests/checks runs lint, and tests/wire with its coverage.
-ALL := tests
+FEATURES := $(wildcard extras/rsb_extras/*/tests)
+ALL := tests $(FEATURES)
 without = $(addprefix --ignore=tests/,distributions $(1))
 QUICK := cdr channel config fleet fuzz history model route wire
 
@@ -46,12 +47,12 @@ on-kilted: $(STAMP)
 test-quick: $(STAMP)
 	$(PYTEST) -q -n 2 --dist worksteal -m "not long" 'tests/checks/test_checks.py::test_it_passes[quick-lint]' $(addprefix tests/,$(QUICK))
 coverage: $(STAMP) system
-	$(AT_ONCE) -m "not long" $(ALL) $(call without,checks network bluetooth release) --cov=rsb_bridge --cov=rsb_console --cov-report=
+	$(AT_ONCE) -m "not long" $(ALL) $(call without,checks network bluetooth release) --cov=rsb_bridge --cov=rsb_console --cov=rsb_extras --cov-report=
 	$(BIN)/coverage report --format=total
 test-wire: $(STAMP)
 	$(PYTEST) tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
 test-%: $(STAMP) system
-	$(PYTEST) tests/$*
+	$(PYTEST) $(wildcard tests/$* extras/rsb_extras/$*/tests)
 
 quick-lint: $(STAMP)
 	$(BIN)/ruff check .

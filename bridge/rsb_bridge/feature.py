@@ -71,6 +71,21 @@ class ShownField(Generic[T]):
         return found
 
 
+@dataclass(frozen=True)
+class MachineReport:
+    """Findings about a machine.
+
+    Attributes:
+        data: for programs, with JSON's types.
+        source: the command or the program that has found them.
+        lines: the same for people.
+    """
+
+    data: Mapping[str, Any]
+    source: str
+    lines: tuple[str, ...]
+
+
 class Feature:
     """A package's additions. A subclass overrides the methods that it needs.
 
@@ -137,6 +152,10 @@ class Feature:
             add: a `rsb_console.command.remote_arguments.AddCommand`. That module has `late`, and common arguments.
             complete: completes an argument of a parser by one of the functions of `rsb_console.command.completion`.
         """
+
+    def machine(self, columns: int) -> Iterable[MachineReport]:
+        """Examine this machine for ``rsb-console report``, in lines of at most so many columns."""
+        return ()
 
     def actions(self) -> Iterable[Any]:
         """Return actions with their keys, each a `rsb_console.actions.Action` with `run`."""

@@ -55,7 +55,6 @@ def test_a_hand_over_begins_with_the_totals(ran: Any, machine: Machine) -> None:
         "  robot1 ← /robot1/scan: up 93.6 % of the time; 1 outage (1 with the link), 3 min 50 s in all.",
         "",
     ]
-    assert RemoteProblem.OPERATOR_MACHINE(host=platform.node()) in lines
     outages = [line.strip() for line in lines[7:]]
     assert outages[:3] == ["Outages", "robot1", "link"]
     assert outages[3].endswith("DOWN  3 min 50 s: the server does not answer (2 topics with it)")
@@ -72,7 +71,6 @@ def test_for_programs_and_for_a_spreadsheet(ran: Any, machine: Machine) -> None:
     assert report["span"] == 8 * 3600
     assert report["outages"][0]["cause"] == "the server does not answer"
     assert report["operator_machine"]["host"] == platform.node(), "not the bridge's, which may be another one"
-    assert report["operator_machine"]["findings"]
     assert "machine" not in report
     assert report["tracks"][0]["up_ratio"] == 3370 / 3600
     rows = list(csv.DictReader(io.StringIO(ran("report", "--csv").out)))

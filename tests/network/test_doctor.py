@@ -13,6 +13,8 @@ import pytest
 if TYPE_CHECKING:
     from tests.network.hosts import Host
 
+pytest.importorskip("rsb_extras.doctor", reason="needs the feature doctor")
+
 _LISTEN = """
 import socket
 wire = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(0x0800))

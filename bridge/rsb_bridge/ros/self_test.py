@@ -297,7 +297,7 @@ def _calls_cross(endpoints: _Endpoints, interface: type) -> None:
 
 
 def main() -> None:
-    """Print the findings as JSON, for `rsb_bridge.doctor`, which survives a crash of this process."""
+    """Print the findings as JSON, for `rsb_extras.doctor`, which survives a crash of this process."""
     began = time.monotonic()
     try:
         found = findings()

@@ -68,7 +68,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=CommandParser)
 
     def command(
-        name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = ""
+        name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = "", after: str = ""
     ) -> argparse.ArgumentParser:
         added = subparsers.add_parser(
             name,
@@ -79,20 +79,14 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
             parents=[debug],
         )
         added.set_defaults(command=run)
+        if after:
+            _place_after(subparsers, after)
         return added
 
     _run_arguments(command("run", local_commands.run, "bridge a session, with or without the console"))
     check = command("check", check_session, "describe a session and its mistakes")
     _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
     check.add_argument("--json", action="store_true", help="print JSON, for programs")
-    doctor = command("doctor", local_commands.doctor, "examine this machine: ROS, network, memory, clock, terminal")
-    _complete(
-        doctor.add_argument(
-            "session", type=Path, metavar="SESSION", nargs="?", help="also examine what this session needs"
-        ),
-        "yaml_files",
-    )
-    doctor.add_argument("--json", action="store_true", help="print JSON, for programs")
     keygen = command("keygen", local_commands.keygen, "create a key for both sides of a link")
     keygen.add_argument(
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="key file (%(default)s)"
@@ -126,6 +120,17 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     for added in subparsers.choices.values():
         _add_debug(added)
     return parser, list(subparsers.choices)
+
+
+def _place_after(subparsers: argparse._SubParsersAction[CommandParser], name: str) -> None:
+    """Move the command that was added last behind the one of this name."""
+    known = list(subparsers.choices.items())
+    if name in subparsers.choices:
+        place = list(subparsers.choices).index(name) + 1
+        known.insert(place, known.pop())
+        subparsers._choices_actions.insert(place, subparsers._choices_actions.pop())
+        subparsers._name_parser_map.clear()
+        subparsers._name_parser_map.update(known)
 
 
 def _add_debug(parser: argparse.ArgumentParser) -> None:

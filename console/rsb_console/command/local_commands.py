@@ -1,4 +1,4 @@
-"""The commands `run`, `attach`, `keygen` and `import`; `doctor`, `demo` and `completion`, which start other modules.
+"""The commands `run`, `attach`, `keygen` and `import`; `demo` and `completion`, which start other modules.
 
 Each command imports ROS, Textual or D-Bus itself if it needs them. So help, keygen, check and import answer at once,
 even on a machine without them.
@@ -129,13 +129,6 @@ def keygen(arguments: Namespace) -> int:
         return FAILURE
     print_line(LocalText.NEW_KEY(path=path, fingerprint=fingerprint(key)))
     return OK
-
-
-def doctor(arguments: Namespace) -> int:
-    """Examine this machine, and what a session needs of it."""
-    from rsb_console.command.doctor import run_doctor  # noqa: PLC0415 (not needed elsewhere)
-
-    return run_doctor(arguments.session, as_json=arguments.json)
 
 
 def completion(arguments: Namespace) -> int:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.feature import installed
 from rsb_bridge.model.by_hand import ASKED_FOR
 from rsb_bridge.model.commands import Save
 from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.feature import MachineReport
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.model.snapshot import PatternSnapshot, RouteSnapshot, Snapshot, TopicInfo
@@ -81,7 +83,7 @@ class RemoteProblem(Wording):
     """Reasons why a command for a running bridge is refused, or fails."""
 
     STILL_DEMANDED = "; it still has to be armed, under armed ({lines}): rsb-console reload --drop-arm ends that"
-    OPERATOR_MACHINE = "The machine of this command, {host}, now (rsb-console doctor):"
+    OPERATOR_MACHINE = "The machine of this command, {host}, now ({source}):"
     NOT_REACHED = "not {condition} within {seconds:g} s{reason}"
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
     NOT_BROUGHT = "no client has brought {topic} so far{hint}"
@@ -580,7 +582,6 @@ def _disarm(arguments: Namespace) -> int:
 
 
 def _report(arguments: Namespace) -> int:
-    from rsb_console.command import doctor  # noqa: PLC0415 (only here)
     from rsb_console.session.history_report import (  # noqa: PLC0415 (only here)
         csv_report,
         json_report,
@@ -593,21 +594,25 @@ def _report(arguments: Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"--last {error}") from None
     report = _report_of(arguments, seconds)
+    host = os.uname().nodename  # `platform.node` has the same name, but is one more module to load
     if arguments.json:
-        # `platform.node` has the same name, but is one more module to load.
-        print_line(
-            json_report(report, operator_machine={"host": os.uname().nodename, **doctor.report(doctor.this_machine())})
-        )
+        found = {key: value for each in _examined() for key, value in each.data.items()}
+        print_line(json_report(report, operator_machine={"host": host, **found}))
     elif arguments.csv:
         print_lines(csv_report(report).removesuffix("\r\n"))
     else:
         for line in text_report(report):
             print_line(line)
-        print_line("")
-        print_line(RemoteProblem.OPERATOR_MACHINE(host=os.uname().nodename))
-        for line in doctor.lines(doctor.this_machine(), _REPORT_WIDTH):
-            print_line(line)
+        for each in _examined():
+            print_line("")
+            print_line(RemoteProblem.OPERATOR_MACHINE(host=host, source=each.source))
+            for line in each.lines:
+                print_line(line)
     return OK
+
+
+def _examined() -> list[MachineReport]:
+    return [report for feature in installed() for report in feature.machine(_REPORT_WIDTH)]
 
 
 def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:

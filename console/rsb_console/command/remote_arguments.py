@@ -23,9 +23,12 @@ KINDS = ("topic", "service", "action", "parameters")
 
 class AddCommand(Protocol):
     def __call__(
-        self, name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = ""
+        self, name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = "", after: str = ""
     ) -> argparse.ArgumentParser:
-        """Add a command by its name, the function that runs it, a summary and the end of its help."""
+        """Add a command by its name, the function that runs it, a summary and the end of its help.
+
+        Lists have it after the command `after`, or at the end.
+        """
 
 
 NO_BRIDGE = """\

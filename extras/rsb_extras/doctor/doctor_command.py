@@ -10,14 +10,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.session_file import SessionError, load
-from rsb_bridge.doctor import machine, ros_setup, session_needs
-from rsb_bridge.doctor.finding import Check, Finding, Grade, examine, worst
 from rsb_bridge.model.text import plural
 from rsb_console.command.check import print_mistakes
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, prefers_ascii, print_line
+from rsb_extras.doctor import machine, ros_setup, session_needs
+from rsb_extras.doctor.finding import Check, Finding, Grade, examine, worst
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
@@ -29,8 +30,9 @@ _NARROW, _WIDE = 60, 120  # columns between which the lines follow the terminal:
 _SMALLEST_TERMINAL = (80, 24)
 
 
-def run_doctor(path: Path | None, *, as_json: bool) -> int:
+def doctor(arguments: Namespace) -> int:
     """Examine this machine, and what a session needs of it."""
+    path: Path | None = arguments.session
     try:
         session = None if path is None else load(path)
     except SessionError as error:
@@ -41,7 +43,7 @@ def run_doctor(path: Path | None, *, as_json: bool) -> int:
     if session is not None and path is not None:
         checks += session_needs.checks(session, path, os.environ)
     found = list(examine(checks))
-    if as_json:
+    if arguments.json:
         print_line(json_line({"ok": worst(found) != Grade.ERROR, **report(found)}))
     else:
         for line in lines(found, shutil.get_terminal_size().columns):

@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import subprocess
 import sys
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.console.scripted import ScriptedEngine
+from tests.console.terminal import Terminal
 from tests.support import surroundings
+from tests.support.captured import captured
+from tests.support.commands import parser_and_commands
 
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.doctor.finding import Finding, Grade
-from rsb_console.command.doctor import lines, terminal_check
+from rsb_console.command.remote import RemoteProblem
+from rsb_extras.doctor.doctor_command import lines, terminal_check
+from rsb_extras.doctor.finding import Finding, Grade
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from tests.support.commands import Ran
+    from tests.support.control import Machine
 
 SESSION = "name: robot1\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 7060\nkey_file: robot1.key\ndomain_id: 5\n"
 
@@ -90,3 +97,33 @@ def test_terminals(
     surroundings.print_to_terminal(monkeypatch)
     monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size(size))
     assert [each.grade for each in terminal_check(environ).run()] == grades
+
+
+def test_a_report_ends_with_this_machine(ran: Callable[..., Ran], machine: Machine) -> None:
+    machine.serve(ScriptedEngine())
+    lines = ran("report").out.splitlines()
+    heading = RemoteProblem.OPERATOR_MACHINE(host=platform.node(), source="rsb-console doctor")
+    assert any(line.startswith("ok       program") for line in lines[lines.index(heading) + 1 :])
+    found = ran("report", "--json").json["operator_machine"]
+    assert [*found] == ["host", "worst", "findings"]
+    assert "program" in {each["code"] for each in found["findings"]}
+
+
+def test_it_runs_nothing_of_its_folder(planted: Path) -> None:
+    program = "import sys; sys.argv = ['rsb-console', 'doctor', '--json']; from rsb_console.cli import main; main()"
+    ran = captured(sys.executable, "-P", "-c", program)
+    assert '"ros"' in ran.stdout
+    assert not planted.exists()
+
+
+def test_it_draws_ascii_where_the_terminal_has_no_more() -> None:
+    environ = {"LANG": "C", "LC_ALL": "", "LC_CTYPE": "", "TERM": "vt100"}
+    with Terminal("rsb_console", "doctor", environ=environ, forked=True) as terminal:
+        terminal.exit_code()
+        assert terminal.output
+        assert terminal.output.isascii()
+
+
+def test_it_is_listed_where_operators_look_for_it() -> None:
+    names = parser_and_commands()[1]
+    assert names[names.index("check") + 1] == "doctor"

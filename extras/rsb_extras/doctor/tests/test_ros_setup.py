@@ -8,11 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.support import constants, surroundings
+from tests.support import surroundings
 from tests.support.wording import says
 
-from rsb_bridge.doctor import ros_setup
-from rsb_bridge.doctor.finding import Finding, Grade, examine
+from rsb_extras.doctor import ros_setup
+from rsb_extras.doctor.finding import Finding, Grade, examine
+from rsb_extras.doctor.tests import doctor_places
 
 
 def found(code: str, environ: dict[str, str] | None = None, program: str | None = None) -> list[Finding]:
@@ -41,7 +42,7 @@ def test_the_real_self_test() -> None:
     ],
 )
 def test_what_ends_or_stops_the_self_test_is_found(program: str, within: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.ROS_SETUP_WITHIN.set(monkeypatch, 0.5 if "sleep" in program else 20.0)
+    doctor_places.ROS_SETUP_WITHIN.set(monkeypatch, 0.5 if "sleep" in program else 20.0)
     (finding,) = found("ros", program=program)
     assert finding.grade == Grade.ERROR
     assert within in finding.text

@@ -28,13 +28,13 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.config.files import why_not_written
-from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.tcp import BBR, congestion_control, prefer_bbr
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers, granted_receive_buffer
+from rsb_extras.doctor.finding import Check, Finding, Grade
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

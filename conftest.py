@@ -129,7 +129,7 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
     if reporter is None:  # in a worker
         return
     failed = [*reporter.stats.get("failed", ()), *reporter.stats.get("error", ())]
-    if found := dict.fromkeys(report.nodeid for report in failed if report.nodeid.startswith("tests/")):
+    if found := dict.fromkeys(report.nodeid for report in failed if report.nodeid.startswith(("tests/", "extras/"))):
         reporter.write_line(f"\nAgain: {sys.executable} -m pytest {shlex.join(found)}", red=True)
 
 

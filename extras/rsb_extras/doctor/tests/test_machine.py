@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import Mock
 
 import pytest
-from tests.support import constants, replaced, surroundings
+from tests.support import surroundings
 
-from rsb_bridge.doctor import machine
-from rsb_bridge.doctor.finding import Check, Finding, Grade, examine, worst
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers
+from rsb_extras.doctor import machine
+from rsb_extras.doctor.finding import Check, Finding, Grade, examine, worst
+from rsb_extras.doctor.tests import doctor_places
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,7 +38,7 @@ def grades(findings: list[Finding]) -> list[tuple[str, Grade]]:
 
 @pytest.mark.parametrize(("given", "grade"), [(212_992, Grade.WARNING), (RECEIVE_BUFFER, Grade.OK)])
 def test_what_a_udp_socket_may_hold(given: int, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    replaced.GRANTED_RECEIVE_BUFFER.set(monkeypatch, lambda _: given)
+    doctor_places.GRANTED_RECEIVE_BUFFER.set(monkeypatch, lambda _: given)
     (finding,) = found("udp_buffers", tmp_path)
     assert finding.grade == grade
     assert finding.facts["given"] == given
@@ -56,7 +57,7 @@ def test_how_the_process_that_draws_is_confined(
 ) -> None:
     facts = {"no_new_privileges": True, "no_capabilities": not rights, "landlock": landlock, "filtered": filtered}
     ran = SimpleNamespace(stdout=json.dumps(facts))
-    replaced.DOCTOR_RUN.set(monkeypatch, lambda *_, **__: ran)
+    doctor_places.RUN.set(monkeypatch, lambda *_, **__: ran)
     (finding,) = found("pictures", tmp_path)
     assert (finding.grade, bool(finding.remedy), finding.facts) == (grade, grade != Grade.OK, facts)
 
@@ -79,7 +80,7 @@ def test_a_udp_socket_is_asked_as_the_bridge_asks_it(tmp_path: Path) -> None:
 def test_a_congestion_control_that_takes_loss_for_a_full_link(
     used: str, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    replaced.CONGESTION_CONTROL.set(monkeypatch, lambda _: used)
+    doctor_places.CONGESTION_CONTROL.set(monkeypatch, lambda _: used)
     (finding,) = found("congestion_control", tmp_path)
     assert (finding.grade, finding.facts) == (grade, {"used": used})
     assert ("tcp_bbr" in finding.remedy) == (grade == Grade.NOTE)
@@ -93,9 +94,9 @@ def test_files_of_killed_programs_are_counted_and_those_of_running_ones_are_not(
     for name in ("fastrtps_0a", "fastdds_0b", "fastdds_port7411"):
         (folder / name).write_bytes(bytes(2 << 20))
         (folder / f"{name}_el").touch()
-    constants.LITTLE_SHARED_MEMORY.set(monkeypatch, 0)
+    doctor_places.LITTLE_SHARED_MEMORY.set(monkeypatch, 0)
     assert grades(found("shared_memory", tmp_path)) == [("shared_memory", Grade.OK)]  # they are too new to tell
-    constants.DOCTOR_LOCKED_WITHIN.set(monkeypatch, -1.0)
+    doctor_places.LOCKED_WITHIN.set(monkeypatch, -1.0)
     with (folder / "fastdds_0b_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         _, left = found("shared_memory", tmp_path)
@@ -107,8 +108,8 @@ def test_shared_memory_of_several_users(tmp_path: Path, monkeypatch: pytest.Monk
     """A stand-in for a node of another user, which only root could start."""
     folder = tmp_path / "dev/shm"
     folder.mkdir(parents=True)
-    constants.LITTLE_SHARED_MEMORY.set(monkeypatch, 0)
-    constants.DOCTOR_LOCKED_WITHIN.set(monkeypatch, -1.0)
+    doctor_places.LITTLE_SHARED_MEMORY.set(monkeypatch, 0)
+    doctor_places.LOCKED_WITHIN.set(monkeypatch, -1.0)
     own, other = os.geteuid(), 4_000_000_000
     with (folder / "fastdds_0a_el").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -121,7 +122,7 @@ def test_shared_memory_of_several_users(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_little_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "dev/shm").mkdir(parents=True)
-    constants.LITTLE_SHARED_MEMORY.set(monkeypatch, 1 << 60)
+    doctor_places.LITTLE_SHARED_MEMORY.set(monkeypatch, 1 << 60)
     assert grades(found("shared_memory", tmp_path)) == [("shared_memory", Grade.WARNING)]
     assert grades(found("shared_memory", tmp_path / "none")) == [("shared_memory", Grade.UNKNOWN)]
 
@@ -232,7 +233,7 @@ def test_no_remedy_takes_a_folder_above_the_missing_one_from_its_owner(
 
 
 def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.DOCTORS_EXTRAS.set(monkeypatch, {"zenoh": "no_such_module", "metrics": "json"})
+    doctor_places.EXTRAS.set(monkeypatch, {"zenoh": "no_such_module", "metrics": "json"})
     (finding,) = found("extras", tmp_path)
     assert (finding.grade, finding.facts) == (Grade.NOTE, {"zenoh": False, "metrics": True})
     assert "[zenoh]" in finding.remedy
@@ -247,8 +248,8 @@ def test_multicast_by_interface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     flags = {"lo": 0x9, "up": 0x1001, "deaf": 0x1, "down": 0x1000}
     addresses = dict.fromkeys(flags, "127.0.0.1")
     monkeypatch.setattr(socket, "if_nameindex", lambda: list(enumerate(flags)))
-    replaced.INTERFACE_FLAGS.set(monkeypatch, flags.get)
-    replaced.INTERFACE_ADDRESS.set(monkeypatch, addresses.get)
+    doctor_places.INTERFACE_FLAGS.set(monkeypatch, flags.get)
+    doctor_places.INTERFACE_ADDRESS.set(monkeypatch, addresses.get)
     good, bad = found("multicast", tmp_path)
     assert [good.grade, bad.grade] == [Grade.OK, Grade.WARNING]
     assert good.facts == {"up": True, "deaf": False}

@@ -1,1 +1,0 @@
-"""The checks of `rsb-console doctor`: of a machine, of its ROS, and of what a session needs."""

@@ -1,0 +1,15 @@
+"""Names of doctor that its tests replace."""
+
+from __future__ import annotations
+
+from tests.support.places import Place
+
+EXTRAS = Place("rsb_extras.doctor.machine", "_EXTRAS")
+LITTLE_SHARED_MEMORY = Place("rsb_extras.doctor.machine", "_LITTLE_SHARED_MEMORY")
+LOCKED_WITHIN = Place("rsb_extras.doctor.machine", "_LOCKED_WITHIN")
+ROS_SETUP_WITHIN = Place("rsb_extras.doctor.ros_setup", "_WITHIN")
+INTERFACE_ADDRESS = Place("rsb_extras.doctor.machine", "_address")
+INTERFACE_FLAGS = Place("rsb_extras.doctor.machine", "_flags")
+CONGESTION_CONTROL = Place("rsb_extras.doctor.machine", "congestion_control")
+GRANTED_RECEIVE_BUFFER = Place("rsb_extras.doctor.machine", "granted_receive_buffer")
+RUN = Place("rsb_extras.doctor.machine", "subprocess.run")
