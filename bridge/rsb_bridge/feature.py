@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 GROUP = "rsb_console.feature"
 """The entry points, each of which names an instance of a subclass of `Feature`."""
 
+BRINGS_COMMANDS: Mapping[str, str] = {"doctor": "doctor"}
+"""Subcommands, and the feature of this project that brings each: an installation without it says so."""
+
 T = TypeVar("T")
 _logger = logging.getLogger(__name__)
 

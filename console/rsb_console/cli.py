@@ -93,14 +93,20 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
     """Insert `run` if the arguments do not begin with a command."""
     from difflib import get_close_matches
 
+    from rsb_bridge.feature import BRINGS_COMMANDS
+
     # `rsb-console --debug` alone opens the console.
     first = next((argument for argument in argv if argument != "--debug"), None)
     if first is None:
         return ["run", *argv]
     if first in (*names, "-h", "--help", "--version"):
         return argv
-    meant = get_close_matches(first, names, n=1, cutoff=0.75)
-    if meant and not os.path.exists(first):  # noqa: PTH110 -- never raises, unlike Path.exists
+    if os.path.exists(first):  # noqa: PTH110 -- never raises, unlike Path.exists
+        return ["run", *argv]
+    if first in BRINGS_COMMANDS:
+        print_error(CommandText.OF_FEATURE(word=first, feature=BRINGS_COMMANDS[first]))
+        raise SystemExit(USAGE)
+    if meant := get_close_matches(first, names, n=1, cutoff=0.75):
         print_error(CommandText.MISSPELT(word=first, command=meant[0]))
         raise SystemExit(USAGE)
     return ["run", *argv]

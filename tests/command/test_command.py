@@ -451,6 +451,13 @@ def test_bad_arguments_are_refused_in_words() -> None:
         assert "Traceback" not in run.stderr
 
 
+def test_command_of_a_missing_feature_names_it() -> None:
+    without = "import importlib.metadata as metadata; metadata.entry_points = lambda **_: ()"
+    run = with_first(without, "doctor", "robot1.yaml")
+    assert run.returncode == 2
+    assert CommandText.OF_FEATURE(word="doctor", feature="doctor") in run.stderr
+
+
 def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
     Path("checks").write_text(SESSION.replace("udp", "tpc"))
     assert "checks:7: topic /scan, protocol" in rsb_console("checks").stderr

@@ -24,6 +24,7 @@ class CommandText(Wording):
     """Reports of a command line that is misspelt, or whose command crashed."""
 
     MISSPELT = "{word}: neither a command nor a file; did you mean `rsb-console {command}`?"
+    OF_FEATURE = "{word}: this installation has no {feature}: install all of rsb-console"
     CRASHED_WITHOUT_LOG = "{problem} (details: again with --debug; {log}: {reason})"
 
 
