@@ -25,6 +25,7 @@ from tests.support.running import Running
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
+from rsb_bridge.feature import BRINGS_COMMANDS
 from rsb_bridge.model.audience import Audience
 from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.commands import Call, DraftMessage, LookAtTopics, Publish
@@ -45,7 +46,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.commands import Command
 
 _ROOT = Path(__file__).parents[2]
-_PAGES = [_ROOT / "README.md", _ROOT / "SECURITY.md", *sorted((_ROOT / "docs").glob("*.md"))]
+_OF_FEATURES = sorted(_ROOT.glob("extras/rsb_extras/*/docs/*.md"))
+_PAGES = [_ROOT / "README.md", _ROOT / "SECURITY.md", *sorted((_ROOT / "docs").glob("*.md")), *_OF_FEATURES]
 _SEPARATORS = frozenset(("|", "&&", "||", ";", "&", ">", ">>", "<"))
 _PLACEHOLDERS = {
     "CLIENT": "robot1", "FILE": "robot1.yaml", "NAME": "robot1", "PATH": "setup.bash", "SESSION": "robot1.yaml",
@@ -101,7 +103,8 @@ def commands(text: str) -> Iterator[list[str]]:
         words = []
 
 
-FOUND = [*lines()]
+MISSING = BRINGS_COMMANDS.keys() - parser_and_commands()[1]
+FOUND = [line for line in lines() if line.words[0] not in MISSING]
 
 
 def parsed(text: str) -> argparse.Namespace:

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 _ROOT = Path(__file__).parents[2]
-_PAGES = [*_ROOT.glob("*.md"), *_ROOT.glob("docs/*.md"), _ROOT / "bench" / "README.md", _ROOT / "tests" / "README.md"]
+_DOCS = [*_ROOT.glob("docs/*.md"), *_ROOT.glob("extras/rsb_extras/*/docs/*.md")]
+_PAGES = [*_ROOT.glob("*.md"), *_DOCS, _ROOT / "bench" / "README.md", _ROOT / "tests" / "README.md"]
 _TEXTS = {str(page.relative_to(_ROOT)): page.read_text(encoding="utf-8") for page in sorted(_PAGES)}
 _OWN = {"make", "python", "python3", "pip", "pipx"}
 """Programs whose arguments name targets, modules and files of the project: the tests below look for them."""
