@@ -30,6 +30,7 @@ from rsb_bridge.control.states import (
 from rsb_bridge.model.snapshot import Event, Level, RouteSnapshot
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.telemetry.event_log import KEPT
+from rsb_bridge.wire.framing import pack_frame
 
 ESCAPES = "\x1b]0;owned\x07\x1b[2J\u202egpj\x9b1m\r\u2066\u200b[red]"
 BRIDGE = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "i", "0.1")
@@ -125,6 +126,22 @@ def test_answers_keep_their_lines_and_other_texts_have_one() -> None:
     assert event.code == "a\ufffdb"
     assert len(clean(protocol.CommandFailed(1, "x" * 100_000)).reason) == LONGEST_TEXT
     assert len(clean(protocol.RestartStep(1, "x" * 100_000)).text) == LONGEST_TEXT
+
+
+def test_data_of_too_many_levels_is_refused() -> None:
+    refused = 0
+    for levels in range(800, 1100):
+        frames = protocol.frames_to_console()
+        try:
+            for message in frames.feed(pack_frame(msgspec.msgpack.encode(protocol.Reply(1, nested(levels))))):
+                clean(message)
+        except ControlProtocolError:
+            refused += 1
+    assert 0 < refused < 300
+
+
+def nested(levels: int) -> msgspec.Raw:
+    return msgspec.Raw(b"\x91" * levels + b"\xc0")
 
 
 def test_too_much_is_refused() -> None:

@@ -218,9 +218,12 @@ def clean(message: M) -> M:
     commands and the reasons of failures may have several lines.
 
     Raises:
-        ProtocolError: it lists more than any engine does.
+        ProtocolError: it lists more than any engine does, or in more levels.
     """
-    cleaned = _clean(message)
+    try:
+        cleaned = _clean(message)
+    except RecursionError:  # plain data of a few levels less than the decoder takes
+        raise ControlProtocolError("a message of too many levels") from None
     match message:
         case Reply(value=str(text)):
             # As it came, since `_clean` has made one line of it, and not cut: the description of a type is long.
