@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from rsb_bridge.feature import feature_names
+
 if TYPE_CHECKING:
     from tests.network.hosts import Host
-
-pytest.importorskip("rsb_extras.doctor", reason="needs the feature doctor")
 
 _LISTEN = """
 import socket
@@ -36,6 +36,7 @@ _ONE_GROUP = 54
 """Bytes of a frame that reports one group."""
 
 
+@pytest.mark.skipif("doctor" not in feature_names(), reason="the core alone")
 @pytest.mark.usefixtures("cable")
 def test_nothing_leaves_the_machine(robot: Host, pc: Host) -> None:
     listening = pc.start(sys.executable, "-c", _LISTEN, stdout=subprocess.PIPE)
