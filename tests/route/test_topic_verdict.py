@@ -114,7 +114,7 @@ def test_a_route_that_flows_is_fine() -> None:
         (RECEIVER, {"refusal": DATA_OUT, "reopens": True}, State.WAITING, Cause.AWAITS_LINK, [f"({OUT})"]),
         (SENDER, {"refusal": PIPE, "reopens": True, "path": LOSSY}, State.DOWN, Cause.LOSSY, [LOSSY.text]),
         (SENDER, {"refusal": DENIED, "reopens": True}, State.DOWN, Cause.REFUSED, ["denied"]),
-        (SENDER, {"refusal": APART, "paused": True}, State.DOWN, Cause.LISTED_DIFFERENTLY, ["max_rate"]),
+        (SENDER, {"refusal": APART, "crossing": Crossing.PAUSED}, State.DOWN, Cause.LISTED_DIFFERENTLY, ["max_rate"]),
         (SENDER, {"path": LOSSY, "late": LATE}, State.LATE, Cause.LOSSY, [LOSSY.text]),
         (SENDER, {"path": LOSSY, "loss": LOST}, State.SLOW, Cause.LOSSY, [LOSSY.text]),
         (SENDER, {"path": LOSSY, "no_path": STUCK}, State.DOWN, Cause.LOSSY, [LOSSY.text]),
