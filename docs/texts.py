@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 _ROOT = Path(__file__).parent.parent
-_PROGRAM = ("bridge", "console")
+_PROGRAM = ("bridge", "console", "extras")
 _SEVERAL_WORDS = re.compile(r"[A-Za-z]{2,}\S* .*[A-Za-z]{2,}")
 
 
@@ -47,7 +47,8 @@ def _source(part: ast.expr) -> str:
 def page() -> str:
     """The contents of the file: the path of each module, and its texts in their order."""
     parts = []
-    for path in sorted(path for folder in _PROGRAM for path in (_ROOT / folder).rglob("*.py")):
+    found = (path for folder in _PROGRAM for path in (_ROOT / folder).rglob("*.py"))
+    for path in sorted(path for path in found if "tests" not in path.relative_to(_ROOT).parts):
         texts = _Texts()
         texts.visit(ast.parse(path.read_text(encoding="utf-8")))
         if texts.found:

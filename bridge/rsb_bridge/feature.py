@@ -17,10 +17,15 @@ import msgspec
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
+    from pathlib import Path
 
 GROUP = "rsb_console.feature"
 """The entry points, each of which names an instance of a subclass of `Feature`."""
 
+BRINGS: Mapping[str, str] = {
+    **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
+}
+"""Keys of session files, and the feature of this project that brings each: an installation without it says so."""
 BRINGS_COMMANDS: Mapping[str, str] = {"doctor": "doctor"}
 """Subcommands, and the feature of this project that brings each: an installation without it says so."""
 
@@ -36,12 +41,16 @@ class SessionKey(Generic[T]):
         type: of its value, as msgspec knows it: a number, a text, a frozen Struct, or a tuple of such.
         default: without the key.
         live: whether a running bridge takes a new value (`rsb-console reload`); else it has to be started again.
+        own_topic: whether its value names a topic of the bridge itself, which patterns leave out.
+        hidden_as: what logs call the value instead of showing it. Operators elsewhere do not see it at all. Or empty.
     """
 
     name: str
     type: Any
     default: T
     live: bool = False
+    own_topic: bool = False
+    hidden_as: str = ""
 
     def of(self, session: msgspec.Struct) -> T:
         """Return the key's value in a session."""
@@ -95,10 +104,12 @@ class Feature:
     Attributes:
         name: short, lower case; peers tell each other the names of their features.
         needs: names of the features without which this one does nothing.
+        libraries: modules that some of its work needs, by the extra of rsb-console that installs each.
     """
 
     name: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
+    libraries: ClassVar[Mapping[str, str]] = {}
 
     # --- both sides of a link
 
@@ -130,6 +141,22 @@ class Feature:
     def problems(self, session: Any) -> Iterable[tuple[str, str]]:
         """Return mistakes of a `rsb_bridge.model.session.Session`, each as its key and its text with the remedy."""
         return ()
+
+    def advice(self, session: Any, file: Path | None) -> Iterable[tuple[str, str]]:
+        """Return what an operator should know before a session without mistakes runs, in the same form.
+
+        Args:
+            file: of the session, or None if files and programs of this machine are not to be looked at.
+        """
+        return ()
+
+    def effects(self, session: Any) -> Iterable[str]:
+        """Return lines on what a session without mistakes does, for ``rsb-console check``."""
+        return ()
+
+    def refusal(self, session: Any, topic: str) -> str:
+        """Return the reason why a topic of this side's domain is not bridged, or an empty string."""
+        return ""
 
     def commands(self) -> Iterable[type[msgspec.Struct]]:
         """Return commands, subclasses of `rsb_bridge.model.commands.Command`."""
@@ -210,6 +237,7 @@ def feature_names() -> tuple[str, ...]:
     return tuple(feature.name for feature in installed())
 
 
+@cache
 def session_keys() -> Mapping[str, SessionKey[Any]]:
     """Return the features' keys of session files, by name."""
     return {key.name: key for feature in installed() for key in feature.session_keys()}

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 _ROOT = Path(__file__).parents[2]
-_PACKAGES = (_ROOT / "bridge" / "rsb_bridge", _ROOT / "console" / "rsb_console")
+_PACKAGES = (_ROOT / "bridge" / "rsb_bridge", _ROOT / "console" / "rsb_console", _ROOT / "extras" / "rsb_extras")
 _PAGE = (_ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 _TEXT = re.sub(r"^```.*?^```", "", _PAGE, flags=re.MULTILINE | re.DOTALL)
 """The page without its picture."""
@@ -111,6 +111,8 @@ def test_no_two_modules_or_public_classes_have_one_name() -> None:
     for package in _PACKAGES:
         for module in package.rglob("*.py"):
             where = str(module.relative_to(package.parent))
+            if "tests" in module.parts[len(package.parts) :]:
+                continue
             if not module.name.startswith("__"):
                 places[module.name].append(where)
             for each in _body(module):

@@ -124,19 +124,6 @@ def test_check_says_what_would_be_bridged_and_warns() -> None:
     assert says(run.stdout, KeyWarning.READABLE, path="key.txt", mode="0644")
 
 
-def test_check_names_the_command_for_faults_and_warns_if_it_cannot_run() -> None:
-    rsb_console("keygen")
-    path, program = Path("robot1.yaml"), Path("tell.sh")
-    path.write_text(f"{SESSION}on_fault: ./tell.sh --loud\n")
-    path.chmod(0o600)
-    missing = rsb_console("check", "robot1.yaml")
-    assert missing.returncode == 0, "the bridge runs without it"
-    assert [line.startswith("warning") for line in missing.stdout.splitlines() if "./tell.sh" in line] == [False, True]
-    program.write_text("#!/bin/sh\n")
-    program.chmod(0o755)
-    assert "warning" not in rsb_console("check", "robot1.yaml").stdout
-
-
 def test_check_says_whose_keys_there_are_since_when_and_warns_of_two() -> None:
     for name in ("old.key", "new.key"):
         rsb_console("keygen", name)

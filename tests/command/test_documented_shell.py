@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from rsb_bridge.feature import BRINGS
+
 _ROOT = Path(__file__).parents[2]
 _DOCS = [*_ROOT.glob("docs/*.md"), *_ROOT.glob("extras/rsb_extras/*/docs/*.md")]
 _PAGES = [*_ROOT.glob("*.md"), *_DOCS, _ROOT / "bench" / "README.md", _ROOT / "tests" / "README.md"]
@@ -18,7 +20,7 @@ _TEXTS = {str(page.relative_to(_ROOT)): page.read_text(encoding="utf-8") for pag
 _OWN = {"make", "python", "python3", "pip", "pipx"}
 """Programs whose arguments name targets, modules and files of the project: the tests below look for them."""
 _OTHERS = {
-    "curl": "asks a running bridge; tests/engine/test_metrics.py does",
+    "curl": "asks a running bridge, as the exporters' tests do",
     "echo": "writes the kernel's settings",
     "export": "sets the shell",
     "ros2": "needs the package installed; tests/config/test_ros_package.py looks for its parts",
@@ -29,6 +31,7 @@ _OTHERS = {
     "zenohd": "is Zenoh's own router; tests/support/zenoh_router.py replaces it",
 }
 """Other programs, and why nothing here runs or checks their lines."""
+_OF_FEATURES = {"curl"}
 _PROGRAMS = _OWN | set(_OTHERS)
 
 
@@ -62,7 +65,9 @@ def named(pattern: str) -> set[str]:
 
 
 def test_every_program_is_checked_or_has_a_reason_not_to_be() -> None:
-    assert {program(words) for _, words in LINES} == _PROGRAMS
+    found = {program(words) for _, words in LINES}
+    assert found <= _PROGRAMS
+    assert _PROGRAMS - found <= _OF_FEATURES, "which the core alone does not have"
     tests = re.findall(r"tests/\S+\.py", " ".join(_OTHERS.values()))
     assert [name for name in tests if not (_ROOT / name).is_file()] == []
 
@@ -71,16 +76,17 @@ def test_targets_of_make_exist() -> None:
     makefile = (_ROOT / "Makefile").read_text(encoding="utf-8")
     targets = {name for names in re.findall(r"^([\w -]+):", makefile, re.MULTILINE) for name in names.split()}
     folders = {f"test-{folder.name}" for folder in (_ROOT / "tests").iterdir() if [*folder.glob("test_*.py")]}
+    features = {f"test-{name}" for name in BRINGS.values()}
     found = named(r"^make ([\w-]+)")
     assert len(found) > 10
-    assert found <= targets | folders
+    assert found <= targets | folders | features
 
 
 def test_modules_exist() -> None:
     found = named(r"python3? -m ([\w.]+)") - {"pytest", "venv"}
     assert len(found) > 5
     for name in found:
-        places = [_ROOT / part / name.replace(".", "/") for part in ("", "bridge", "console")]
+        places = [_ROOT / part / name.replace(".", "/") for part in ("", "bridge", "console", "extras")]
         assert any(place.with_suffix(".py").is_file() or (place / "__main__.py").is_file() for place in places), name
 
 

@@ -238,11 +238,3 @@ def test_keys_and_values_of_a_file_do_nothing_to_the_terminal(
     assert done.code == 2
     assert is_clean((done.out + done.err).replace("\n", ""))
     assert not [line for line in done.err.splitlines() if line.startswith("forged")]
-
-
-def test_check_cleans_what_a_session_may_have(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_text(FINE + f'on_fault: "/{ESCAPE} x"\n', encoding="utf-8")
-    done = Ran(capsys, "check", str(path))
-    assert "evil" in done.out + done.err
-    assert is_clean((done.out + done.err).replace("\n", ""))

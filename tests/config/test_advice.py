@@ -50,7 +50,6 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         ({**SERVER, "ports": (12001, 7650)}, "1", "ports[1]", Advice.PORT_OF_DOMAIN, {"ports": "7650 to 7899"}),
         ({**SERVER, "server_port": 9900}, "0", "server_port", Advice.PORT_OF_DISCOVERY, {"domain": 10}),
         (one(port=7660), None, "topics[0].port", Advice.TOPIC_PORT_OF_DISCOVERY, {"domain": 1}),
-        ({**CLIENT, "metrics": "0.0.0.0:9464"}, None, "metrics", Advice.METRICS_OPEN, {}),
         ({**CLIENT, "server_ip": "fe80::1%nope"}, None, "server_ip", Advice.NO_INTERFACE, {"zone": "nope"}),
         ({**SERVER, "server_ip": "fe80::1%777"}, None, "server_ip", Advice.NO_INTERFACE, {"interfaces": INTERFACES}),
         (
@@ -92,11 +91,6 @@ def test_advice_has_its_location(
 )
 def test_what_is_right_needs_no_advice(session: dict[str, Any]) -> None:
     assert list(advise(Session(**session), "7")) == []
-
-
-def test_metrics_at_an_absent_interface_are_named() -> None:
-    found = advise(Session(**CLIENT, metrics="[fe80::1%nope]:9464"), None)
-    assert [each.location for each in found if says(each.message, Advice.NO_INTERFACE, zone="nope")] == ["metrics"]
 
 
 @pytest.mark.parametrize("changes", [{"server_ip": MAC, "server_port": 3}, {"bluetooth_address": MAC}])

@@ -13,7 +13,7 @@ from rsb_bridge.config.decoding import Hint, ValueMistake
 from rsb_bridge.config.rights import RightsMistake
 from rsb_bridge.config.session_file import SessionError, load, parse, validate, validate_topic
 from rsb_bridge.config.topic_rules import TopicMistake
-from rsb_bridge.config.validation import AddressProblem, SessionMistake
+from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import FileProblem, YamlMistake
 from rsb_bridge.model.limits import CHANNEL, DEPTH, DOMAIN, PORT, RATE
 from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, TypeNameProblem
@@ -122,30 +122,6 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (SERVER + "ports: nine\n", "6 ports", ValueMistake.MISFIT, {"value": "'nine'"}),
         (CLIENT + "stale_warnings: -1\n", "6 stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE, {"count": -1}),
         (CLIENT + "shutdown_topic: shutdown\n", "6 shutdown_topic", TopicMistake.NOT_ABSOLUTE, {}),
-        *(
-            (
-                CLIENT + f"driver_topic: {name}\n{keys}",
-                "6 driver_topic",
-                SessionMistake.DRIVER_TOPIC_TAKEN,
-                {"name": name, "use": use},
-            )
-            for name, keys, use in (
-                ("/cmd_vel", "topics: [{topic: /cmd_vel, direction: receive, arm: true}]\n", "bridged"),
-                ("/cmd_vel", "armed: [/cmd_vel]\n", "to be armed"),
-                ("/cmd_vel", "armed: [{name: /cmd_vel}]\n", "to be armed"),
-                ("/diagnostics", "", "the diagnostics_topic"),
-                ("/shutdown", "", "the shutdown_topic"),
-            )
-        ),
-        (SERVER + "use_name: true\ndriver_topic: /robot1/cmd_vel\n"
-         "clients: [{name: robot1, topics: [{topic: /cmd_vel, direction: receive}]}]\n", "7 driver_topic",
-         SessionMistake.DRIVER_TOPIC_TAKEN, {"name": "/robot1/cmd_vel", "use": "bridged"}),
-        (CLIENT + "metrics: 9464\n", "6 metrics", ValueMistake.MISFIT, {"value": 9464, "expected": "text"}),
-        (CLIENT + "metrics: '9464'\n", "6 metrics", AddressProblem.NOT_ADDRESS_AND_PORT, {"address": "9464"}),
-        (CLIENT + "metrics: ':9464'\n", "6 metrics", AddressProblem.NO_ADDRESS, {"address": ":9464", "port": 9464}),
-        (CLIENT + "metrics: ::1:9464\n", "6 metrics", AddressProblem.NO_BRACKETS, {"address": "::1:9464"}),
-        (CLIENT + "metrics: 127.0.0.1:0\n", "6 metrics", AddressProblem.INVALID_PORT, {"port": "0"}),
-        (CLIENT + "metrics: a b:9464\n", "6 metrics", SessionMistake.METRICS_HOST_INVALID, {"host": "'a b'"}),
         (CLIENT + "clients: [{name: robot2}]\n", "2 role", SessionMistake.CLIENTS_OF_CLIENT, {}),
         (CLIENT + "encryption_key: abc\n", "6 encryption_key", ValueMistake.SECRET_KEY, {}),
         (CLIENT.replace("robot1", "robot-1") + "use_name: true\n", "1 name", SessionMistake.NAME_NOT_A_PREFIX, {}),
@@ -156,7 +132,6 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (CLIENT.replace("192.168.1.10", "192.168.1.256"), "3 server_ip", SessionMistake.ADDRESS_INVALID, {}),
         (CLIENT.replace("192.168.1.10", "0.0.0.0"), "3 server_ip", SessionMistake.ADDRESS_OF_CLIENT, {}),
         (CLIENT.replace("192.168.1.10", "fe80::1"), "3 server_ip", SessionMistake.ZONE_MISSING, {"address": "fe80::1"}),
-        (CLIENT + "metrics: '[fe80::1]:9464'\n", "6 metrics", SessionMistake.ZONE_MISSING, {}),
         (OVER_ZENOH + "zenoh: {connect: ['tcp/hub:7447', 'tls/[fe80::1]:7447']}\n", "5 zenoh.connect[1]",
          SessionMistake.ZONE_MISSING, {"address": "fe80::1"}),
         (OVER_ZENOH + "zenoh: {listen: ['udp/[FE80::1]:7447#iface=lo']}\n", "5 zenoh.listen[0]",

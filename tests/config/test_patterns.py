@@ -100,11 +100,10 @@ def test_one_pattern_is_listed_once_and_too_many_are_refused() -> None:
     assert [problem.location for problem in caught.value.problems] == [f"topics[{PATTERNS_PER_LINK}]"]
 
 
-@pytest.mark.parametrize("key", ["shutdown_topic", "diagnostics_topic", "driver_topic"])
-def test_a_single_topic_is_no_pattern(key: str) -> None:
+def test_a_single_topic_is_no_pattern() -> None:
     with pytest.raises(SessionError) as caught:
-        read(f"{key}: /a/*\n")
-    assert [problem.location for problem in caught.value.problems] == [key]
+        read("shutdown_topic: /a/*\n")
+    assert [problem.location for problem in caught.value.problems] == ["shutdown_topic"]
 
 
 def test_an_exception_is_saved_in_its_place(tmp_path: Path) -> None:

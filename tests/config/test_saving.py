@@ -462,9 +462,6 @@ fields_of_a_session = {
     "key_file": st.sampled_from(["key.txt", "../a b.key", "~/k#1"]),
     "stale_after": st.sampled_from([15.0, 0.0, 7.5]),
     "shutdown_topic": st.sampled_from(["/shutdown", None, "/stop"]),
-    "diagnostics_topic": st.sampled_from(["/diagnostics", None, "/health"]),
-    "driver_topic": st.sampled_from([None, "/rsb/driver"]),
-    "metrics": st.sampled_from([None, "127.0.0.1:9464", "[::1]:9464"]),
 }
 clients_sessions = st.builds(
     Session, role=st.just("client"), server_ip=st.just("10.0.0.1"), server_port=st.integers(2000, 2009),

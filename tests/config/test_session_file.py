@@ -68,9 +68,6 @@ common = {
     "stale_after": waits,
     "stale_warnings": st.integers(0, 99),
     "shutdown_topic": st.none() | topic_names,
-    "diagnostics_topic": st.none() | topic_names,
-    "driver_topic": st.sampled_from([None, "/rsb/driver"]),  # a name that nothing else may have
-    "metrics": st.sampled_from([None, "127.0.0.1:9464", "[::1]:9464", "robot-1.local:65535"]),
 }
 sessions = st.one_of(
     st.builds(

@@ -11,9 +11,11 @@ from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.file_form import as_said
 from rsb_bridge.config.keys import copy_key, read_key, write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.engine import Engine
+from rsb_bridge.feature import session_keys
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Operator, Session
 from rsb_bridge.ros.stand_in import NoRos
@@ -40,7 +42,7 @@ class Robot:
             server_port=free_port(),
             key_file="key.txt",
             shutdown_topic=None,
-            diagnostics_topic=None,
+            features=as_said({name: None for name, key in session_keys().items() if key.own_topic}),
             operators=operators,
         )
         save(self.session, self.path)

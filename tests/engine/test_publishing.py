@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import socket
 import time
-from concurrent.futures import ThreadPoolExecutor
 from threading import Event
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +19,6 @@ from rclpy.time import Time
 from tests.support import constants, replaced
 from tests.support.bridge import balance, carries, happened, is_accepted, now, protocol_of, route
 from tests.support.domain import BEST_EFFORT, LATCHED, RELIABLE, Domain, text
-from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern, says
 
@@ -592,37 +589,6 @@ def test_a_bridge_that_stops_ends_a_motion(bridge: Bridge, robot: Domain, pc: Do
     drive(server, 0.1, rest_after=2.0)
     server.stop()
     eventually(lambda: speeds(near) == [0.1, 0.0])
-
-
-@pytest.mark.usefixtures("long_lease")
-def test_a_scrape_does_not_delay_the_end_of_a_motion(
-    bridge: Bridge, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    constants.EXPORTERS_ENDS_WITHIN.set(monkeypatch, 60.0)
-    asked, may_answer = Event(), Event()
-
-    def application(*_: object) -> list[bytes]:
-        asked.set()
-        may_answer.wait(60)
-        return []
-
-    replaced.METRICS_APPLICATION.set(monkeypatch, lambda *_: application)
-    near = pc.listener("/cmd", Twist)
-    pc.publisher("/cmd", Twist)
-    port = free_port()
-    server, client = bridge.server(metrics=f"127.0.0.1:{port}"), bridge.client(replace(DRIVEN, type=TWIST))
-    eventually(lambda: can_be_armed(server, client))
-    consoles.arm(server)
-    with socket.create_connection(("127.0.0.1", port)) as scraper, ThreadPoolExecutor(1) as threads:
-        scraper.sendall(b"GET / HTTP/1.0\r\n\r\n")
-        assert asked.wait(60)
-        drive(server, 0.1, rest_after=60.0)
-        stopping = threads.submit(server.stop)
-        try:
-            eventually(lambda: speeds(near) == [0.1, 0.0], within=30)
-        finally:
-            may_answer.set()
-        stopping.result(60)
 
 
 @pytest.mark.usefixtures("long_lease")

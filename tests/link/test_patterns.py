@@ -40,7 +40,7 @@ def test_what_the_client_publishes_is_bridged_as_it_comes(bridge: Bridge, robot:
     server, client = bridge.both(CAMERA, Topic("/*", "transmit", remote_topic="/robot1/*"))
     assert pattern(client, "/camera/**").state is State.WAITING
     out = robot.publisher("/camera/left/image")
-    for left_out in ("/camera/left/compressed", "/camera/debug/x", "/camera/_hidden/x", "/shutdown", "/diagnostics"):
+    for left_out in ("/camera/left/compressed", "/camera/debug/x", "/camera/_hidden/x", "/shutdown"):
         robot.publisher(left_out)
     robot.publisher("/scan")
     listener = pc.listener("/camera/left/image")

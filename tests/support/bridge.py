@@ -26,6 +26,7 @@ from rsb_bridge.route.outgoing import OutgoingRoute
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from enum import StrEnum
     from pathlib import Path
 
     from rclpy.publisher import Publisher
@@ -314,7 +315,7 @@ def balance(ledger: Ledger) -> int:
     return settled + ledger.unknown + ledger.in_flight
 
 
-def happened(engine: Engine, code: EventCode, about: str | Wording = "", **parameters: object) -> Event | None:
+def happened(engine: Engine, code: StrEnum, about: str | Wording = "", **parameters: object) -> Event | None:
     """The newest event of a kind; with `about`, the newest that has these words in it, or the text of a table."""
     for event in reversed(engine.events()):
         if event.code == code and has_text(event.text, about, **parameters):

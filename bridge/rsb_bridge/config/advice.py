@@ -14,7 +14,8 @@ from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import LISTS, NOUNS, locations
 from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server, uses
 from rsb_bridge.config.topic_rules import transport_of
-from rsb_bridge.config.validation import domain_of, host_and_port, is_loopback, zones
+from rsb_bridge.config.validation import domain_of, hosts, zone_of
+from rsb_bridge.feature import installed
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import Demands, demand_on_entry, local_name, sources_of
 from rsb_bridge.model.limits import (
@@ -72,8 +73,6 @@ class Advice(Wording):
     NO_INTERFACE = "this machine has no interface {zone}; it has {interfaces}"
     LOW_PORT = "ports below {limit} need root, or CAP_NET_BIND_SERVICE"
     NO_BLUETOOTH = "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)"
-    METRICS_NOT_INSTALLED = "not served, because prometheus-client is not installed: pip install 'rsb-console[metrics]'"
-    METRICS_OPEN = "no password protects them: everyone who reaches this address can read all names and figures"
     PORT_OF_DOMAIN = "{port} belongs to ROS domain {domain} ({ports}): its nodes may fail to discover each other"
     PORT_OF_DISCOVERY = "{port} is reserved for discovery in ROS domain {domain}: give another port"
     DOMAIN_COLLIDES = "domain {domain} can collide with other programs' ports; {range} cannot"
@@ -93,12 +92,15 @@ class Advice(Wording):
     DEPTH_OF_LATCHED = "depth {depth}: the receiving side keeps {limit} messages for late joiners"
 
 
-def advise(session: Session, domain_variable: str | None, middleware: str = "") -> Iterator[Problem]:
+def advise(
+    session: Session, domain_variable: str | None, middleware: str = "", file: Path | None = None
+) -> Iterator[Problem]:
     """Everything in a valid session that its operator should know before it runs.
 
     Args:
         domain_variable: what ``$ROS_DOMAIN_ID`` says.
         middleware: what ``$RMW_IMPLEMENTATION`` says.
+        file: as in `Feature.advice`.
     """
     if middleware not in ("", _MIDDLEWARE):
         yield Problem("domain_id", Advice.OTHER_MIDDLEWARE(middleware=middleware, tested=_MIDDLEWARE))
@@ -107,9 +109,12 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
     if not session.check_messages:
         yield Problem("check_messages", Advice.NO_CHECKS())
     yield from _domain(session, domain_variable)
-    yield from _zones(session)
+    for location, host in hosts(session):
+        if problem := interface_problem(host):
+            yield Problem(location, problem)
     yield from missing_transports(session)
-    yield from _metrics(session)
+    for feature in installed():
+        yield from (Problem(key, text) for key, text in feature.advice(session, file))
     yield from _topics(session.topics, "", session)
     yield from _denied(session.topics, "", rights_of_server(session), session)
     for at, client in enumerate(session.listed_clients):
@@ -127,27 +132,16 @@ def missing_transports(session: Session) -> Iterator[Problem]:
         yield Problem("zenoh", transports.HOW_TO_INSTALL_ZENOH)
 
 
-def _zones(session: Session) -> Iterator[Problem]:
-    """Yield the zones that are no interface here. That is no mistake: the file may be for another machine."""
-    interfaces = socket.if_nameindex()
-    known = {str(each) for interface in interfaces for each in interface}
-    names = ", ".join(name for _, name in interfaces)
-    for location, zone in zones(session):
-        if zone not in known:
-            yield Problem(location, Advice.NO_INTERFACE(zone=zone, interfaces=names))
+def interface_problem(host: str) -> str:
+    """Return that an address's zone is no interface here, which is no mistake: the file may be for another machine."""
+    zone, interfaces = zone_of(host), socket.if_nameindex()
+    if zone is None or zone in {str(each) for interface in interfaces for each in interface}:
+        return ""
+    return Advice.NO_INTERFACE(zone=zone, interfaces=", ".join(name for _, name in interfaces))
 
 
 def _binds_port(session: Session) -> bool:
     return session.role == "server" and transports.of_link(session.server_ip).ip_ports
-
-
-def _metrics(session: Session) -> Iterator[Problem]:
-    if session.metrics is None:
-        return
-    if importlib.util.find_spec("prometheus_client") is None:
-        yield Problem("metrics", Advice.METRICS_NOT_INSTALLED())
-    if not is_loopback(host_and_port(session.metrics)[0]):
-        yield Problem("metrics", Advice.METRICS_OPEN())
 
 
 def _domain(session: Session, variable: str | None) -> Iterator[Problem]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import FieldInfo, fields
 
-from rsb_bridge.feature import session_keys
+from rsb_bridge.feature import BRINGS, session_keys
 from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
 
@@ -126,7 +126,8 @@ def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
             own += [(key.name, key.type, key.default) for key in _FEATURE_KEYS.values()]
         else:
             own.append(_field(field.name, others.get(field.name, field.type), field))
-    return _struct(model.__name__, own, {})
+    absent = {key: ForeignKey.OF_FEATURE(feature=name) for key, name in BRINGS.items() if key not in _FEATURE_KEYS}
+    return _struct(model.__name__, own, absent if model is Session else {})
 
 
 _CLIENT = _holder(Client)
@@ -202,6 +203,17 @@ def as_session(written: msgspec.Struct) -> Session:
     clients = None if listed is None else tuple(Client(**_given(client)) for client in listed)
     features = {name: given.pop(name) for name in _FEATURE_KEYS}
     return Session(**given | {"clients": clients, "features": as_said(features)})
+
+
+def with_types(session: Session) -> Session:
+    """Return a session that came as plain data, with the values of features' keys in their types.
+
+    Raises:
+        msgspec.ValidationError: a value has another one.
+    """
+    known = ((_FEATURE_KEYS[name], value) for name, value in session.features.items() if name in _FEATURE_KEYS)
+    features = {key.name: msgspec.convert(value, key.type) for key, value in known}
+    return msgspec.structs.replace(session, features=features)
 
 
 def as_said(features: Mapping[str, Any]) -> dict[str, Any]:

@@ -29,8 +29,6 @@ class ChangeRefused(Wording):
 _OTHER_SESSION = ("name", "role")
 _FIXED = ("server_ip", "server_port", "bluetooth_address", "zenoh", "domain_id", "use_encryption", "profile")
 _FIXED_ON_CLIENT = (*_FIXED, "use_name")
-_COMMAND = "on_fault"
-"""A command line may hold more than an operator elsewhere should read, who sees the log."""
 
 
 def is_another(old: Session, new: Session) -> str:
@@ -97,8 +95,10 @@ def described(entry: Topic) -> str:
 
 
 def _change(name: str, old: Any, new: Any) -> str:
-    if name == _COMMAND:
-        return f"{name} {'none' if old is None else 'a command'} → {'none' if new is None else 'another command'}"
+    key = session_keys().get(name)
+    if key is not None and key.hidden_as:
+        was, becomes = (f"{word} {key.hidden_as}" for word in ("a", "another"))
+        return f"{name} {'none' if old is None else was} → {'none' if new is None else becomes}"
     return f"{name} {_value(old)} → {_value(new)}"
 
 

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 import ipaddress
-import os
 import re
-import shlex
-import shutil
-import stat
-from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -28,7 +22,6 @@ from rsb_bridge.config.file_form import (
     key_of,
     locations,
 )
-from rsb_bridge.config.files import is_there, kind_of_file, stat_of, typed_path
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.rights import benchmark_limit_problems, grant_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
@@ -49,7 +42,7 @@ from rsb_bridge.feature import installed
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.demands import local_name
-from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, PORT, TOPIC_PORT
+from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO
@@ -63,89 +56,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Client, Kind, ZenohSettings
 
-_LONGEST = 8192
-"""Characters of all words together: a round figure, far below what the kernel takes (execve(2): 128 KiB a word)."""
-_OF_A_SHELL = frozenset({"|", "||", "&", "&&", ";", ">", ">>", "<", "2>&1", "2>"})
-
-
-def command_words(command: str | Sequence[str]) -> tuple[str, ...]:
-    """Split a command into its program and arguments.
-
-    Args:
-        command: a list of words, or a text with quotation marks and backslashes as in a shell.
-
-    Raises:
-        ValueError: it has no program, an open quotation mark, a NUL character, or too many characters.
-    """
-    try:
-        words = tuple(shlex.split(command)) if isinstance(command, str) else tuple(command)
-    except ValueError as error:
-        raise ValueError(f"cannot be split into words ({str(error).lower()}): give a list of words instead") from None
-    if not words or not words[0]:
-        raise ValueError("has no program: give a command, or leave on_fault out")
-    if any("\0" in word for word in words):
-        raise ValueError("has a NUL character: remove it")
-    if sum(map(len, words)) > _LONGEST:
-        raise ValueError(f"is longer than {_LONGEST} characters: put it into a script")
-    return words
-
-
-def program_path(program: str, folder: Path) -> Path | None:
-    """Find the file of a program; return None if it does not exist.
-
-    Args:
-        program: a name to look for in ``$PATH``, or a path: relative to `folder`, absolute, or starting with ``~``.
-        folder: of the session file.
-
-    Raises:
-        OSError: it cannot be looked at: a folder on the way is closed to this user, or a name is too long.
-    """
-    if "/" in program:
-        path = folder / typed_path(program)
-        return Path(os.path.abspath(path)) if stat_of(path) else None  # noqa: PTH100 -- a link's name stays
-    found = shutil.which(program)
-    return None if found is None else Path(found).absolute()
-
-
-def program_problem(program: str, folder: Path) -> str:
-    """Return the reason why a program cannot be run, or an empty string."""
-    try:
-        path = program_path(program, folder)
-        if path is None:
-            if "/" in program:
-                return f"{program}: no such file (a path is relative to {folder.absolute()})"
-            is_here = is_there(folder / program)
-            return (ProgramProblem.NOT_IN_PATH_BUT_HERE if is_here else ProgramProblem.NOT_IN_PATH)(program=program)
-        mode = path.stat().st_mode
-    except OSError as error:
-        return f"{program} cannot be looked at: {error.strerror}"
-    if not stat.S_ISREG(mode):
-        return f"{path} is {kind_of_file(mode)}, not a program"
-    if not os.access(path, os.X_OK):
-        return f"{path} is not executable: chmod +x {path}"
-    return ""
-
-
-def fault_command_warnings(session: Session, file: Path) -> Iterator[str]:
-    """Name the faults of a valid session's command, on this machine and for this user.
-
-    Args:
-        session: its `on_fault` may be None.
-    """
-    if session.on_fault is None:
-        return
-    words = command_words(session.on_fault)
-    if problem := program_problem(words[0], file.parent):
-        yield f"on_fault: {problem}; until this is corrected, the bridge runs no command on a fault"
-    if marks := [word for word in words if word in _OF_A_SHELL or word.startswith("$")]:
-        yield f"on_fault: no shell runs it, so {marks[0]} is a plain argument: put the command into a script"
-    with suppress(OSError):  # named above
-        program = program_path(words[0], file.parent)
-        for path in filter(None, (file, program)):
-            status = stat_of(path)
-            if status is not None and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-                yield f"on_fault: other users can change {path}, which runs as this user: chmod go-w {path}"
-
 
 class SessionMistake(Wording):
     """A mistake in a session beyond its entries for topics."""
@@ -157,7 +67,6 @@ class SessionMistake(Wording):
     DOMAIN_INVALID = "{domain} is not a ROS domain: {range}"
     DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {value}, which is not a ROS domain: {range}"
     STALE_WARNINGS_NEGATIVE = "{count} is not a count: 0 or more"
-    METRICS_HOST_INVALID = "{host} is not an IPv4 or IPv6 address, or a host name"
     PROFILE_ON_BLUETOOTH = "{profile} is no Bluetooth link (server_ip is a MAC): give bluetooth, or leave profile out"
     ADDRESS_OF_CLIENT = "a client cannot connect to {address}: give the server's own address"
     ADDRESS_WITH_DASHES = "{address} is not an address{hint}"
@@ -184,7 +93,6 @@ class SessionMistake(Wording):
         "names, and reload"
     )
     NEXT_KEY_ALONE = "key_file is missing, which this key would replace: give key_file too"
-    DRIVER_TOPIC_TAKEN = "{name} is {use} already: give a name of its own, as /rsb/driver"
     NEXT_KEY_IS_CURRENT = "{name} is the key_file already: give the new key's file"
 
 
@@ -194,50 +102,6 @@ class ZenohMistake(Wording):
     MISSING = "missing: server_ip is zenoh; give the routers' endpoints, {{connect: [tls/hub:7447]}}"
     FLEET_INVALID = "{name} is not a fleet's name: letters, digits, _, . and -, a letter or digit first, at most 64"
     PROTOCOL_UNKNOWN = "{protocol} is not one of {protocols}{hint}"
-
-
-class ProgramProblem(Wording):
-    """The reason why a program cannot be run."""
-
-    NOT_IN_PATH = "no program {program} in PATH"
-    NOT_IN_PATH_BUT_HERE = "no program {program} in PATH: write ./{program}"
-
-
-class AddressProblem(Wording):
-    """A mistake in the address of an HTTP server."""
-
-    NOT_ADDRESS_AND_PORT = '{address!r} is not ADDRESS:PORT, as in 127.0.0.1:9464, or "[::1]:9464" in quotes'
-    NO_ADDRESS = (
-        "{address!r} names no address: give 127.0.0.1:{port} for programs of this machine, 0.0.0.0:{port} for every "
-        "network"
-    )
-    NO_BRACKETS = '{address!r}: put an IPv6 address in brackets, as in 127.0.0.1:9464, or "[::1]:9464" in quotes'
-    INVALID_PORT = "{port!r} is not a port: {range}"
-
-
-def host_and_port(text: str) -> tuple[str, int]:
-    """Split an address into host and port. An IPv6 address is in brackets.
-
-    Raises:
-        ValueError: it is no address. The message shows the right form.
-    """
-    host, colon, port = text.rpartition(":")
-    if not colon:
-        raise ValueError(AddressProblem.NOT_ADDRESS_AND_PORT(address=text))
-    if not host:
-        raise ValueError(AddressProblem.NO_ADDRESS(address=text, port=port))
-    bracketed = host.startswith("[") and host.endswith("]")
-    if ":" in host and not bracketed:
-        raise ValueError(AddressProblem.NO_BRACKETS(address=text))
-    # isdecimal() takes digits of any script, and int() refuses thousands of them by an error of its own.
-    if not (port.isascii() and port.isdecimal() and len(port) <= 5 and int(port) in PORT):
-        raise ValueError(AddressProblem.INVALID_PORT(port=port, range=PORT))
-    return (host[1:-1] if bracketed else host), int(port)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only programs of this machine reach it."""
-    return host in ("localhost", "::1") or host.startswith("127.")
 
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
@@ -367,62 +231,12 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from _profiles(session)
     if session.shutdown_topic is not None:
         yield from name_problems(session.shutdown_topic, "shutdown_topic")
-    if session.diagnostics_topic is not None:
-        yield from name_problems(session.diagnostics_topic, "diagnostics_topic")
-    if session.driver_topic is not None:
-        yield from name_problems(session.driver_topic, "driver_topic")
-        yield from _taken(session, session.driver_topic)
-    if session.metrics is not None:
-        yield from _metrics(session.metrics)
-    if session.on_fault is not None:
-        yield from _on_fault(session.on_fault)
     client = session.name if session.role == "client" and session.use_name else None
     yield from _topics(session.topics, "", session, client)
     yield from armed_problems(session.armed)
     yield from _clients(session)
     for feature in installed():
         yield from (Problem(key, text) for key, text in feature.problems(session))
-
-
-def _taken(session: Session, name: str) -> Iterator[Problem]:
-    """Whether something else has the driver topic's name: nodes would take its messages for commands, or not at all."""
-    on_server, use_name = session.role == "server", session.role == "server" and session.use_name
-    lists = [(session.name, session.topics), *((client.name, client.topics) for client in session.listed_clients)]
-    bridged = {
-        local_name(topic, client, on_server=on_server, use_name=use_name)
-        for client, topics in lists
-        for topic in topics
-        if topic.kind == "topic"
-    }
-    armed = {each if isinstance(each, str) else each.name for each in session.armed}
-    uses = (
-        ("the shutdown_topic", {session.shutdown_topic}),
-        ("the diagnostics_topic", {session.diagnostics_topic}),
-        ("bridged", bridged),
-        ("to be armed", armed),
-    )
-    use = next((use for use, names in uses if name in names), None)
-    if use is not None:
-        yield Problem("driver_topic", SessionMistake.DRIVER_TOPIC_TAKEN(name=name, use=use))
-
-
-def _metrics(address: str) -> Iterator[Problem]:
-    try:
-        host, _ = host_and_port(address)
-    except ValueError as error:
-        yield Problem("metrics", str(error))
-        return
-    if not (_is_ip(host) or _is_host(host)):
-        yield Problem("metrics", SessionMistake.METRICS_HOST_INVALID(host=show(host)))
-    elif lacks_zone(host):
-        yield Problem("metrics", SessionMistake.ZONE_MISSING(address=host))
-
-
-def _on_fault(command: str | tuple[str, ...]) -> Iterator[Problem]:
-    try:
-        command_words(command)
-    except ValueError as error:
-        yield Problem("on_fault", str(error))
 
 
 def _profiles(session: Session) -> Iterator[Problem]:
@@ -457,7 +271,7 @@ def _address(session: Session) -> Iterator[Problem]:
     elif is_mac(address.replace("-", ":")) and "-" in address:
         hint = Hint.DID_YOU_MEAN(name=address.replace("-", ":"))
         yield Problem("server_ip", SessionMistake.ADDRESS_WITH_DASHES(address=repr(address), hint=hint))
-    elif transports.of_link(address) is TcpTraits and not (_is_ip(address) or _is_host(address)):
+    elif transports.of_link(address) is TcpTraits and not (is_ip(address) or is_host(address)):
         yield Problem("server_ip", SessionMistake.ADDRESS_INVALID(address=show(address)))
     elif lacks_zone(address):
         yield Problem("server_ip", SessionMistake.ZONE_MISSING(address=address))
@@ -470,7 +284,8 @@ def _address(session: Session) -> Iterator[Problem]:
         yield Problem("bluetooth_address", SessionMistake.ADAPTER_INVALID(address=show(session.bluetooth_address)))
 
 
-def _is_ip(address: str) -> bool:
+def is_ip(address: str) -> bool:
+    """Whether it is an IPv4 or IPv6 address."""
     try:
         ipaddress.ip_address(address)
     except ValueError:
@@ -480,27 +295,31 @@ def _is_ip(address: str) -> bool:
 
 def lacks_zone(address: str) -> bool:
     """Whether it is a link-local address of IPv6 that does not name the interface, without which nothing reaches it."""
-    ip = ipaddress.ip_address(address) if _is_ip(address) else None
+    ip = ipaddress.ip_address(address) if is_ip(address) else None
     return isinstance(ip, ipaddress.IPv6Address) and ip.is_link_local and ip.scope_id is None
 
 
-def zones(session: Session) -> Iterator[tuple[str, str]]:
-    """Yield the interfaces that addresses of a valid session name, each with its location."""
-    named = [("server_ip", session.server_ip)]
-    if session.metrics is not None:
-        named.append(("metrics", host_and_port(session.metrics)[0]))
+def zone_of(address: str) -> str | None:
+    """Return the interface that an address names, or None."""
+    ip = ipaddress.ip_address(address) if is_ip(address) else None
+    return ip.scope_id if isinstance(ip, ipaddress.IPv6Address) else None
+
+
+def hosts(session: Session) -> Iterator[tuple[str, str]]:
+    """Yield the addresses of a valid session that may name an interface, each with its location."""
+    yield "server_ip", session.server_ip
     if session.zenoh is not None:
         for key, endpoints in (("connect", session.zenoh.connect), ("listen", session.zenoh.listen)):
-            found = map(_ZENOH_ENDPOINT.fullmatch, endpoints)
-            named += [(join(join("zenoh", key), at), each["host"].strip("[]")) for at, each in enumerate(found) if each]
-    for location, host in named:
-        ip = ipaddress.ip_address(host) if _is_ip(host) else None
-        if isinstance(ip, ipaddress.IPv6Address) and ip.scope_id is not None:
-            yield location, ip.scope_id
+            for at, match in enumerate(map(_ZENOH_ENDPOINT.fullmatch, endpoints)):
+                if match is not None:
+                    yield join(join("zenoh", key), at), match["host"].strip("[]")
 
 
-def _is_host(address: str) -> bool:
-    """RFC 1123 section 2.1, with the underscores that container networks use. All digits and dots is a broken IPv4."""
+def is_host(address: str) -> bool:
+    """Whether it is a host name: RFC 1123 section 2.1, with the underscores that container networks use.
+
+    All digits and dots is a broken IPv4.
+    """
     labels = address.removesuffix(".").split(".")
     return len(address) <= 253 and all(_HOST_LABEL.fullmatch(label) for label in labels) and not labels[-1].isdecimal()
 

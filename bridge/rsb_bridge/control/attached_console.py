@@ -13,6 +13,7 @@ from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
+from rsb_bridge.feature import session_keys
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.commands import (
@@ -406,9 +407,11 @@ class AttachedConsole:
         async with self._sending:
             engine, encoded = self._engine, self._served.encoded
             snapshot, session = engine.snapshot(), engine.session
-            if session.on_fault is not None and not self._connection.of_this_machine:
-                # The command line may contain secrets, and is of no use to an operator elsewhere.
-                session = msgspec.structs.replace(session, on_fault=None)
+            hidden = {name for name, key in session_keys().items() if key.hidden_as}
+            if not self._connection.of_this_machine and not hidden.isdisjoint(session.features):
+                # A command line may contain secrets, and is of no use to an operator elsewhere.
+                shown = {name: value for name, value in session.features.items() if name not in hidden}
+                session = msgspec.structs.replace(session, features=shown)
             for state in self._sender.differences(
                 snapshot, session, waits_for_operator=engine.waits_for_operator, encoded=encoded
             ):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import msgspec
 
+from rsb_bridge.config.file_form import with_types
 from rsb_bridge.control.protocol import (
     ROUTES_IN_STATE,
     CommandFailed,
@@ -164,7 +165,10 @@ class StateReceiver:
             self._keys = state.keys
             self._routes = {key: self._routes[key] for key in state.keys if key in self._routes}
         if state.session is not None:
-            self.session = state.session
+            try:
+                self.session = with_types(state.session)
+            except msgspec.ValidationError as error:
+                raise ControlProtocolError(str(error)) from None
         try:
             routes = tuple([self._routes[key] for key in self._keys])
         except KeyError as error:

@@ -21,7 +21,6 @@ from rsb_bridge.cdr.known_types import STRING, STRING_HASH, string_bytes
 from rsb_bridge.config.keys import shared_key_problem
 from rsb_bridge.config.session_changes import changes, client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.validation import validate
-from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
@@ -71,8 +70,7 @@ _ERROR_LOGGED_EVERY = 10.0
 """s until the same internal error is logged again. A round figure: an error on the path of messages would otherwise
 write a traceback for each of them."""
 _TICK, _LONGEST_PAUSE = 1.0, 10.0
-"""s between two ticks, in which links, routes and exporters count; s at most until regular work that has failed starts
-again."""
+"""s between two ticks, in which links and routes count; s at most until regular work that has failed starts again."""
 _LISTENS_EVERY = 10
 """Ticks between two looks whether DDS hears all nodes here. It has this time to follow senders to a new port. Ticks, as
 a process that was stopped has had no time. A look costs 3 ms on a busy machine. A round figure."""
@@ -87,9 +85,10 @@ class Bridge:
 
     Args:
         snapshots: kept up to date for consoles.
-        folder: gives the folder of the session file.
 
     Attributes:
+        folder: gives the folder of the session file.
+        newest_snapshot: returns it; may be called on any thread.
         graph_watch: reacts to changes of the ROS graph.
         handlers: execute commands, by the command's type. The engine adds handlers for commands that read files.
         log: of operators' commands.
@@ -100,6 +99,8 @@ class Bridge:
         self, context: Context, keys: Keys, snapshots: SnapshotPublisher, folder: Callable[[], Path] = Path
     ) -> None:
         self.context = context
+        self.folder = folder
+        self.newest_snapshot = snapshots.newest
         self._snapshots = snapshots
         is_server = context.session.role == "server"
         self._role: BridgeRole = ServerRole(context, keys) if is_server else ClientRole(context, keys)
@@ -130,7 +131,6 @@ class Bridge:
         """Held by the command that changes the session, so that the next one sees all of its effect."""
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
-        self._exporters = Exporters(context, snapshots.newest, folder)
         self._parts: list[EnginePart] = [part for feature in installed() for part in feature.parts(self)]
         for part in self._parts:
             self.handlers |= part.handlers
@@ -157,7 +157,6 @@ class Bridge:
         try:
             self.context.announcements.start(self._bridges_changed)
             self._shutdown_watch = self._watch_shutdown()
-            self._exporters.open()
             for part in self._parts:
                 part.open()
             await self._role.start()
@@ -204,7 +203,6 @@ class Bridge:
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
             self._viewing.tick()
             self._publishing.tick()
-            self._exporters.publish(self._snapshots.latest)
             for part in self._parts:
                 part.tick(self._snapshots.latest)
             if number % _LISTENS_EVERY == 0:
@@ -220,7 +218,6 @@ class Bridge:
     async def _close(self) -> None:
         if self._shutdown_watch is not None:
             self._shutdown_watch.close()
-        self._exporters.close()
         self._viewing.close()
         # Before the links end: the message that ends a motion has to cross them.
         await self._publishing.close()
@@ -234,7 +231,6 @@ class Bridge:
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)
         # Last: the loop stands still meanwhile, and while all this took its time, a scrape or a command could end.
-        self._exporters.join()
         for part in self._parts:
             part.join()
 
@@ -451,7 +447,6 @@ class Bridge:
             (("group", "ports", "shared_keys"), lambda: None),  # which are read in the session when they are needed
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
-            *self._exporters.by_key,
             *(live for part in self._parts for live in part.by_key),
         )
         steps = [

@@ -137,7 +137,6 @@ class Denied(Wording):
         "list further ones in the session file of {client}"
     )
     TOO_MANY_CALLS = "{limit} manual calls are already running: wait until one of them ends"
-    DRIVER_TOPIC = "{topic} is this side's driver_topic, which only the bridge publishes: choose another name"
     SHUTDOWN_TOPIC = "{topic} is this side's shutdown topic: only its own domain may publish on it"
     NO_ANSWER = "the other side did not answer"
     TYPE_NOT_HERE = "{type_name} is not installed here, and the other side can't be asked: the topic is not open"

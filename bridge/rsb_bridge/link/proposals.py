@@ -10,6 +10,7 @@ from rsb_bridge import __version__
 from rsb_bridge.config.rights import Use, uses
 from rsb_bridge.config.session_changes import values_apart
 from rsb_bridge.config.topic_rules import entry_problems, internal_problems, overlap, problems_here
+from rsb_bridge.feature import installed
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.calls import LANES
@@ -255,7 +256,7 @@ def check_use(use: Use, link: BaseLink, session: Session) -> None:
         raise LinkError(str(refusal))
     if use.may == "publish" and use.topic == session.shutdown_topic:
         raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
-    check_driver_topic(use, session)
+    check_features(use, session)
 
 
 def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, session: Session) -> Propose:
@@ -283,14 +284,15 @@ def _refusal(proposal: Propose, rights: Rights, *, is_client: bool) -> DeniedUse
     return rights.purpose_refusal(purpose, sends=proposal.from_client != is_client)
 
 
-def check_driver_topic(use: Use, session: Session) -> None:
-    """Check that a topic is not the bridge's own: nodes would take its messages for commands, or not at all.
+def check_features(use: Use, session: Session) -> None:
+    """Check that no feature keeps a topic for itself.
 
     Raises:
-        LinkError: it is.
+        LinkError: one does.
     """
-    if use.kind == "topic" and use.topic == session.driver_topic:
-        raise LinkError(Denied.DRIVER_TOPIC(topic=use.topic))
+    for feature in installed():
+        if use.kind == "topic" and (refusal := feature.refusal(session, use.topic)):
+            raise LinkError(refusal)
 
 
 def use_of(proposal: Propose, *, is_client: bool) -> Use:

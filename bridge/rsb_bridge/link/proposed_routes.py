@@ -12,7 +12,7 @@ from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.link.proposals import (
     ARMING_KEYS,
-    check_driver_topic,
+    check_features,
     check_use,
     check_wanted,
     edited_entry,
@@ -156,7 +156,7 @@ class ProposedTopics(Extension):
             raise LinkError(str(problem))
         transport = transports[transport_of(topic, self._context.session).name]
         proposal = proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._link.profile)
-        check_driver_topic(use_of(proposal, is_client=self._link.is_client), self._context.session)
+        check_features(use_of(proposal, is_client=self._link.is_client), self._context.session)
         return proposal
 
     # --- entries of the other side's session

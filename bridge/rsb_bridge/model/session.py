@@ -11,6 +11,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 
+from rsb_bridge.feature import session_keys
 from rsb_bridge.model.benchmark import BenchmarkLimits
 from rsb_bridge.model.by_hand import VelocityLimits, end_text
 from rsb_bridge.model.patterns import is_pattern
@@ -318,11 +319,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         stale_warnings: how many times to warn of it (thesis: 5).
         check_messages: whether what peers send is checked against its type before ROS gets it.
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; or None.
-        diagnostics_topic: the topic of the state of links and routes, as ``diagnostic_msgs/DiagnosticArray``; or None.
-        driver_topic: the topic of who holds which armed topic, as ``std_msgs/String`` with a JSON list; or None.
-        metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; or None.
-        on_fault: the command to run when a fault begins, changes or is over, or None. It is a list of words, or a text
-            that `rsb_bridge.config.validation` splits into words as a shell would.
+        features: values of the features' keys, by name, without those that are as by default (`feature.SessionKey.of`).
         armed: names and patterns on this side that require arming, with or without an entry.
         clients: the clients of a server; empty if it has none yet, or None for one with the session's own name and key.
         ports: TCP and UDP ports that clients' topics may have on the server, or None for any 16 for each client.
@@ -337,7 +334,6 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
             None.
         operators: the operators who may attach over a network.
         group: the fleet's group of its robot, or None.
-        features: values of the features' keys, by name, without those that are as by default (`feature.SessionKey.of`).
     """
 
     name: str
@@ -355,10 +351,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     stale_warnings: int = 5
     check_messages: bool = True
     shutdown_topic: str | None = "/shutdown"
-    diagnostics_topic: str | None = "/diagnostics"
-    driver_topic: str | None = None
-    metrics: str | None = None
-    on_fault: str | tuple[str, ...] | None = None
+    features: dict[str, Any] = {}  # msgspec gives each session its own
     topics: tuple[Topic, ...] = ()
     armed: tuple[str | ArmedName, ...] = ()
     clients: tuple[Client, ...] | None = None
@@ -371,12 +364,11 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     zenoh: ZenohSettings | None = None
     operators: tuple[Operator, ...] = ()
     group: str | None = None
-    features: dict[str, Any] = {}  # msgspec gives each session its own
 
     @property
     def own_topics(self) -> tuple[str | None, ...]:
         """The topics of the bridge itself, or None for one that the session does without; patterns leave them out."""
-        return self.shutdown_topic, self.diagnostics_topic, self.driver_topic
+        return self.shutdown_topic, *(key.of(self) for key in session_keys().values() if key.own_topic)
 
     @property
     def is_bluetooth(self) -> bool:

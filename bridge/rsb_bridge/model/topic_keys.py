@@ -30,7 +30,7 @@ CALL_TIME = Range(0.1, 86_400)
 
 
 class ForeignKey(Wording):
-    """A key that entries of another kind have, and this one does not."""
+    """A key that entries of another kind or other installations have, and this one does not."""
 
     KIND_OF_TOPIC = "not a key: services, actions and parameters have lists of their own"
     KIND_OF_CALLED = "not a key: the list defines the kind; leave it out"
@@ -50,6 +50,7 @@ class ForeignKey(Wording):
     OTHER_REMOTE = "write {key}"
     TYPE_OF_PARAMETERS = "parameters have types of ROS's own: leave it out"
     OTHER = "not a key of this kind: leave it out"
+    OF_FEATURE = "this installation has no {feature}: install all of rsb-console, or leave the key out"
 
 
 class RangeText(Wording):

@@ -1,1 +1,1 @@
-"""Meters, watches, event log, snapshots and metrics of the engine."""
+"""Meters, watches, event log and snapshots of the engine."""

@@ -13,7 +13,9 @@ import msgspec
 
 from rsb_bridge.cdr.known_types import BATTERY_STATE, STRING
 from rsb_bridge.config import session_file
+from rsb_bridge.config.file_form import as_said
 from rsb_bridge.config.keys import write_key
+from rsb_bridge.feature import session_keys
 from rsb_bridge.model.session import Client, Operator, Session, Topic, ZenohSettings
 from rsb_bridge.model.transports import ZENOH_HOST
 from rsb_bridge.ros.stand_in import Talk
@@ -182,7 +184,7 @@ def fleet(
                 domain_id=0,
                 key_file=f"{name}.key",
                 shutdown_topic=None,
-                diagnostics_topic=None,
+                features=as_said({name: None for name, key in session_keys().items() if key.own_topic}),
                 topics=topics,
                 group=group_of.get(name),
                 **common,

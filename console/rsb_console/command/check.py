@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import time
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -27,8 +26,9 @@ from rsb_bridge.config.keys import (
 from rsb_bridge.config.rights import listings, operator_key_problem
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.topic_rules import transport_of
-from rsb_bridge.config.validation import command_words, domain_of, fault_command_warnings
+from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.feature import installed
 from rsb_bridge.model.by_hand import END_CANCEL
 from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
 from rsb_bridge.model.session import Grant
@@ -92,8 +92,8 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
     if session.profile is not None:
         yield f"profile {session.profile}: {profile_text(PROFILES[session.profile])}"
-    if session.on_fault is not None:
-        yield f"on a fault, {shlex.join(command_words(session.on_fault))} is run"
+    for feature in installed():
+        yield from feature.effects(session)
     for topic in session.topics:
         demanded = _demands_on(topic, session, None, demands, places or {})
         yield f"  {_route(topic, session, profile_of(session.profile))}{demanded}"
@@ -288,7 +288,7 @@ def check_session(arguments: Namespace) -> int:
     # Each key is read once, so that lines and exit code agree even if a file changes meanwhile.
     keys = dict(session_keys(session, path.parent))
     effects = [*summary(session, demand_places(path)), *rights(session), *hints(session), *_key_lines(session, keys)]
-    warnings = [*_warnings(session, keys), *fault_command_warnings(session, path)]
+    warnings = [*_warnings(session, keys, path)]
     problem = _shared_keys(session, keys)
     problem = problem and f"the bridge does not start: {problem}"
     missing = any(isinstance(key, KeyFileError) for key in keys.values())
@@ -312,7 +312,7 @@ def print_mistakes(error: SessionError) -> int:
     return USAGE
 
 
-def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
+def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError], file: Path) -> Iterator[str]:
     """Yield the warnings that running the session would give."""
     yield from (SessionCheckText.KEY_MISSING(problem=key) for key in keys.values() if isinstance(key, KeyFileError))
     valid = {
@@ -323,7 +323,8 @@ def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Itera
         f"operator {each.name}": (key,) for each in session.operators if isinstance(key := keys.get(each.key_file), Key)
     }
     yield from key_warnings(valid | operators, time.time())
-    yield from map(str, advise(session, os.environ.get("ROS_DOMAIN_ID"), os.environ.get("RMW_IMPLEMENTATION", "")))
+    variables = os.environ.get("ROS_DOMAIN_ID"), os.environ.get("RMW_IMPLEMENTATION", "")
+    yield from map(str, advise(session, *variables, file))
     yield from map(str, uninstalled_types(session))
 
 

@@ -28,6 +28,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.config.files import why_not_written
+from rsb_bridge.feature import installed
 from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
@@ -60,7 +61,7 @@ _Chain: TypeAlias = tuple[str, str, str]
 """Family, table and name."""
 _NAMED = 5
 """Users in one finding."""
-_EXTRAS = {"zenoh": "zenoh", "metrics": "prometheus_client"}
+_EXTRAS = {"zenoh": "zenoh"}
 
 
 class MachineText(Wording):
@@ -144,7 +145,8 @@ def _program() -> Iterator[Finding]:
 
 
 def _extras() -> Iterator[Finding]:
-    found = {name: importlib.util.find_spec(module) is not None for name, module in _EXTRAS.items()}
+    wanted = {**_EXTRAS, **{extra: module for feature in installed() for extra, module in feature.libraries.items()}}
+    found = {name: importlib.util.find_spec(module) is not None for name, module in wanted.items()}
     missing = [name for name, is_there in found.items() if not is_there]
     if missing:
         text, remedy = f"{' and '.join(missing)} not installed", MachineText.EXTRAS_REMEDY(missing=",".join(missing))

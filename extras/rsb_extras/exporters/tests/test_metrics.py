@@ -25,12 +25,12 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, Level, Snapshot, State
 from rsb_bridge.telemetry.event_log import KEPT, EventLog
-from rsb_bridge.telemetry.metrics import DROPPED, FAMILIES, OTHER, SnapshotCollector
+from rsb_extras.exporters.metrics import DROPPED, FAMILIES, OTHER, SnapshotCollector
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
 
-_ROOT = Path(__file__).parents[2]
+_ROOT = Path(__file__).parents[4]
 CALLS = route(
     "/dock",
     outgoing=True,
@@ -109,7 +109,7 @@ def test_prometheus_s_own_linter_has_nothing_to_say(scraped: Scraped) -> None:
 
 
 def test_the_document_says_their_labels() -> None:
-    document = (_ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
+    document = (_ROOT / "extras/rsb_extras/exporters/docs/metrics.md").read_text(encoding="utf-8")
     short = {"topic": ["link", "topic", "direction"], "route": ["link", "topic", "direction", "kind"]}
     labels: dict[str, list[str]] = {}
     for row in re.findall(r"^\| (`rsb_.+?) \|(.*?)\|", document, re.MULTILINE):

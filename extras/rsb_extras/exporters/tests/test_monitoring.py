@@ -14,9 +14,9 @@ import yaml
 from tests.support.captured import captured
 
 from rsb_bridge.model.snapshot import Level, State
-from rsb_bridge.telemetry.metrics import DROPPED, FAMILIES
+from rsb_extras.exporters.metrics import DROPPED, FAMILIES
 
-_CONFIGS = Path(__file__).parents[2] / "configs"
+_CONFIGS = Path(__file__).parents[4] / "configs"
 _RULES = _CONFIGS / "prometheus-alerts.yml"
 _OF_PROMETHEUS = {"instance", "job"}
 _OF_PROCESSES = {"process_cpu_seconds_total", "process_resident_memory_bytes", "up"}

@@ -1,15 +1,12 @@
-"""Shows an engine on topics of its domain and to Prometheus, and reports its faults to the session's command."""
+"""Shows an engine on topics of its domain: its state as diagnostics, and who drives."""
 
 from __future__ import annotations
 
 import json
-import threading
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.validation import host_and_port
-from rsb_bridge.engine.fault_hook import FaultHook
+from rsb_bridge.engine.part import EnginePart
 from rsb_bridge.model.calls import FieldError
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.figure_table import Of, Unit, figures
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level
@@ -17,12 +14,14 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
+from rsb_extras.exporters import DIAGNOSTICS_TOPIC, DRIVER_TOPIC
+from rsb_extras.exporters.exporter_codes import ExporterCode
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
 
     from rsb_bridge.context import Context
+    from rsb_bridge.feature import SessionKey
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.figure_table import Figure
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
@@ -100,16 +99,12 @@ _DRIVER_TYPE = "std_msgs/msg/String"
 _NAMED = 3
 """Types in one text."""
 _LATCHED = Qos(durability="transient_local", depth=1)
-_RETRIED_EVERY = 10.0
-"""s until an address that is taken is tried again. A round figure: an operator who has freed it waits so long."""
-_ENDS_WITHIN = 1.0
-"""s that the end of a bridge waits for a scrape, as for the fault hook: headless, the I/O thread has 2.5 s to end in
-all."""
 
 
 class DriverTopicText(Wording):
-    """Reasons why nothing is published on the `driver_topic`."""
+    """Reasons why nothing is published on the `driver_topic`, and why it is not bridged."""
 
+    REFUSED = "{topic} is this side's driver_topic, which only the bridge publishes: choose another name"
     OTHER_TYPE = "nodes have it as {types}: give driver_topic a name of its own"
     BRIDGED = "it is bridged with {link}: give driver_topic a name of its own"
 
@@ -121,7 +116,7 @@ class _SessionTopic:
         key: of the session.
     """
 
-    def __init__(self, context: Context, key: str, type_name: str, qos: Qos) -> None:
+    def __init__(self, context: Context, key: SessionKey[str | None], type_name: str, qos: Qos) -> None:
         self._context = context
         self._key, self._type, self._qos = key, type_name, qos
         self._publisher: Publisher | None = None
@@ -129,8 +124,7 @@ class _SessionTopic:
     @property
     def name(self) -> str | None:
         """The topic that the session names now, or None."""
-        topic: str | None = getattr(self._context.session, self._key)
-        return topic
+        return self._key.of(self._context.session)
 
     def open(self) -> None:
         """Publish from now on, on the topic that the session names now. What does not work ends nothing else."""
@@ -175,7 +169,7 @@ class _SessionTopic:
             self.failed(str(error))
 
     def failed(self, why: str, level: Level = Level.WARNING) -> None:
-        self._context.log(level, EventCode.ENGINE_DIAGNOSTICS, f"nothing is published on {self.name}: {why}")
+        self._context.log(level, ExporterCode.DIAGNOSTICS, f"nothing is published on {self.name}: {why}")
         self.close()
 
     def close(self) -> None:
@@ -186,18 +180,37 @@ class _SessionTopic:
             self._publisher = None
 
 
-class DriverExporter:
+class DiagnosticsExporter(EnginePart):
+    """Publishes the state of links and routes on the session's `diagnostics_topic`, while somebody listens."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__()
+        self._topic = _SessionTopic(context, DIAGNOSTICS_TOPIC, _TYPE, _QOS)
+        self.by_key = (((DIAGNOSTICS_TOPIC.name,), self.open),)
+
+    def open(self) -> None:
+        self._topic.open()
+
+    def tick(self, snapshot: Snapshot) -> None:
+        if self._topic.is_heard(snapshot):
+            self._topic.publish(diagnostics(snapshot))
+
+    async def close(self) -> None:
+        self._topic.close()
+
+
+class DriverExporter(EnginePart):
     """Publishes who holds which topic, on the session's `driver_topic`: latched, and when it changes."""
 
     def __init__(self, context: Context, look: Callable[[], Snapshot]) -> None:
+        super().__init__()
         self._context = context
         self._look = look
-        self._topic = _SessionTopic(context, "driver_topic", _DRIVER_TYPE, _LATCHED)
+        self._topic = _SessionTopic(context, DRIVER_TOPIC, _DRIVER_TYPE, _LATCHED)
         self._published = self._clash = ""
-        self.close = self._topic.close
+        self.by_key = (((DRIVER_TOPIC.name,), self.open),)
 
     def open(self) -> None:
-        """Publish from now on, on the topic that the session names now."""
         # The new name may clash for the same reason, which is logged again then.
         self._clash = ""
         if self._clashes(self._look()):
@@ -210,8 +223,7 @@ class DriverExporter:
         self._published = ""
         self._topic.open()
 
-    def publish(self, snapshot: Snapshot) -> None:
-        """Publish if it is something new; to be called once a second."""
+    def tick(self, snapshot: Snapshot) -> None:
         before = self._clash
         if self._clashes(snapshot):
             return
@@ -221,6 +233,9 @@ class DriverExporter:
         if self._topic.is_open and (text := holders(snapshot)) != self._published:
             self._published = text
             self._topic.publish({"data": text})
+
+    async def close(self) -> None:
+        self._topic.close()
 
     def _clashes(self, snapshot: Snapshot) -> bool:
         """Whether the topic is not this bridge's alone. Then nothing is published, and one warning is logged."""
@@ -254,142 +269,3 @@ def holders(snapshot: Snapshot) -> str:
         [{"topic": route.topic, "link": route.link, "holder": each.by, "here": each.here} for route, each in armed],
         ensure_ascii=False,
     )
-
-
-class MetricsExporter:
-    """Serves the session's `metrics` over HTTP, on threads of their own; the I/O thread, its owner, awaits no scrape.
-
-    Args:
-        look: gives the newest snapshot, on any thread.
-    """
-
-    def __init__(self, context: Context, look: Callable[[], Snapshot]) -> None:
-        self._context = context
-        self._look = look
-        self._service: _Service | None = None
-
-    def open(self) -> None:
-        """Serve from now on, at the address that the session names now."""
-        before, self._service = self._service, None
-        if before is not None:
-            before.end()
-        if self._context.session.metrics is not None:
-            self._service = _Service(self._context, self._look, before)
-            self._service.thread.start()
-
-    def close(self) -> None:
-        """Stop serving, without waiting for a scrape. May be called twice."""
-        if self._service is not None:
-            self._service.end()
-
-    def join(self) -> None:
-        """Wait for the thread that `close` ended, a second at most."""
-        service, self._service = self._service, None
-        if service is not None:
-            service.thread.join(_ENDS_WITHIN)
-
-
-class _Service:
-    """Serves at one address until `end`. An address that is taken is tried again, and ends nothing else."""
-
-    def __init__(self, context: Context, look: Callable[[], Snapshot], before: _Service | None) -> None:
-        self._context = context
-        self._look = look
-        self._before = before
-        self._address = context.session.metrics or ""
-        self._ends = threading.Event()
-        self._stop: Callable[[], None] = self._ends.set
-        self.thread = threading.Thread(target=self._run, name="rsb-metrics", daemon=True)
-
-    def end(self) -> None:
-        """Have the thread end soon."""
-        self._ends.set()
-        self._stop()
-
-    def _run(self) -> None:
-        if self._before is not None:
-            self._before.thread.join()  # it may have this port
-            self._before = None  # else each service keeps the one before it
-        try:
-            # Here, since they take a while to load, and only bridges with this key need them.
-            from rsb_bridge.telemetry.metrics import MetricsServer, application  # noqa: PLC0415
-        except ModuleNotFoundError as error:
-            # Any other missing module is a broken installation, which the extra would not mend.
-            if error.name != "prometheus_client":
-                raise
-            remedy = "it needs prometheus-client: pip install 'rsb-console[metrics]', and restart the bridge"
-            self._tell(Level.WARNING, f"no metrics are served: {remedy}")
-            return
-        app = application(self._look, self._context.events)
-        host, port = host_and_port(self._address)
-        told = ""
-        while not self._ends.is_set():
-            try:
-                server = MetricsServer(host, port, app, self._context.clock.steady, self._failed)
-            except OSError as error:
-                if told != (told := error.strerror or str(error)):
-                    remedy = f"trying again every {_RETRIED_EVERY:.0f} s; or name another address"
-                    self._tell(Level.ERROR, f"no metrics are served: {told}; {remedy}; the bridge goes on")
-                self._ends.wait(_RETRIED_EVERY)
-                continue
-            told = ""
-            self._tell(Level.INFO, "metrics are served")
-            # Before `_ends` is asked: an `end` in between would wake nobody.
-            self._stop = server.wake
-            with server:
-                while not self._ends.is_set():
-                    server.turn()
-
-    def _failed(self, error: Exception) -> None:
-        self._tell(Level.ERROR, f"internal error, please report it: {error}")
-
-    def _tell(self, level: Level, text: str) -> None:
-        self._context.events.add(level, EventCode.ENGINE_METRICS, f"metrics {self._address}: {text}")
-
-
-class Exporters:
-    """All exporters of one engine, and its fault hook. They belong to the I/O thread; a failing one ends nothing else.
-
-    Args:
-        look: gives the newest snapshot, on any thread.
-        folder: gives the folder of the session file.
-
-    Attributes:
-        by_key: exporters to restart when their key of the session changes.
-    """
-
-    def __init__(self, context: Context, look: Callable[[], Snapshot], folder: Callable[[], Path]) -> None:
-        self._diagnostics = _SessionTopic(context, "diagnostics_topic", _TYPE, _QOS)
-        self._driver = DriverExporter(context, look)
-        self._metrics = MetricsExporter(context, look)
-        self._fault_hook = FaultHook(context, folder)
-        self.by_key: tuple[tuple[tuple[str], Callable[[], None]], ...] = (
-            (("diagnostics_topic",), self._diagnostics.open),
-            (("driver_topic",), self._driver.open),
-            (("metrics",), self._metrics.open),
-            (("on_fault",), self._fault_hook.open),
-        )
-
-    def open(self) -> None:
-        """Show everything that the session says, from now on."""
-        for _, start in self.by_key:
-            start()
-
-    def publish(self, snapshot: Snapshot) -> None:
-        """To be called once a second, with the newest snapshot."""
-        if self._diagnostics.is_heard(snapshot):
-            self._diagnostics.publish(diagnostics(snapshot))
-        self._driver.publish(snapshot)
-        self._fault_hook.report(snapshot)
-
-    def close(self) -> None:
-        """Show nothing more, and wait for nothing: motions have yet to end. May be called twice."""
-        self._diagnostics.close()
-        self._driver.close()
-        self._fault_hook.close()
-        self._metrics.close()
-
-    def join(self) -> None:
-        """Wait for what `close` ended, a second at most for each of the two."""
-        self._fault_hook.join()
-        self._metrics.join()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import json
 import os
@@ -14,10 +15,14 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 import pytest
 from tests.console.scripted import LINK, NOW, SESSION, route
-from tests.support import constants, replaced
 from tests.support.waiting import eventually
 
-from rsb_bridge.engine.fault_hook import (
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.faults import LASTS, ChangeKind, FaultChange
+from rsb_bridge.model.snapshot import Level, RouteSnapshot, Snapshot, State
+from rsb_bridge.telemetry.event_log import EventLog
+from rsb_extras.exporters.exporter_codes import ExporterCode
+from rsb_extras.exporters.fault_hook import (
     EVERY,
     FOR_LINKS,
     OUTPUT,
@@ -29,11 +34,7 @@ from rsb_bridge.engine.fault_hook import (
     StartLimit,
     WaitingChanges,
 )
-from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.faults import LASTS, ChangeKind, FaultChange
-from rsb_bridge.model.snapshot import Level, RouteSnapshot, Snapshot, State
-from rsb_bridge.telemetry.event_log import EventLog
+from rsb_extras.exporters.tests import exporter_places
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -83,7 +84,7 @@ class Hooked:
         self.names(name)
 
     def names(self, command: str | None) -> None:
-        self.context.session = msgspec.structs.replace(SESSION, on_fault=command)
+        self.context.session = msgspec.structs.replace(SESSION, features={"on_fault": command})
         self.hook.open()
 
     def sees(self, *routes: RouteSnapshot, skip: float = LASTS) -> None:
@@ -91,7 +92,7 @@ class Hooked:
         for _ in range(2):
             shown = Shown(routes)
             self.clock.skipped += skip
-            self.hook.report(Snapshot(NOW, "robot1", "client", "", 0, running=True, links=(LINK,), routes=shown))
+            self.hook.tick(Snapshot(NOW, "robot1", "client", "", 0, running=True, links=(LINK,), routes=shown))
             eventually(shown.are_seen.is_set)
 
     @property
@@ -108,7 +109,7 @@ class Hooked:
 
     def said(self, level: Level) -> list[str]:
         found = [(event.level, event.text) for event in self.events.after(0)]
-        assert {event.code for event in self.events.after(0)} <= {EventCode.ENGINE_ON_FAULT}
+        assert {event.code for event in self.events.after(0)} <= {ExporterCode.ON_FAULT}
         return [text for each, text in found if each is level]
 
 
@@ -116,7 +117,7 @@ class Hooked:
 def hooked(tmp_path: Path) -> Iterator[Hooked]:
     made = Hooked(tmp_path)
     yield made
-    made.hook.close()
+    asyncio.run(made.hook.close())
     made.hook.join()
 
 
@@ -153,7 +154,7 @@ def test_without_a_command_there_is_no_thread(hooked: Hooked) -> None:
     before = threads()
     hooked.names(None)
     assert threads() <= before
-    hooked.hook.report(Snapshot(NOW, "robot1", "client", "", 0, running=True))
+    hooked.hook.tick(Snapshot(NOW, "robot1", "client", "", 0, running=True))
 
 
 def test_it_runs_in_the_sessions_folder_without_what_is_the_bridges(
@@ -179,7 +180,7 @@ def test_nothing_of_a_peer_is_in_its_arguments(hooked: Hooked) -> None:
 
 
 def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # the clock is set forward
+    exporter_places.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # the clock is set forward
     hooked.open("mkdir alone || echo twice >> told; cat >> told; while [ ! -e go ]; do sleep 0.05; done; rmdir alone")
     hooked.sees(SLOW)
     eventually(lambda: hooked.told)
@@ -198,8 +199,8 @@ def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch
 
 
 def test_one_that_takes_too_long_is_ended_with_its_children(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 100.0)
-    constants.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.3)
+    exporter_places.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 100.0)
+    exporter_places.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.3)
     hooked.open("trap '' TERM\nsleep 1000 & echo $! > child; echo $$ > parent; cat >> told; while :; do sleep 1; done")
     hooked.sees(SLOW)
     eventually(lambda: hooked.told)  # only then its time is over: a busy machine is slow to start it
@@ -213,10 +214,10 @@ def test_one_that_takes_too_long_is_ended_with_its_children(hooked: Hooked, monk
 @pytest.mark.filterwarnings("ignore:subprocess .* is still running:ResourceWarning")
 def test_one_that_cannot_be_ended_holds_up_no_other(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
     """A process that waits for a disk takes no signal."""
-    constants.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.1)
+    exporter_places.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.1)
     hooked.open("cat >> told; exec cat go")
     os.mkfifo(hooked.folder / "go")
-    with replaced.SIGNAL_GROUP.during(lambda *_: None):
+    with exporter_places.SIGNAL_GROUP.during(lambda *_: None):
         hooked.sees(SLOW)
         eventually(lambda: hooked.told)
         hooked.clock.skipped += RUNS_FOR
@@ -233,14 +234,14 @@ def test_what_it_leaves_running_ends_with_it(hooked: Hooked) -> None:
 
 
 def test_the_end_of_the_engine_ends_it(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # its own time does not end it
-    constants.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 60.0)  # `join` waits until the thread has ended
+    exporter_places.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # its own time does not end it
+    exporter_places.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 60.0)  # `join` waits until the thread has ended
     before = threads()
     hooked.open("echo $$ > parent; cat >> told; exec sleep 1000")
     (thread,) = threads() - before
     hooked.sees(SLOW)
     eventually(lambda: hooked.told)
-    hooked.hook.close()
+    asyncio.run(hooked.hook.close())
     hooked.hook.join()
     assert not thread.is_alive()
     eventually(lambda: not runs(hooked.folder / "parent"))
@@ -291,7 +292,7 @@ def test_one_that_does_not_read_is_fine(hooked: Hooked) -> None:
     hooked.open("exec 0<&-; touch done")
     hooked.sees(SLOW)
     eventually((hooked.folder / "done").exists)
-    hooked.hook.close()
+    asyncio.run(hooked.hook.close())
     hooked.hook.join()
     assert hooked.warnings() == []
 

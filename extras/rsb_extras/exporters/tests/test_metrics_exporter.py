@@ -7,28 +7,33 @@ import socket
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from http.client import HTTPConnection
 from typing import TYPE_CHECKING
 
 import pytest
+from geometry_msgs.msg import Twist
+from msgspec.structs import replace
 from prometheus_client.parser import text_string_to_metric_families
+from tests.engine.test_publishing import DRIVEN, TWIST, can_be_armed, drive, speeds
 from tests.engine.test_reloading import Edited
-from tests.support import constants
 from tests.support.bridge import carries, linked
 from tests.support.domain import text
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.telemetry.metrics import MetricsServer
+from rsb_extras.exporters.exporter_codes import ExporterCode
+from rsb_extras.exporters.metrics import MetricsServer
+from rsb_extras.exporters.tests import exporter_places
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from tests.support.bridge import Bridge
+    from tests.support.consoles import Consoles
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
@@ -59,13 +64,13 @@ def scrape(where: str) -> dict[tuple[str, ...], float]:
 
 def told(engine: Engine, level: Level) -> int:
     """How many events about metrics of that level there were."""
-    return sum((event.code, event.level) == (EventCode.ENGINE_METRICS, level) for event in engine.events())
+    return sum((event.code, event.level) == (ExporterCode.METRICS, level) for event in engine.events())
 
 
 def test_both_sides_serve_what_crosses_and_what_does_not(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     here, there = address(), address("[::1]")
     chat, out = pc.listener("/chat"), robot.publisher("/chat")
-    server, client = bridge.server(metrics=there), bridge.client(ONE, metrics=here)
+    server, client = bridge.server(features={"metrics": there}), bridge.client(ONE, features={"metrics": here})
     eventually(lambda: linked(client) and linked(server) and chat.matched)
     carries([out], server, ["/chat"])
     out.publish(text("one"))
@@ -83,7 +88,7 @@ def test_both_sides_serve_what_crosses_and_what_does_not(bridge: Bridge, robot: 
 
 
 def test_bytes_are_counted_over_all_connections(bridge: Bridge) -> None:
-    server, client = bridge.both(ONE, metrics=None)
+    server, client = bridge.both(ONE, features={})
 
     def received() -> int:
         return client.snapshot().links[0].rx_bytes_total
@@ -96,25 +101,27 @@ def test_bytes_are_counted_over_all_connections(bridge: Bridge) -> None:
 
 def test_another_address_and_none(bridge: Bridge, tmp_path: Path) -> None:
     first, second = address(), address()
-    server = bridge.server(metrics=first)
+    server = bridge.server(features={"metrics": first})
     eventually(lambda: scrape(first))
     file = Edited(server, tmp_path / "server.yaml")
-    file.reload(metrics=second)
+    file.reload(features={"metrics": second})
     eventually(lambda: scrape(second))
     assert not scrape(first)
-    file.reload(metrics=f"0.0.0.0:{second.rpartition(':')[2]}")  # the same port, which the one before has to leave
+    file.reload(
+        features={"metrics": f"0.0.0.0:{second.rpartition(':')[2]}"}
+    )  # the same port, which the one before has to leave
     eventually(lambda: told(server, Level.INFO) == 3)
     assert scrape(second)
     assert told(server, Level.ERROR) == 0
-    file.reload(metrics=None)
+    file.reload(features={})
     eventually(lambda: not scrape(second))
 
 
 def test_a_port_that_is_taken_ends_nothing_and_is_tried_again(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.EXPORTERS_RETRIED_EVERY.set(monkeypatch, 0.05)
+    exporter_places.METRICS_RETRIED_EVERY.set(monkeypatch, 0.05)
     where = address()
     with socket.create_server(("127.0.0.1", int(where.rpartition(":")[2]))):
-        server, _ = bridge.both(ONE, metrics=where)  # each of which has only this address
+        server, _ = bridge.both(ONE, features={"metrics": where})  # each of which has only this address
         eventually(lambda: told(server, Level.ERROR))
     eventually(lambda: scrape(where))
     assert told(server, Level.ERROR) == 1
@@ -122,12 +129,46 @@ def test_a_port_that_is_taken_ends_nothing_and_is_tried_again(bridge: Bridge, mo
 
 def test_without_the_extra_the_bridge_says_what_to_install(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
-    monkeypatch.delitem(sys.modules, "rsb_bridge.telemetry.metrics", raising=False)
+    monkeypatch.delitem(sys.modules, "rsb_extras.exporters.metrics", raising=False)
     # One alone: of two threads that import a module at once, the second gets half of it when the first one fails.
-    server = bridge.server(metrics=address())
+    server = bridge.server(features={"metrics": address()})
     eventually(lambda: told(server, Level.WARNING))
-    (event,) = [event for event in server.events() if event.code == EventCode.ENGINE_METRICS]
+    (event,) = [event for event in server.events() if event.code == ExporterCode.METRICS]
     assert "pip install 'rsb-console[metrics]'" in event.text
+
+
+@pytest.mark.usefixtures("long_lease")
+def test_a_scrape_does_not_delay_the_end_of_a_motion(
+    bridge: Bridge, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exporter_places.METRICS_END_WITHIN.set(monkeypatch, 60.0)
+    asked, may_answer = threading.Event(), threading.Event()
+
+    def application(*_: object) -> list[bytes]:
+        asked.set()
+        may_answer.wait(60)
+        return []
+
+    exporter_places.METRICS_APPLICATION.set(monkeypatch, lambda *_: application)
+    near = pc.listener("/cmd", Twist)
+    pc.publisher("/cmd", Twist)
+    port = free_port()
+    server, client = (
+        bridge.server(features={"metrics": f"127.0.0.1:{port}"}),
+        bridge.client(replace(DRIVEN, type=TWIST)),
+    )
+    eventually(lambda: can_be_armed(server, client))
+    consoles.arm(server)
+    with socket.create_connection(("127.0.0.1", port)) as scraper, ThreadPoolExecutor(1) as threads:
+        scraper.sendall(b"GET / HTTP/1.0\r\n\r\n")
+        assert asked.wait(60)
+        drive(server, 0.1, rest_after=60.0)
+        stopping = threads.submit(server.stop)
+        try:
+            eventually(lambda: speeds(near) == [0.1, 0.0], within=30)
+        finally:
+            may_answer.set()
+        stopping.result(60)
 
 
 # --- the server

@@ -12,7 +12,7 @@ from tests.console.scripted import LINK, NOW, route
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.telemetry.metrics import application
+from rsb_extras.exporters.metrics import application
 
 LINKS = int(sys.argv[1]) if len(sys.argv) > 1 else 200
 ROUTES = int(sys.argv[2]) if len(sys.argv) > 2 else 3

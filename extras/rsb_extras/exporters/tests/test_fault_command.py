@@ -12,7 +12,8 @@ from tests.console.scripted import SESSION
 
 from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.session_file import dump, load, save, validate
-from rsb_bridge.config.validation import command_words, fault_command_warnings, program_path, program_problem
+from rsb_extras.exporters import FEATURE, ON_FAULT
+from rsb_extras.exporters.fault_command import command_words, program_path, program_problem
 
 
 @pytest.mark.parametrize(
@@ -31,9 +32,9 @@ def test_it_is_split_into_words_and_no_shell_reads_it(command: str | tuple[str, 
 
 @pytest.mark.parametrize("command", ["", "  ", (), ("",), "notify 'me", "a\0b", "x" * 10_000])
 def test_what_is_no_command_is_refused(command: str | tuple[str, ...]) -> None:
-    assert [problem.location for problem in validate(msgspec.structs.replace(SESSION, on_fault=command))] == [
-        "on_fault"
-    ]
+    assert [
+        problem.location for problem in validate(msgspec.structs.replace(SESSION, features={"on_fault": command}))
+    ] == ["on_fault"]
 
 
 @pytest.mark.parametrize("value", ["7", "true", "{a: b}", "[1, 2]"])
@@ -44,8 +45,8 @@ def test_what_is_neither_text_nor_a_list_is_refused(value: str) -> None:
 @pytest.mark.parametrize("command", ["./tell 'the operator'", ("./tell", "the operator")])
 def test_a_file_keeps_it(command: str | tuple[str, ...], tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
-    save(msgspec.structs.replace(SESSION, on_fault=command), path)
-    assert load(path).on_fault == command
+    save(msgspec.structs.replace(SESSION, features={"on_fault": command}), path)
+    assert ON_FAULT.of(load(path)) == command
 
 
 def program(path: Path, mode: int = 0o755) -> Path:
@@ -96,22 +97,24 @@ def test_check_warns(command: str, count: int, tmp_path: Path) -> None:
     program(tmp_path / "tell")
     program(tmp_path / "open", 0o777)
     path = tmp_path / "robot1.yaml"
-    session = msgspec.structs.replace(SESSION, on_fault=command)
+    session = msgspec.structs.replace(SESSION, features={"on_fault": command})
     save(session, path)
-    assert len([*fault_command_warnings(session, path)]) == count
+    assert len([*FEATURE.advice(session, path)]) == count
 
 
 def test_check_warns_of_a_session_file_that_others_may_change(tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
-    session = msgspec.structs.replace(SESSION, on_fault="/bin/true")
+    session = msgspec.structs.replace(SESSION, features={"on_fault": "/bin/true"})
     save(session, path)
     path.chmod(0o666)
-    assert len([*fault_command_warnings(session, path)]) == 1
-    assert [*fault_command_warnings(msgspec.structs.replace(session, on_fault=None), path)] == []
+    assert len([*FEATURE.advice(session, path)]) == 1
+    assert [*FEATURE.advice(msgspec.structs.replace(session, features={}), path)] == []
 
 
 def test_the_log_of_a_reload_does_not_have_the_command_line() -> None:
-    before, after = (msgspec.structs.replace(SESSION, on_fault=f"/bin/true secret{each}") for each in (1, 2))
+    before, after = (
+        msgspec.structs.replace(SESSION, features={"on_fault": f"/bin/true secret{each}"}) for each in (1, 2)
+    )
     for old, new in ((before, after), (SESSION, after), (after, SESSION)):
         (change,) = changes(old, new, only=("on_fault",))
         assert "secret" not in change

@@ -16,11 +16,13 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.wire.messages import Follow, Followed
+from rsb_extras.exporters import ON_FAULT
+from rsb_extras.exporters.exporter_codes import ExporterCode
+from rsb_extras.exporters.tests import exporter_places
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,7 +55,7 @@ class Told:
 
 def test_a_link_that_is_down_and_comes_up(bridge: Bridge, tmp_path: Path) -> None:
     told = Told(tmp_path)
-    client = bridge.client(on_fault=str(told.program))
+    client = bridge.client(features={"on_fault": str(told.program)})
     eventually(lambda: told.about("robot1") == [("begun", "down")])
     bridge.server()
     eventually(lambda: linked(client))
@@ -70,7 +72,10 @@ def test_a_topic_whose_publisher_goes_and_comes_back_on_both_sides(
     here, there = Told(tmp_path, "here"), Told(tmp_path, "there")
     chat = pc.listener("/chat")
     topic = Topic("/ch*", "transmit", expected_rate=2.0, stale_after=3.0)  # this test looks, and publishes, at 4 Hz
-    server, client = bridge.server(on_fault=str(there.program)), bridge.client(topic, on_fault=str(here.program))
+    server, client = (
+        bridge.server(features={"on_fault": str(there.program)}),
+        bridge.client(topic, features={"on_fault": str(here.program)}),
+    )
     out = robot.publisher("/chat")
     eventually(lambda: linked(client) and linked(server) and chat.matched)
     carries([out], server, ["/chat"])
@@ -107,7 +112,7 @@ def test_a_topic_that_is_still_silent_after_a_reconnection_is_not_over(
     chat, out = pc.listener("/chat"), robot.publisher("/chat")
     server, client = (
         bridge.server(),
-        bridge.client(Topic("/chat", "transmit", stale_after=3.0), on_fault=str(told.program)),
+        bridge.client(Topic("/chat", "transmit", stale_after=3.0), features={"on_fault": str(told.program)}),
     )
     eventually(lambda: linked(client) and chat.matched)
     carries([out], server, ["/chat"])
@@ -143,7 +148,7 @@ def test_a_pattern_that_the_other_side_cannot_follow_and_its_end(
     told = Told(tmp_path)
     pattern = Topic("/ch*", "transmit")
     robot = Client("robot1", key_file=bridge.key_file, topics=(pattern,))
-    server = bridge.server(key_file=None, clients=(robot,), on_fault=str(told.program))
+    server = bridge.server(key_file=None, clients=(robot,), features={"on_fault": str(told.program)})
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as client:
         client.say(Followed(client.wait_for(Follow).request, more=1))  # more names than it can list
         eventually(lambda: told.about(pattern.topic) == [("begun", State.DOWN)])
@@ -157,11 +162,11 @@ def test_a_reload_of_the_file_names_another_command_and_none(bridge: Bridge, tmp
     one, two = Told(tmp_path, "one"), Told(tmp_path, "two")
     client = bridge.client()
     file = Edited(client, tmp_path / "robot1.yaml")
-    assert len(file.reload(on_fault="./one.sh").changed) == 1
+    assert len(file.reload(features={"on_fault": "./one.sh"}).changed) == 1
     eventually(lambda: one.about("robot1") == [("begun", "down")])
-    file.reload(on_fault=("./two.sh",))
+    file.reload(features={"on_fault": ("./two.sh",)})
     eventually(lambda: two.about("robot1") == [("begun", "down")])
-    file.reload(on_fault=None)
+    file.reload(features={})
     bridge.server()
     eventually(lambda: linked(client))
     assert len(one.all()) == len(two.all()) == 1
@@ -173,27 +178,27 @@ def test_no_operator_elsewhere_reads_the_command_and_who_may_look_reloads_none(
     told = Told(tmp_path)
     server = bridge.server()
     file = Edited(server, tmp_path / "robot1.yaml")
-    file.reload(on_fault="/bin/true secret")
+    file.reload(features={"on_fault": "/bin/true secret"})
     reachable = Reachable(machine, server)
     anna, bob = reachable.attach("anna", ANNA), reachable.attach("bob", BOB)
     for operator in (anna, bob):
-        assert operator.session.on_fault is None
+        assert ON_FAULT.of(operator.session) is None
         assert operator.session.name == "robot1"
-    assert machine.attach().session.on_fault == "/bin/true secret", "saving the file has to keep it"
+    assert ON_FAULT.of(machine.attach().session) == "/bin/true secret", "saving the file has to keep it"
     with pytest.raises(EngineError):
         bob.reload().result(60)
-    assert server.session.on_fault == "/bin/true secret"
+    assert ON_FAULT.of(server.session) == "/bin/true secret"
     assert not told.file.exists()
 
 
 def test_a_command_that_hangs_holds_up_nothing(bridge: Bridge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # its own time does not end it
+    exporter_places.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # its own time does not end it
     program = tmp_path / "hang.sh"
     program.write_text("#!/bin/sh\ntrap '' TERM\ntouch runs\nwhile :; do sleep 1; done\n")
     program.chmod(0o755)
-    client = bridge.client(on_fault=str(program))
+    client = bridge.client(features={"on_fault": str(program)})
     eventually((bridge.folder / "runs").exists)
     server = bridge.server()
     eventually(lambda: linked(client) and linked(server))
     client.stop()  # the fixture sees that no thread is left
-    assert [event for event in client.events() if event.code == EventCode.ENGINE_ON_FAULT] == []
+    assert [event for event in client.events() if event.code == ExporterCode.ON_FAULT] == []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -11,18 +11,19 @@ from geometry_msgs.msg import Twist
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from tests.engine.test_reloading import Edited
-from tests.support import constants
 from tests.support.bridge import carries, find, happened, link, linked, route
 from tests.support.domain import LATCHED
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.engine.exporters import DriverTopicText
-from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import acting
 from rsb_bridge.model.session import Client, Topic
+from rsb_extras.exporters import DRIVER_TOPIC
+from rsb_extras.exporters.exporter_codes import ExporterCode
+from rsb_extras.exporters.ros_topics import DriverTopicText
+from rsb_extras.exporters.tests import exporter_places
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -85,18 +86,26 @@ def test_a_robots_diagnostics_cross_as_any_topic(bridge: Bridge, pc: Domain) -> 
 
 def test_on_another_topic_and_on_none(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
     health = pc.listener("/health", DiagnosticArray)
-    server = bridge.server(diagnostics_topic="/health")
+    server = bridge.server(features={"diagnostics_topic": "/health"})
     eventually(lambda: _status(health, LINK))
     file = Edited(server, tmp_path / "server.yaml")
-    assert file.reload(diagnostics_topic=None).changed == ("diagnostics_topic /health → none",)
+    assert file.reload(features={"diagnostics_topic": None}).changed == ("diagnostics_topic /health → none",)
     eventually(lambda: not health.matched)
 
 
+def test_patterns_leave_it_out(bridge: Bridge, robot: Domain) -> None:
+    _, client = bridge.both(Topic("/*", "transmit"))
+    robot.publisher("/diagnostics")
+    robot.publisher("/scan")
+    eventually(lambda: find(client, "/scan"))
+    assert find(client, "/diagnostics") is None
+
+
 def test_a_type_that_is_missing_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.DIAGNOSTICS_TYPE.set(monkeypatch, "no_msgs/msg/None")
+    exporter_places.DIAGNOSTICS_TYPE.set(monkeypatch, "no_msgs/msg/None")
     server, client = bridge.both()
     for engine in (server, client):
-        assert happened(engine, EventCode.ENGINE_DIAGNOSTICS)
+        assert happened(engine, ExporterCode.DIAGNOSTICS)
 
 
 def _held(listener: Listener) -> list[dict[str, object]] | None:
@@ -113,7 +122,9 @@ def test_nodes_hear_who_holds_which_topic_when_it_changes(
 ) -> None:
     """On both sides; latched, for late subscribers."""
     here, there = robot.listener("/rsb/driver", qos=LATCHED), pc.listener("/rsb/driver", qos=LATCHED)
-    server, client = bridge.both(Topic("/cmd", "receive", arm=True, deadman=0.0), driver_topic="/rsb/driver")
+    server, client = bridge.both(
+        Topic("/cmd", "receive", arm=True, deadman=0.0), features={"driver_topic": "/rsb/driver"}
+    )
     eventually(lambda: (_held(here), _held(there)) == ([], []))
     eventually(lambda: route(server, "/cmd").state == route(client, "/cmd").state == "disarmed")
     with acting("anna"):
@@ -133,27 +144,27 @@ def test_no_session_has_a_topic_of_holders_by_itself_and_a_reload_begins_one(
 ) -> None:
     listener = pc.listener("/held", qos=LATCHED)
     server = bridge.server()
-    assert server.session.driver_topic is None
+    assert DRIVER_TOPIC.of(server.session) is None
     file = Edited(server, tmp_path / "server.yaml")
-    assert file.reload(driver_topic="/held").changed == ("driver_topic none → /held",)
+    assert file.reload(features={"driver_topic": "/held"}).changed == ("driver_topic none → /held",)
     eventually(lambda: _held(listener) == [])
-    assert file.reload(driver_topic=None).changed == ("driver_topic /held → none",)
+    assert file.reload(features={}).changed == ("driver_topic /held → none",)
     eventually(lambda: not listener.matched)
 
 
 @pytest.mark.parametrize("side", ["server", "client"])
 def test_the_topic_of_holders_is_bridged_by_neither_side(bridge: Bridge, side: str) -> None:
     """A topic that is added while the bridge runs, and one that the other side proposes: both get the reason."""
-    own = {side: {"driver_topic": "/rsb/driver"}}
+    own: dict[str, Any] = {side: {"features": {"driver_topic": "/rsb/driver"}}}
     server = bridge.server(clients=(Client("robot1"),), **own.get("server", {}))
     client = bridge.client(allow=("/**",), **own.get("client", {}))
     eventually(lambda: linked(server) and linked(client))
     has_it, other = (server, client) if side == "server" else (client, server)
     entry = Topic("/rsb/driver", "transmit", type="std_msgs/msg/String")
-    with pytest.raises(EngineError, match=pattern(Denied.DRIVER_TOPIC, topic="/rsb/driver")):
+    with pytest.raises(EngineError, match=pattern(DriverTopicText.REFUSED, topic="/rsb/driver")):
         has_it.add_topic(entry).result(30)
     other.add_topic(entry).result(30)
-    eventually(lambda: says(route(other, "/rsb/driver").reason, Denied.DRIVER_TOPIC, topic="/rsb/driver"))
+    eventually(lambda: says(route(other, "/rsb/driver").reason, DriverTopicText.REFUSED, topic="/rsb/driver"))
     assert happened(has_it, EventCode.ROUTE_REFUSED)
     assert find(has_it, "/rsb/driver") is None
 
@@ -164,8 +175,8 @@ def test_a_reload_onto_a_bridged_topic_publishes_no_holders_until_it_is_removed(
     listener = pc.listener("/held", qos=LATCHED)
     server, client = bridge.both(Topic("/held", "transmit", type="std_msgs/msg/String"))
     eventually(lambda: find(server, "/held"))
-    Edited(server, tmp_path / "server.yaml").reload(driver_topic="/held")
-    eventually(lambda: happened(server, EventCode.ENGINE_DIAGNOSTICS, DriverTopicText.BRIDGED, link="robot1"))
+    Edited(server, tmp_path / "server.yaml").reload(features={"driver_topic": "/held"})
+    eventually(lambda: happened(server, ExporterCode.DIAGNOSTICS, DriverTopicText.BRIDGED, link="robot1"))
     client.remove_topic(route(client, "/held").key).result(30)
     eventually(lambda: _held(listener) == [])
 
@@ -174,9 +185,9 @@ def test_a_topic_of_holders_that_nodes_have_with_another_type_is_not_published_u
     bridge: Bridge, pc: Domain
 ) -> None:
     pc.listener("/rsb/driver", Twist)
-    server = bridge.server(driver_topic="/rsb/driver")
+    server = bridge.server(features={"driver_topic": "/rsb/driver"})
     text, types = DriverTopicText.OTHER_TYPE, "geometry_msgs/msg/Twist"
-    eventually(lambda: happened(server, EventCode.ENGINE_DIAGNOSTICS, text, types=types))
+    eventually(lambda: happened(server, ExporterCode.DIAGNOSTICS, text, types=types))
     pc.clear()
     listener = pc.listener("/rsb/driver", qos=LATCHED)
     eventually(lambda: _held(listener) == [])

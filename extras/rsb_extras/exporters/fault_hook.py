@@ -12,12 +12,14 @@ from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.validation import command_words, program_path, program_problem
-from rsb_bridge.model.codes import EventCode
+from rsb_bridge.engine.part import EnginePart
 from rsb_bridge.model.faults import ChangeKind, FaultChange, FaultWatch
 from rsb_bridge.model.limits import REASON_LENGTH, TEXT_LENGTH
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, PatternSnapshot
 from rsb_bridge.model.text import encodable, sanitize_text
+from rsb_extras.exporters import ON_FAULT
+from rsb_extras.exporters.exporter_codes import ExporterCode
+from rsb_extras.exporters.fault_command import command_words, program_path, program_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -127,7 +129,7 @@ _OF_THE_BRIDGE = ("LD_", "PYTHON", "NOTIFY_SOCKET", "WATCHDOG_", "LISTEN_")
 supervisor."""
 
 
-class FaultHook:
+class FaultHook(EnginePart):
     """Runs the command of the present session. It belongs to the I/O thread.
 
     Args:
@@ -136,30 +138,31 @@ class FaultHook:
     """
 
     def __init__(self, context: Context, folder: Callable[[], Path]) -> None:
+        super().__init__()
         self._context = context
         self._folder = folder
         self._runner: _Runner | None = None
+        self.by_key = (((ON_FAULT.name,), self.open),)
 
     def open(self) -> None:
         """Start with the session's present command. It also runs for faults that have begun already."""
-        self.close()
-        self._runner = None
-        if self._context.session.on_fault is not None:
-            self._runner = _Runner(self._context, command_words(self._context.session.on_fault), self._folder())
+        before, self._runner = self._runner, None
+        if before is not None:
+            before.end()
+        if (command := ON_FAULT.of(self._context.session)) is not None:
+            self._runner = _Runner(self._context, command_words(command), self._folder())
             self._runner.thread.start()
 
-    def report(self, snapshot: Snapshot) -> None:
-        """Report the faults of the newest snapshot to the command. Called once a second."""
+    def tick(self, snapshot: Snapshot) -> None:
         if self._runner is not None:
             self._runner.show(snapshot)
 
-    def close(self) -> None:
-        """Stop the command that runs, and start no other. May be called twice."""
+    async def close(self) -> None:
+        # The command that runs is waited for at the end only: motions have yet to end.
         if self._runner is not None:
             self._runner.end()
 
     def join(self) -> None:
-        """Wait for the thread that `close` ended, a second at most."""
         runner, self._runner = self._runner, None
         if runner is not None:
             runner.thread.join(_ENDS_WITHIN)
@@ -360,7 +363,7 @@ class _Runner:
         except subprocess.TimeoutExpired:  # not even SIGKILL ends one that waits for a disk
             return "cannot be ended: it waits for a disk or a network folder"
         if output.kept and not self._ends:
-            self._events.add(Level.DEBUG, EventCode.ENGINE_ON_FAULT, f"on_fault: {output.text}")
+            self._events.add(Level.DEBUG, ExporterCode.ON_FAULT, f"on_fault: {output.text}")
         if self._ends:
             return ""
         if was_late:
@@ -387,7 +390,7 @@ class _Runner:
         elif what != self._problem and now - self._told_at >= _TOLD_EVERY:
             self._problem, self._told_at = what, now
             text = f"on_fault {self._command[0]}: {problem}; the bridge goes on"
-            self._events.add(Level.WARNING, EventCode.ENGINE_ON_FAULT, text)
+            self._events.add(Level.WARNING, ExporterCode.ON_FAULT, text)
 
 
 class _Output:

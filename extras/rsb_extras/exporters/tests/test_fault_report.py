@@ -8,11 +8,11 @@ from typing import Any
 
 from tests.console.scripted import LINK, NOW, route
 
-from rsb_bridge.engine.fault_hook import fault_report
 from rsb_bridge.model.faults import ChangeKind, FaultChange
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, State
 from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_extras.exporters.fault_hook import fault_report
 
 WICKED = "\x1b]0;gone\x07\n\u202e$(reboot)`id`\ud800" + "x" * 5000
 

@@ -1,0 +1,59 @@
+"""The features of this tree: each is on its own, and a core without them says what it lacks."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rsb_bridge.feature import BRINGS, installed
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = {each.parent.name: each.parent for each in ROOT.glob("extras/rsb_extras/*/__init__.py")}
+WITHOUT = "import importlib.metadata\nimportlib.metadata.entry_points = lambda **_: ()\n"
+
+
+def imported_features(folder: Path) -> set[str]:
+    """Return the features whose modules a folder's code imports; its tests may use any."""
+    trees = (ast.parse(path.read_text()) for path in folder.rglob("*.py") if "tests" not in path.parts)
+    nodes = (node for tree in trees for node in ast.walk(tree))
+    names = (node.module or "" for node in nodes if isinstance(node, ast.ImportFrom))
+    return {name.split(".")[1] for name in names if name.startswith("rsb_extras.")}
+
+
+@pytest.mark.parametrize("name", sorted(FOLDERS))
+def test_a_feature_of_this_tree_is_installed_under_its_folders_name(name: str) -> None:
+    feature = importlib.import_module(f"rsb_extras.{name}").FEATURE
+    assert feature.name == name
+    assert feature in installed()
+
+
+@pytest.mark.parametrize("name", sorted(FOLDERS))
+def test_a_feature_imports_only_those_that_it_needs(name: str) -> None:
+    feature = importlib.import_module(f"rsb_extras.{name}").FEATURE
+    assert imported_features(FOLDERS[name]) <= {name, *feature.needs}
+
+
+@pytest.mark.skipif(not FOLDERS, reason="the core alone")
+def test_the_core_knows_which_feature_brings_which_key() -> None:
+    found = {
+        key.name: name
+        for name in FOLDERS
+        for key in importlib.import_module(f"rsb_extras.{name}").FEATURE.session_keys()
+    }
+    assert found == BRINGS
+
+
+def test_a_key_of_a_feature_that_is_not_installed_names_it() -> None:
+    asked = WITHOUT + (
+        "from rsb_bridge.config.validation import build\n"
+        "session = dict(name='a', role='client', server_ip='10.0.0.1', server_port=7060, use_encryption=False)\n"
+        "for problem in build(session | {'metrics': '127.0.0.1:9464'})[1]: print(problem)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, timeout=60, check=True)
+    assert ran.stdout.startswith("metrics: this installation has no exporters: ")
+    assert ran.stdout.count("\n") == 1
