@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export OTHER_PYTHON
 
-.PHONY: demo demo-fleet test test-all on-all test-kilted on-kilted test-quick coverage test-wire quick-lint types lint soak fuzz \
+.PHONY: demo demo-fleet test test-all on-all test-kilted on-kilted test-quick test-core on-core coverage test-wire quick-lint types lint soak fuzz \
   bench dist deb lock screenshots texts man system clean
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -33,6 +33,9 @@ FEATURES := $(wildcard extras/rsb_extras/*/tests)
 ALL := tests $(FEATURES)
 without = $(addprefix --ignore=tests/,distributions $(1))
 QUICK := cdr channel config fleet fuzz history model route wire
+# What shows that the core alone is a whole bridge: some minutes less than all of its tests.
+CORE := $(QUICK) feature link control/test_protocol.py control/test_operator_sessions.py command/test_command.py \
+  $(addprefix engine/test_,operations.py arming.py actions.py reloading.py restarting.py) console/test_main_screen.py
 
 test: $(STAMP) system
 	$(AT_ONCE) -m "not long" $(ALL) $(call without,wire network bluetooth release)
@@ -46,13 +49,18 @@ on-kilted: $(STAMP)
 	$(AT_ONCE) -m "not long" $(addprefix tests/,engine calls system ros distributions)
 test-quick: $(STAMP)
 	$(PYTEST) -q -n 2 --dist worksteal -m "not long" 'tests/checks/test_checks.py::test_it_passes[quick-lint]' $(addprefix tests/,$(QUICK))
+test-core: $(STAMP)
+	$(PYTHON) .ci/core.py $(VENV)
+	$(MAKE) -C build/core VENV=.venv on-core
+on-core: lint
+	$(AT_ONCE) -q -m "not long" $(addprefix tests/,$(CORE))
 coverage: $(STAMP) system
 	$(AT_ONCE) -m "not long" $(ALL) $(call without,checks network bluetooth release) --cov=rsb_bridge --cov=rsb_console --cov=rsb_extras --cov-report=
 	$(BIN)/coverage report --format=total
 test-wire: $(STAMP)
 	$(PYTEST) tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
 test-%: $(STAMP) system
-	$(PYTEST) $(wildcard tests/$* extras/rsb_extras/$*/tests)
+	$(PYTEST) $(or $(wildcard tests/$* extras/rsb_extras/$*/tests),tests/$*)
 
 quick-lint: $(STAMP)
 	$(BIN)/ruff check .
