@@ -14,7 +14,6 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.context import Context
 from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import acting, on_console
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.ros.ros_thread import Receiver, RosToLoopQueue
@@ -66,13 +65,13 @@ class _Queue(RosToLoopQueue):
 
 
 class _Events(EventLog):
-    def __init__(self, clock: Clock, told: Callable[[Level, EventCode, str, str], None]) -> None:
+    def __init__(self, clock: Clock, told: Callable[[Level, str, str, str], None]) -> None:
         super().__init__(clock)
         self._told = told
 
     def append(self, event: Event) -> None:
         super().append(event)
-        self._told(event.level, EventCode(event.code), event.text, event.link)
+        self._told(event.level, event.code, event.text, event.link)
 
 
 class _Snapshots(SnapshotPublisher):
@@ -101,7 +100,7 @@ class EngineHost:
         self.run: Run | None = None
         self.on_run: Callable[[Run], None] = _ignore
         self.on_end: Callable[[Run], None] = _ignore
-        self.on_event: Callable[[EngineHost, Level, EventCode, str, str], None] = _ignore
+        self.on_event: Callable[[EngineHost, Level, str, str, str], None] = _ignore
         self.on_leak: Callable[[EngineHost, list[Descriptor]], None] = _ignore
         self.random = random
 

@@ -333,7 +333,7 @@ class World:
         error = details.get("exception")
         self.wrong(f"nobody caught {error!r}: {details.get('message')}")
 
-    def _event(self, host: EngineHost, level: Level, code: EventCode, text: str, link: str) -> None:
+    def _event(self, host: EngineHost, level: Level, code: str, text: str, link: str) -> None:
         if level is not Level.DEBUG:  # they repeat earlier events
             self.log.tell(f"{host.name}: {level} {code} {text}" + (f" ({link})" if link else ""))
         self.log.events[code] += 1

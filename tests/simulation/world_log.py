@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from tests.simulation.loop import SimulatedLoop
 
-    from rsb_bridge.model.codes import EventCode
 
 _REMEMBERED = 300
 
@@ -24,7 +23,7 @@ class WorldLog:
     def __init__(self, loop: SimulatedLoop) -> None:
         self.faults: Counter[str] = Counter()
         self.commands: Counter[str] = Counter()
-        self.events: Counter[EventCode] = Counter()
+        self.events: Counter[str] = Counter()
         self.lines: deque[str] = deque(maxlen=_REMEMBERED)
         self.digest = 0
         self._loop = loop
