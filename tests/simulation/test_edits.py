@@ -306,6 +306,18 @@ async def test_an_edit_of_what_a_pattern_has_made_lists_it_by_name(edits: Edits)
 
 
 @LISTERS
+@pytest.mark.bed(topic=msgspec.structs.replace(CHAT, arm=True, max_age=0.5))
+@pytest.mark.parametrize("max_age", [0.0, None, 2.0])
+async def test_a_peer_raises_no_age_of_what_is_armed(lister: str, max_age: float | None, edits: Edits) -> None:
+    with pytest.raises(EngineError):
+        await edits.edit(edits.other, max_age=max_age)
+    assert [each.max_age for each in edits.session(lister)] == [0.5]
+    assert [half.age.max_age for half in edits.halves() if half is not None] == [0.5, 0.5]
+    await edits.edit(edits.other, max_age=0.25)
+    assert [each.max_age for each in edits.session(lister)] == [0.25]
+
+
+@LISTERS
 @pytest.mark.parametrize("editor", ["robot", "server"])
 @pytest.mark.bed(topic=msgspec.structs.replace(CHAT, arm=True))
 async def test_an_armed_topic_that_is_edited_says_on_both_sides_why_it_is_not_armed(

@@ -126,6 +126,7 @@ class Denied(Wording):
     NOT_LISTED = "{topic} is not listed there any more: look at it again"
     OUT_OF_REACH = "the other side lists {topic}, and is out of reach: edit it there, or once the link is up"
     ARMED_THERE = "{topic} has to be armed: rename it on the side that lists it"
+    AGE_OF_ARMED = "{topic} has to be armed: let it have older messages on the side that lists it"
     PORT_OF_SERVER = "{topic} is listed on the server, and so is its port: change that there"
     LIMITS_OF_PEER = "the other side lists {topic}: set its limits there, or here under armed"
     EDIT_THAT_ROUTE = "{topic} is bridged in that direction already: edit or remove that route"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -24,6 +25,7 @@ from rsb_bridge.link.proposals import (
     usual_server_name,
 )
 from rsb_bridge.link.questions import Questions
+from rsb_bridge.model.demands import effective_max_age
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.route import route_key
 from rsb_bridge.wire.messages import Edit, EditAnswer
@@ -253,6 +255,9 @@ class ProposedTopics(Extension):
         renamed = (before.identity, before.remote_topic) != (entry.identity, entry.remote_topic)
         if before.arm and renamed:  # the demand on each name that it had would stay, and a peer makes none grow
             raise LinkError(Denied.ARMED_THERE(topic=message.wanted.topic))
+        ages = [effective_max_age((each.max_age,), armed=True) or math.inf for each in (before, entry)]
+        if route.arming.required and ages[1] > ages[0]:
+            raise LinkError(Denied.AGE_OF_ARMED(topic=message.wanted.topic))
         if before.port != entry.port and not link.is_client:
             raise LinkError(Denied.PORT_OF_SERVER(topic=message.wanted.topic))
         use = use_of(self._proposal(entry), is_client=link.is_client)
