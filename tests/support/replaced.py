@@ -13,6 +13,7 @@ CONSOLE_CONNECTED = Place("rsb_bridge.control.sealed", "SealedConsole.connection
 FLEET_TRIALS = Place("rsb_bridge.control.zenoh_fleet", "Trials")
 OPEN_VIEW = Place("rsb_bridge.link.link_views", "LinkViews.open")
 CHECK_VIEW = Place("rsb_bridge.link.topic_view", "TopicView.check")
+FEATURES_OF_ENGINE = Place("rsb_bridge.engine.bridge", "installed")
 ENGINE_LOAD = Place("rsb_bridge.engine.engine", "load_file")
 PUBLISHING_READ_FIELDS = Place("rsb_bridge.engine.publishing", "read_fields")
 LOOP_DO_NOW = Place("rsb_bridge.engine.io_loop", "IoLoop.do_now")

@@ -204,11 +204,21 @@ class Bridge:
             self._viewing.tick()
             self._publishing.tick()
             for part in self._parts:
-                part.tick(self._snapshots.latest)
+                with self._guarded(part):
+                    part.tick(self._snapshots.latest)
             if number % _LISTENS_EVERY == 0:
                 before, lost = lost, ros.lost_ports()
                 if stuck := before & lost:
                     self._ros_failed(RosProblem.DEAF(port=min(stuck).path))
+
+    @contextlib.contextmanager
+    def _guarded(self, part: EnginePart) -> Iterator[None]:
+        """Do work of a feature's part; a failure of it is logged, and ends nothing else."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 -- of code that is not ours
+            message = f"the part {type(part).__name__} of a feature failed"
+            self.internal_error(self.context.loop, {"message": message, "exception": error})
 
     def _ros_failed(self, reason: str) -> None:
         """End because the ROS side is gone or deaf, so that a supervisor starts the process again."""
@@ -222,7 +232,8 @@ class Bridge:
         # Before the links end: the message that ends a motion has to cross them.
         await self._publishing.close()
         for part in self._parts:
-            await part.close()
+            with self._guarded(part):
+                await part.close()
         self.context.descriptions.close()
         await self._role.stop()
         if self.context.rests:  # a publisher that closes at once may take its message with it
@@ -232,7 +243,8 @@ class Bridge:
         self._snapshots.refresh_now(self._role, running=False)
         # Last: the loop stands still meanwhile, and while all this took its time, a scrape or a command could end.
         for part in self._parts:
-            part.join()
+            with self._guarded(part):
+                part.join()
 
     def _bridges_changed(self) -> None:
         for link in self.links():

@@ -1,0 +1,58 @@
+"""A feature's part that fails in an engine ends nothing else."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from tests.support import replaced
+from tests.support.bridge import happened, is_accepted, linked
+from tests.support.waiting import eventually
+
+from rsb_bridge.engine.part import EnginePart
+from rsb_bridge.feature import Feature
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    import pytest
+    from tests.support.bridge import Bridge
+
+
+class _Part(EnginePart):
+    ticks = ends = 0
+
+    def tick(self, snapshot: object) -> None:
+        self.ticks += 1
+        raise RuntimeError("it fails")
+
+    async def close(self) -> None:
+        raise RuntimeError("it fails again")
+
+    def join(self) -> None:
+        self.ends += 1
+        raise RuntimeError("and again")
+
+
+class _Failing(Feature):
+    name = "failing"
+
+    def __init__(self) -> None:
+        self.part = _Part()
+
+    def parts(self, bridge: Any) -> Iterable[Any]:
+        return (self.part,)
+
+
+def test_failing_part_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    server, failing = bridge.server(), _Failing()
+    replaced.FEATURES_OF_ENGINE.set(monkeypatch, lambda: (failing,))
+    client = bridge.client(Topic("/scan", "transmit", type="std_msgs/msg/String"))
+    bridge.expected.add(client)
+    eventually(lambda: failing.part.ticks > 2, what="ticks")
+    assert happened(client, EventCode.ENGINE_ERROR)
+    eventually(lambda: linked(server) and is_accepted(client, "/scan"), what="open")
+    client.stop()
+    assert failing.part.ends == 1
+    assert happened(client, EventCode.ENGINE_STOPPED)
