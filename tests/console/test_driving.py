@@ -623,8 +623,11 @@ async def test_the_holder_sees_the_question_while_driving_and_answers(
     clock.now = time.monotonic() - 1.0
     put(app, ASKED)
     await shown(pilot, DriveText.ASKS, who="bert on pts/2", seconds=7.0)
-    await pilot.press(key)
-    await until(pilot, lambda: ("answer_asker", "/cmd_vel", gives) in engine_of(app).commands, "the answer")
+    deadline = time.monotonic() + 180.0
+    while ("answer_asker", "/cmd_vel", gives) not in engine_of(app).commands:
+        assert time.monotonic() < deadline
+        await pilot.press(key)  # again, if a late command has put the screen's clock ahead once more
+        await pilot.pause(0.2)
     assert isinstance(app.screen, DriveScreen)
 
 

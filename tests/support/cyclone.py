@@ -90,7 +90,8 @@ class CycloneReader:
     @property
     def texts(self) -> list[str]:
         """All that has come so far."""
-        self._texts += [each.data for each in self.entity.take(_MOST)]
+        # The end of a writer is a sample, too, without data.
+        self._texts += [each.data for each in self.entity.take(_MOST) if each.sample_info.valid_data]
         return self._texts
 
 
