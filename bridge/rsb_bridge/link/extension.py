@@ -65,11 +65,14 @@ class Extensions:
 
     def __init__(self) -> None:
         self._all: list[Extension] = []
+        self._of_features: list[Extension] = []
         self._told: list[Extension] = []
         """Of the present connection: those that the peer has, too."""
 
     def add(self, extension: Extension) -> None:
         self._all.append(extension)
+        if extension.feature:
+            self._of_features.append(extension)
 
     def find(self, kind: type[_E]) -> _E:
         """Return the one of a type."""
@@ -101,11 +104,11 @@ class Extensions:
 
     def link_fields(self) -> dict[str, Any]:
         """Return what features show of the link."""
-        return {name: value for each in self._all if each.feature for name, value in each.link_fields().items()}
+        return {name: value for each in self._of_features for name, value in each.link_fields().items()}
 
     def route_fields(self, route: Route) -> dict[str, Any]:
         """Return what features show of one of its routes."""
-        return {name: value for each in self._all if each.feature for name, value in each.route_fields(route).items()}
+        return {name: value for each in self._of_features for name, value in each.route_fields(route).items()}
 
 
 class Denied(Wording):
