@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
-    from rsb_bridge.link.roles import BridgeRole
 
 KEY = "robot1 → topic /cmd_vel"
 
@@ -63,7 +62,8 @@ def pause(role: Role, context: Context, meanwhile: Callable[[], None]) -> None:
         return True
 
     log = CommandLog(EventLog(context.clock))
-    commands = TopicCommands(cast("BridgeRole", role), log, context.demands, end_motions)
+    bridge = SimpleNamespace(context=context, log=log, links=role.links, end_motions=end_motions)
+    commands = TopicCommands(cast("Any", bridge))
     cast("VirtualLoop", context.loop).run_until_complete(commands.pause(PauseTopics(KEY, True)))
 
 

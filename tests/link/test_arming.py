@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import pytest
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.link.link import Link
     from rsb_bridge.model.snapshot import Event
     from rsb_bridge.route.route import Route
 
@@ -162,10 +162,7 @@ def command(
     async def no_motions(_: set[str]) -> None:
         """Nobody drives by hand."""
 
-    def find(key: str) -> Any:
-        return side, side.routes[key]
-
-    commands = ArmingCommands(lambda: cast("list[Link]", [side]), find, no_motions)
+    commands = ArmingCommands(cast("Any", SimpleNamespace(links=lambda: [side], end_motions=no_motions)))
     key = route(side).key
 
     async def give() -> None:

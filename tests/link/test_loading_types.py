@@ -74,12 +74,11 @@ def test_before_a_topic_is_armed(loop: VirtualLoop, ros: Loads, make_context: Ca
     hear_all((robot, pc))
     assert (TWIST, False) in ros.loaded, "when the route opens, as the other side may arm it"
     ros.loaded.clear()
-    link = cast("Any", SimpleNamespace(table=pc.table))
 
     async def end_motions(_: set[str]) -> None: ...
 
-    arming = ArmingCommands(lambda: [link], lambda _: (link, route(pc)), end_motions)
-    armed = loop.create_task(arming.arm(ArmTopic("/cmd_vel")))
+    arming = ArmingCommands(cast("Any", SimpleNamespace(links=lambda: [pc], end_motions=end_motions)))
+    armed = loop.create_task(arming.arm(ArmTopic(route(pc).key)))
     loop.run_until_complete(asyncio.sleep(0.01))
     assert ros.loaded == [(TWIST, False)]
     assert route(pc).arming.phase is ArmingPhase.ASKED

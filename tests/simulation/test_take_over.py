@@ -25,7 +25,7 @@ from tests.simulation.world import Violation, World
 from tests.support.long import long_cases
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.engine.topic_commands import ArmingCommands
+from rsb_bridge.engine.topic_commands import ArmingCommands, find_route
 from rsb_bridge.model.commands import (
     AnswerAsker,
     ArmTopic,
@@ -385,7 +385,7 @@ def _anybody(*_: object) -> bool:
 async def _handed_over(self: ArmingCommands, command: Any, opening: int) -> None:
     """Replace `ArmingCommands._take` by a form that hands the arming over as it is."""
 
-    _, route = self._find(command.key)
+    _, route = find_route(self._bridge, command.key)
     if not route.arming.held or route.arming.console is None:
         await self.arm(ArmTopic(command.key, command.shared))
     else:

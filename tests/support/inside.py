@@ -68,7 +68,7 @@ def is_running(engine: Engine) -> bool:
 
 
 def role_of(engine: Engine) -> Any:
-    return inside(engine)._role
+    return inside(engine).role
 
 
 def participant_of(node: RosNode) -> Participant:

@@ -23,7 +23,7 @@ from rsb_bridge.config.session_changes import changes, client_named, with_change
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.publishing import Publishing
-from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
+from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, find_route, undo_mark
 from rsb_bridge.engine.viewing import Viewing
 from rsb_bridge.feature import installed
 from rsb_bridge.link.extension import LinkError
@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Client, Session
     from rsb_bridge.ros.ros_interface import LostPort, OnFailure, RawMessage, Subscription
+    from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 
 _WORD = b"shutdown"
@@ -89,10 +90,10 @@ class Bridge:
     Attributes:
         folder: gives the folder of the session file.
         newest_snapshot: returns it; may be called on any thread.
+        role: a server's or a client's part.
         graph_watch: reacts to changes of the ROS graph.
         handlers: execute commands, by the command's type. The engine adds handlers for commands that read files.
         log: of operators' commands.
-        find: returns a route and its link by the route's key; raises `LinkError`.
     """
 
     def __init__(
@@ -103,22 +104,17 @@ class Bridge:
         self.newest_snapshot = snapshots.newest
         self._snapshots = snapshots
         is_server = context.session.role == "server"
-        self._role: BridgeRole = ServerRole(context, keys) if is_server else ClientRole(context, keys)
+        self.role: BridgeRole = ServerRole(context, keys) if is_server else ClientRole(context, keys)
         self._names = NameWatch(context, self._followers)
         context.names_changed = self._names.changed
-        self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
+        self.graph_watch = GraphWatch(context, self.role.links, self._names.changed)
         self.log = CommandLog(context.events)
-        topics = TopicCommands(self._role, self.log, context.demands, self._end_motions)
-        self.find = topics.find
-        inspector = RouteInspector(context, topics.find, self.log)
         self._tasks = Tasks(context.loop, lambda: None)
         self._viewing = Viewing(context, self.links, self._tasks.spawn)
+        inspector = RouteInspector(self)
         self._publishing = Publishing(context, self.links, self.log, inspector.peeking)
-        self._arming = arming = ArmingCommands(self.links, topics.find, self._publishing.end_motions)
+        self._arming = ArmingCommands(self)
         self.handlers: Handlers = {
-            **topics.handlers,
-            **arming.handlers,
-            **inspector.handlers,
             **self._publishing.handlers,
             **self._viewing.handlers,
             commands.Acknowledge: self._acknowledge,
@@ -131,19 +127,32 @@ class Bridge:
         """Held by the command that changes the session, so that the next one sees all of its effect."""
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
-        self._parts: list[EnginePart] = [part for feature in installed() for part in feature.parts(self)]
+        self._parts: list[EnginePart] = [TopicCommands(self), self._arming, inspector]
+        self._parts += [part for feature in installed() for part in feature.parts(self)]
         for part in self._parts:
             self.handlers |= part.handlers
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
         """Return all links, up or down: a client's one, or a server's many."""
-        return self._role.links()
+        return self.role.links()
+
+    def find(self, key: str) -> tuple[Link, Route]:
+        """Return a route and its link by the route's key.
+
+        Raises:
+            LinkError: there is none.
+        """
+        return find_route(self, key)
+
+    async def end_motions(self, topics: set[str] | None = None) -> bool:
+        """See `rsb_bridge.engine.topic_commands.CommandedBridge`."""
+        return await self._publishing.end_motions(topics)
 
     @property
     def session(self) -> Session:
         """The session as operators have left it. May be called from any thread."""
-        return self._role.session
+        return self.role.session
 
     # --- life
 
@@ -159,7 +168,7 @@ class Bridge:
             self._shutdown_watch = self._watch_shutdown()
             for part in self._parts:
                 part.open()
-            await self._role.start()
+            await self.role.start()
             started = True
         except (ListenError, RosError, LinkError, ValueError) as error:
             raise EngineError(str(error)) from None
@@ -167,14 +176,14 @@ class Bridge:
             # Also after an unexpected error: the next start needs the port.
             if not started:
                 await self._close()
-        self._snapshots.refresh_now(self._role)
+        self._snapshots.refresh_now(self.role)
 
     async def run(self) -> None:
         """Do the regular work until `stop` is called, then tell the peers and close everything."""
         context, graph_watch = self.context, self.graph_watch
         context.ros.watch(graph_watch.changed, lambda reason: context.call(lambda: self._ros_failed(reason)))
         try:
-            for work in (self._tick, graph_watch.run, self._names.run, lambda: self._snapshots.run(self._role)):
+            for work in (self._tick, graph_watch.run, self._names.run, lambda: self._snapshots.run(self.role)):
                 self._tasks.keep(work, Backoff(_TICK, _LONGEST_PAUSE))
             await self._stopping.wait()
         finally:
@@ -196,7 +205,7 @@ class Bridge:
                 due = now() + _TICK
             await asyncio.sleep(due - now())
             self.context.limited.tick()
-            self._role.tick()
+            self.role.tick()
             for link in self.links():
                 await link.table.tick_routes()
                 link.guarded(link.tick)
@@ -235,12 +244,12 @@ class Bridge:
             with self._guarded(part):
                 await part.close()
         self.context.descriptions.close()
-        await self._role.stop()
+        await self.role.stop()
         if self.context.rests:  # a publisher that closes at once may take its message with it
             await asyncio.wait(self.context.rests)
         self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
-        self._snapshots.refresh_now(self._role, running=False)
+        self._snapshots.refresh_now(self.role, running=False)
         # Last: the loop stands still meanwhile, and while all this took its time, a scrape or a command could end.
         for part in self._parts:
             with self._guarded(part):
@@ -262,7 +271,7 @@ class Bridge:
             context.events.add(
                 Level.WARNING, EventCode.ENGINE_SHUTDOWN, f"{message}: closing the sockets on both sides"
             )
-            self._role.shut_down(message)
+            self.role.shut_down(message)
 
         def sink(batch: Sequence[RawMessage]) -> None:
             if any(string_bytes(taken.payload) == _WORD for taken in batch):
@@ -317,10 +326,10 @@ class Bridge:
                 raise EngineError(str(error)) from None
             finally:
                 if command.refreshes and not self._stopping.is_set():  # the last snapshot shows the end, and stays
-                    self._snapshots.refresh_now(self._role)
+                    self._snapshots.refresh_now(self.role)
 
     async def _acknowledge(self, command: commands.Acknowledge) -> None:
-        self._snapshots.refresh_now(self._role)
+        self._snapshots.refresh_now(self.role)
         # In the newest state: the fault that the operator has seen may be over.
         faulty = find_faulty(self._snapshots.latest, command.key, command.link, command.seen)
         acknowledgements = self._snapshots.acknowledged
@@ -357,7 +366,7 @@ class Bridge:
         session = change(self.session)
         for problem in validate(session):
             raise LinkError(str(problem))
-        known = {**self._role.keys, **keys}
+        known = {**self.role.keys, **keys}
         keys = {client.name: known[client.name] for client in session.accepted_clients}
         if shared := shared_key_problem(session, keys):
             raise LinkError(shared)
@@ -368,19 +377,15 @@ class Bridge:
     async def _retry(self, command: commands.Retry) -> None:
         if command.link:
             # For its error: a server would do nothing about a name that no link has, and report success.
-            link_named(command.link, self._role.links())
-        self._role.retry(command.link)
+            link_named(command.link, self.role.links())
+        self.role.retry(command.link)
         self.log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
 
-    # Topics' commands are made first: `Publishing` looks at messages with an inspector, which finds routes by them.
-    async def _end_motions(self, topics: set[str]) -> bool:
-        return await self._publishing.end_motions(topics)
-
     async def _shut_down(self, _: commands.ShutDownLinks) -> None:
-        await self._publishing.end_motions()
+        await self.end_motions()
         self._arming.end_all(Disarmed.REOPENED)
         self.log.add(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
-        self._role.shut_down(operator())
+        self.role.shut_down(operator())
 
     async def _restart(self, step: Callable[[str], None] | None, _: commands.Restart) -> None:
         def report(message: str) -> None:
@@ -388,10 +393,10 @@ class Bridge:
             if step is not None:
                 step(message)
 
-        await self._publishing.end_motions()
+        await self.end_motions()
         self._arming.end_all(Disarmed.REOPENED)
         self.log.add(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
-        await self._role.restart(report)
+        await self.role.restart(report)
 
     async def reload(
         self, session: Session, keys: Keys, *, dry_run: bool, drop_arm: bool = False
@@ -418,7 +423,7 @@ class Bridge:
         if other and drop_arm:
             # The first step drops all of them, and the others only name theirs.
             first[0] = ReloadStep(texts[0], partial(demands.drop, other))
-        await self._publishing.end_motions()
+        await self.end_motions()
         self._arming.end_all(Disarmed.RELOADED)
         return await self._reload(session, keys, first)
 
@@ -464,7 +469,7 @@ class Bridge:
         steps = [
             ReloadStep(", ".join(said), act) for names, act in in_place if (said := changes(old, session, only=names))
         ]
-        return steps + self._role.steps_to(session, keys)
+        return steps + self.role.steps_to(session, keys)
 
     def _set_stale_after(self) -> None:
         for link in self.links():

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
+from rsb_bridge.engine.part import EnginePart
+from rsb_bridge.engine.topic_commands import find_route
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.peer_operators import acting_operator, called
 from rsb_bridge.model.calls import SEND_GOAL
@@ -22,12 +24,8 @@ from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.wire.messages import ByHand
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rsb_bridge.cdr.decoder import Decoded
-    from rsb_bridge.context import Context
-    from rsb_bridge.engine.part import Handlers
-    from rsb_bridge.engine.topic_commands import CommandLog
+    from rsb_bridge.engine.topic_commands import CommandedBridge
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.snapshot import PeekedMessage
     from rsb_bridge.route.route import Route
@@ -40,28 +38,19 @@ before it takes the places of the nodes' calls (4,096 a link)."""
 _GOAL_ID_BYTES = 16
 
 
-class RouteInspector:
+class RouteInspector(EnginePart):
     """Executes commands that look at messages and types, or call by hand.
-
-    Args:
-        find: gives a route and its link by the route's key.
 
     Attributes:
         peeking: gives messages that pass.
     """
 
-    def __init__(
-        self,
-        context: Context,
-        find: Callable[[str], tuple[Link, Route]],
-        log: CommandLog,
-    ) -> None:
-        self._context = context
-        self._find = find
-        self._log = log
-        self.peeking = Peeking(context)
+    def __init__(self, bridge: CommandedBridge) -> None:
+        self._bridge = bridge
+        self._context = bridge.context
+        self.peeking = Peeking(bridge.context)
         self._calls = 0
-        self.handlers: Handlers = {
+        self.handlers = {
             Call: self.call,
             DescribeType: self.describe,
             Peek: self.peek,
@@ -69,23 +58,23 @@ class RouteInspector:
         }
 
     async def peek(self, command: Peek) -> PeekedMessage | None:
-        _, route = self._find(command.key)
+        _, route = find_route(self._bridge, command.key)
         if not isinstance(route, TopicRoute):
             raise LinkError(f"{route.local_topic} has calls, no messages")
         return await self.peeking.peek(route, kept=command.kept)
 
     async def describe(self, command: DescribeType) -> str:
-        link, route = self._find(command.key)
+        link, route = find_route(self._bridge, command.key)
         return await link.type_questions.describe(route)
 
     async def template(self, command: Template) -> str:
-        route = _callable(self._find(command.key)[1])
+        route = _callable(find_route(self._bridge, command.key)[1])
         number = _lane_named(route, command.lane)
         return await asyncio.to_thread(self._defaults, route, number, route.entry(number))
 
     async def call(self, command: Call) -> str:
         """Call by hand; both sides record the operator."""
-        link, found = self._find(command.key)
+        link, found = find_route(self._bridge, command.key)
         route = _callable(found)
         if self._calls >= CALLS_AT_ONCE:
             raise LinkError(Denied.TOO_MANY_CALLS(limit=CALLS_AT_ONCE))
@@ -113,7 +102,8 @@ class RouteInspector:
         finally:
             outcome = sanitize_text(outcome, REASON_LENGTH)
             self._record(link, route, ByHand(route=route.id, lane=lane, who=acting_operator(), outcome=outcome))
-        return note + await asyncio.to_thread(self._text_of, f"{entry.type}_Response", response)
+        answer = await asyncio.to_thread(lambda: write_fields(self._decoded(f"{entry.type}_Response", response)))
+        return note + answer
 
     def _record(self, link: Link, route: CallsRoute, message: ByHand) -> None:
         """Record an operator's call, or its outcome, in the logs of both sides."""
@@ -122,7 +112,9 @@ class RouteInspector:
             link.send(message)
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
         what = called(route, message.lane, message.outcome)
-        self._log.add(code, what, topic=route.local_topic, link=route.peer.name, new=message.outcome or message.request)
+        self._bridge.log.add(
+            code, what, topic=route.local_topic, link=route.peer.name, new=message.outcome or message.request
+        )
 
     def _serialized(self, route: CallsRoute, lane: int, entry: LaneEntry, request: str) -> tuple[bytes, str]:
         """Return a request as bytes, and a note for its operator. Slow: not for the I/O thread."""
@@ -149,11 +141,8 @@ class RouteInspector:
             decoded.message.pop("goal_id", None)
         return write_fields(decoded)
 
-    def _text_of(self, type_name: str, payload: bytes) -> str:
-        """Return a message as YAML. Slow: not for the I/O thread."""
-        return write_fields(self._decoded(type_name, payload))
-
     def _decoded(self, type_name: str, payload: bytes) -> Decoded:
+        """Decode a message of a type that is installed here. Slow: not for the I/O thread."""
         text = self._context.ros.installed_description(type_name)
         assert text is not None, "its request was made here"
         return decode(read_description(text, hash_of_text(text)), payload, items=ITEMS, steps=STEPS)

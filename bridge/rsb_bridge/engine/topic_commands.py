@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
 
 from rsb_bridge.config.session_changes import changes, described
+from rsb_bridge.engine.part import EnginePart
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.model.by_hand import Held
 from rsb_bridge.model.codes import EventCode
@@ -32,13 +33,12 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lifecycle import pause_word
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Iterable
+    from collections.abc import Iterable
     from enum import StrEnum
 
-    from rsb_bridge.engine.part import Handlers
+    from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
-    from rsb_bridge.model.demands import RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import EventLog
@@ -64,6 +64,28 @@ def undo_mark() -> str:
     return " (undo)" if is_undo() else ""
 
 
+class CommandedBridge(Protocol):
+    """The bridge that commands act on (`rsb_bridge.engine.bridge.Bridge`).
+
+    Attributes:
+        log: of operators' commands.
+    """
+
+    context: Context
+    role: BridgeRole
+    log: CommandLog
+
+    def links(self) -> list[Link]:
+        """Return all links, up or down."""
+
+    async def end_motions(self, topics: set[str] | None = None) -> bool:
+        """Stop what operators drive by hand, on some topics or all, before that is no longer possible.
+
+        Returns:
+            Whether that took a while, in which the peer may have changed anything.
+        """
+
+
 class Named(NamedTuple):
     """The entry that a command's key names.
 
@@ -83,58 +105,51 @@ class Named(NamedTuple):
         return tuple(each for each in self.link.routes.values() if self.link.patterns.has_made(each, self.entry))
 
 
-class TopicCommands:
-    """Executes commands about single topics and patterns.
+def find_route(bridge: CommandedBridge, key: str) -> tuple[Link, Route]:
+    """Return a route and its link by the route's key.
 
-    Args:
-        demands: the names that have to be armed.
-        end_motions: stops what operators drive by hand on topics, before that is no longer possible. It tells whether
-            it waited.
+    Raises:
+        LinkError: there is none.
     """
+    link, _, route = _named(bridge, key)
+    if route is None:
+        raise LinkError("a pattern carries nothing itself: choose one of the topics that it matches")
+    return link, route
 
-    def __init__(
-        self,
-        role: BridgeRole,
-        log: CommandLog,
-        demands: RunningDemands,
-        end_motions: Callable[[set[str]], Awaitable[bool]],
-    ) -> None:
-        self._role = role
-        self._log = log
-        self._demands = demands
-        self._end_motions = end_motions
-        self.handlers: Handlers = {
+
+def _named(bridge: CommandedBridge, key: str) -> Named:
+    for link in bridge.links():
+        if (route := link.routes.get(key)) is not None:
+            return Named(link, route.spec, route)
+        if (pattern := link.patterns.find(key)) is not None:
+            return Named(link, pattern, None)
+    raise LinkError(Denied.NO_ROUTE(key=key))
+
+
+class TopicCommands(EnginePart):
+    """Executes commands about single topics and patterns."""
+
+    def __init__(self, bridge: CommandedBridge) -> None:
+        self._bridge = bridge
+        self._log = bridge.log
+        self._demands = bridge.context.demands
+        self.handlers = {
             AddTopic: self.add,
             EditTopic: self.edit,
             PauseTopics: self.pause,
             RemoveTopic: self.remove,
         }
 
-    def find(self, key: str) -> tuple[Link, Route]:
-        """Return a route and its link by the route's key."""
-        named = self._named(key)
-        if named.route is None:
-            raise LinkError("a pattern carries nothing itself: choose one of the topics that it matches")
-        return named.link, named.route
-
-    def _named(self, key: str) -> Named:
-        for link in self._role.links():
-            if (route := link.routes.get(key)) is not None:
-                return Named(link, route.spec, route)
-            if (pattern := link.patterns.find(key)) is not None:
-                return Named(link, pattern, None)
-        raise LinkError(Denied.NO_ROUTE(key=key))
-
     async def _stopped(self, key: str) -> Named:
         """Return what a key names after the motions on its topics have ended."""
-        named = self._named(key)
-        if await self._end_motions({route.local_topic for route in named.routes()}):
-            return self._named(key)  # the peer may have removed or edited it while the robots came to rest
+        named = _named(self._bridge, key)
+        if await self._bridge.end_motions({route.local_topic for route in named.routes()}):
+            return _named(self._bridge, key)  # the peer may have removed or edited it while the robots came to rest
         return named
 
     async def add(self, command: AddTopic) -> str:
         with self._demands.changing(operator()):
-            link, key, topic = self._role.add(command.topic, command.link)
+            link, key, topic = self._bridge.role.add(command.topic, command.link)
         route = link.routes.get(key)
         topic, name = (topic, topic.topic) if route is None else (route.spec, route.local_topic)
         self._log.add(EventCode.OPERATOR_ADDED, "added", topic=name, link=link.name, new=described(topic))
@@ -277,24 +292,12 @@ class TopicCommands:
         await _settled(stopped)
 
 
-class ArmingCommands:
-    """Executes commands about arming, each for the console that gives it.
+class ArmingCommands(EnginePart):
+    """Executes commands about arming, each for the console that gives it."""
 
-    Args:
-        find: gives a route and its link by the route's key.
-        end_motions: stops what operators drive by hand on topics, before that is no longer possible.
-    """
-
-    def __init__(
-        self,
-        links: Callable[[], list[Link]],
-        find: Callable[[str], tuple[Link, Route]],
-        end_motions: Callable[[set[str]], Awaitable[object]],
-    ) -> None:
-        self._links = links
-        self._find = find
-        self._end_motions = end_motions
-        self.handlers: Handlers = {
+    def __init__(self, bridge: CommandedBridge) -> None:
+        self._bridge = bridge
+        self.handlers = {
             AnswerAsker: self.answer,
             ArmTopic: self.arm,
             AskHolder: self.ask,
@@ -305,29 +308,29 @@ class ArmingCommands:
         }
 
     async def arm(self, command: ArmTopic) -> None:
-        link, route = self._find(command.key)
+        link, route = find_route(self._bridge, command.key)
         # Raises at its end if the console has gone, which would leave the topic armed by nobody.
         with link.table.arming.waiting(route, console()) as waiting:
             await link.table.arming.load_type(route)
-            link, route = self._find(command.key)  # it may have been edited meanwhile
+            link, route = find_route(self._bridge, command.key)  # it may have been edited meanwhile
             await link.table.arming.until_open(route, waiting)
-        link, route = self._find(command.key)
+        link, route = find_route(self._bridge, command.key)
         await link.table.arming.arm(route, console(), shared=command.shared)
 
     async def ask(self, command: AskHolder) -> None:
-        link, route = self._find(command.key)
+        link, route = find_route(self._bridge, command.key)
         opening = route.id
         with link.table.arming.waiting(route, console()):
             await link.table.questions.ask(route, console())
         await self._take(command, opening)
 
     async def take(self, command: TakeArming) -> None:
-        _, route = self._find(command.key)
+        _, route = find_route(self._bridge, command.key)
         await self._take(command, route.id)
 
     async def _take(self, command: AskHolder | TakeArming, opening: int) -> None:
         """Disarm a route if it is still held in an opening, and arm it. The robot stops in between."""
-        link, route = self._find(command.key)
+        link, route = find_route(self._bridge, command.key)
         with link.table.arming.waiting(route, console()):
             # The holder of a later opening was not asked.
             if route.id == opening and route.arming.held and route.arming.console != console():
@@ -335,38 +338,38 @@ class ArmingCommands:
         await self.arm(ArmTopic(command.key, command.shared))
 
     async def answer(self, command: AnswerAsker) -> None:
-        link, route = self._find(command.key)
+        link, route = find_route(self._bridge, command.key)
         link.table.questions.answer(route, console(), gives=command.gives, who=command.who)
 
     async def disarm(self, command: DisarmTopic) -> None:
-        link, route = self._find(command.key)
+        link, route = find_route(self._bridge, command.key)
         # A command that is about to arm it would do so afterwards.
         link.table.arming.withdraw(route, console() if command.own else None)
         if not command.own or route.arming.console == console():
             await self._disarm(link, route)
 
     async def _disarm(self, link: Link, route: Route) -> None:
-        await self._end_motions({route.local_topic})
+        await self._bridge.end_motions({route.local_topic})
         link.table.arming.disarm(route, Disarmed.OPERATOR)
         await _settled((route,))
 
     async def keep(self, command: KeepArmed) -> Held:
-        for link in self._links():
+        for link in self._bridge.links():
             link.table.arming.seen(console(), pressed=command.pressed)
             link.table.questions.seen(console())
-        routes = (route for link in self._links() for route in link.routes.values())
+        routes = (route for link in self._bridge.links() for route in link.routes.values())
         held = (route.key for route in routes if route.arming.held and route.arming.console == console())
         return Held(tuple(held))
 
     async def release(self, _: ReleaseArmed) -> None:
-        routes = (route for link in self._links() for route in link.routes.values())
-        await self._end_motions({route.local_topic for route in routes if route.arming.console == console()})
-        for link in self._links():
+        routes = (route for link in self._bridge.links() for route in link.routes.values())
+        await self._bridge.end_motions({route.local_topic for route in routes if route.arming.console == console()})
+        for link in self._bridge.links():
             link.table.arming.gone(console())
 
     def end_all(self, why: Disarmed) -> None:
         """Disarm everything, before a change of the whole bridge: that takes time, in which robots would go on."""
-        for link in self._links():
+        for link in self._bridge.links():
             link.table.arming.disarm_all(why)
 
 
