@@ -8,11 +8,13 @@ from __future__ import annotations
 import argparse
 import asyncio
 import os
+import sys
 import tempfile
 import threading
 import time
 from collections.abc import Awaitable
 from html import unescape
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,20 +28,20 @@ from rsb_console.app import ConsoleApp
 from rsb_console.command.demo import seen, simulated, trouble
 from rsb_console.fleet_app import FleetApp
 from rsb_console.look.glyphs import STATE_SIGN
-from rsb_console.screens.dialog import ArmScreen
-from rsb_console.screens.drive_screen import DriveScreen, DriveText
 from rsb_console.screens.view_screen import ViewScreen
 from rsb_console.session.demo_session import running_demo
 from rsb_console.widgets.fleet_table import FleetView
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
 
     from textual.pilot import Pilot
 
     from rsb_console.fleet.fleet import FleetSource, Robot, RobotFleet
 
-FOLDER = Path(__file__).parent / "pictures"
+    Take = Callable[["Album"], Coroutine[Any, Any, None]]
+
+ROOT = Path(__file__).parents[1]
 TERMINAL = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
 FLOWING = 6  # topics of the demo, its service, and its robot's parameters
 HISTORY = 60  # s: long enough for a curve to be worth a picture
@@ -152,9 +154,7 @@ async def of_pictures(album: Album) -> None:
                 await pilot.press(*"camera", "enter")
                 await until(lambda: drawn(app), pilot)
                 await album.take(pilot, "look-camera", "greater_than_sign", when=lambda words: "rgb8" in words)
-                await pilot.press(*["less_than_sign"] * 3, "d")  # drawing takes the time that driving needs here
-                album.keep("drive", await driving(app, pilot))
-                await pilot.press("escape", "escape", "slash", *"map", "enter", "v")
+                await pilot.press("less_than_sign", "escape", "slash", *"map", "enter", "v")
                 await until(lambda: drawn(app), pilot)
                 await pilot.pause(3.0)
                 await album.take(pilot, "look-map", when=lambda words: "5 m" in words)
@@ -166,28 +166,6 @@ async def of_pictures(album: Album) -> None:
 def drawn(app: ConsoleApp) -> bool:
     """Whether a picture of a message is on the screen."""
     return isinstance(app.screen, ViewScreen) and app.screen.content is not None
-
-
-async def driving(app: ConsoleApp, pilot: Pilot[Any]) -> str:
-    """Return the picture of a robot that drives. On a busy machine it is disarmed now and then, and armed again."""
-    picture = ""
-
-    async def drives() -> bool:
-        nonlocal picture
-        armed = [each.arming for each in app.snapshot().routes if each.arming and each.arming.armed]
-        if isinstance(app.screen, ArmScreen):
-            await pilot.press("y")
-        elif isinstance(app.screen, DriveScreen) and not armed:
-            await pilot.press("A")
-        else:
-            await pilot.press("u")  # ahead, and to the left
-            if any(arming.velocity and arming.velocity[0] for arming in armed):
-                picture = app.export_screenshot()
-        words = words_of(picture)
-        return "turning" in words and DriveText.NO_KEY() not in words
-
-    await until(drives, pilot)
-    return picture
 
 
 async def of_a_fleet(album: Album) -> None:
@@ -229,20 +207,31 @@ def states_of(fleet: RobotFleet) -> set[RobotState]:
 PARTS = {"robot": of_a_robot, "look": of_pictures, "fleet": of_a_fleet}
 
 
+def parts() -> dict[str, tuple[Path, Take]]:
+    """Return the folder of the pictures of each part, and what takes them: of this script, and of features'."""
+    found: dict[str, tuple[Path, Take]] = {name: (ROOT / "docs/pictures", take) for name, take in PARTS.items()}
+    sys.path.insert(0, str(ROOT))
+    for script in ROOT.glob("extras/rsb_extras/*/docs/*.py"):
+        module = ".".join(script.relative_to(ROOT / "extras").with_suffix("").parts)
+        found |= {name: (script.parent / "pictures", take) for name, take in import_module(module).PARTS.items()}
+    return found
+
+
 def main() -> None:
     """Take the pictures that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", choices=[*PARTS, []], help=f"of {', '.join(PARTS)}")
-    parser.add_argument("--folder", type=Path, default=FOLDER)
+    known = parts()
+    parser.add_argument("parts", nargs="*", metavar="PART", choices=[*known, []], help=f"of {', '.join(known)}")
+    parser.add_argument("--folder", type=Path, help="instead of those of the documentation")
     arguments = parser.parse_args()
     os.environ.pop("NO_COLOR", None)
     os.environ |= TERMINAL
     # This process draws, drives and bridges: on a busy machine it may stand still for more than a lease's second.
     lease.LASTS = lease.SLOW = 5.0
-    arguments.folder.mkdir(exist_ok=True)
-    for part in arguments.parts or PARTS:
+    for part in arguments.parts or known:
+        folder, take = known[part]
         with tempfile.TemporaryDirectory() as config:
-            asyncio.run(PARTS[part](Album(arguments.folder, Path(config))))
+            asyncio.run(take(Album(arguments.folder or folder, Path(config))))
 
 
 if __name__ == "__main__":

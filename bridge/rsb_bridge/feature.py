@@ -27,7 +27,9 @@ BRINGS: Mapping[str, str] = {
 }
 """Keys of session files, and the feature of this project that brings each: an installation without it says so."""
 BRINGS_COMMANDS: Mapping[str, str] = {"doctor": "doctor"}
-"""Subcommands, and the feature of this project that brings each: an installation without it says so."""
+"""The same of subcommands."""
+BRINGS_ACTIONS: Mapping[str, str] = {"drive": "driving"}
+"""The same of actions of the console, by their ids in ``keys.yaml``."""
 
 T = TypeVar("T")
 _logger = logging.getLogger(__name__)

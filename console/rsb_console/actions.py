@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
 from enum import StrEnum
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from textual.binding import Binding
@@ -11,7 +12,9 @@ from textual.binding import Binding
 from rsb_bridge.feature import installed
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Awaitable, Callable, Sequence
+
+    from rsb_bridge.model.snapshot import RouteSnapshot
 
 
 class Group(StrEnum):
@@ -31,6 +34,34 @@ NAMESPACE = {
 }  # fmt: skip
 
 
+class KeyChapter(NamedTuple):
+    """The keys of a screen that has its own.
+
+    Attributes:
+        screen: name of the screen's class, or of a base of it.
+        keys: keys, and their meaning.
+    """
+
+    title: str
+    screen: str
+    keys: tuple[tuple[str, str], ...]
+
+
+class OnRobot(NamedTuple):
+    """An action on a screen that shows a robot instead of the list of topics, such as its camera's picture.
+
+    Attributes:
+        key: Textual key name there.
+        suits: whether it may act on a topic of that robot, so that the screen shows the key.
+        run: acts on one of the topics of that robot, or says why on none; a coroutine function of a
+            `rsb_console.console_api.Console` and the topics.
+    """
+
+    key: str
+    suits: Callable[[RouteSnapshot], bool]
+    run: Callable[[Any, Sequence[RouteSnapshot]], Awaitable[None]]
+
+
 @dataclass(frozen=True, slots=True)
 class Action:
     """One action of an operator.
@@ -46,6 +77,9 @@ class Action:
         also: other words by which the palette finds it.
         run: of a feature, what it does: a coroutine function of the main screen
             (`rsb_console.screens.main.MainScreen`); else None.
+        on_robot: the same on screens that show a robot; or None.
+        after: of a feature, the id of the action that it follows in help and palette; or empty, to be the last.
+        chapters: the keys of the screens that it opens, for the help.
     """
 
     id: str
@@ -59,11 +93,24 @@ class Action:
     in_footer: bool = False
     also: str = ""
     run: Callable[[Any], Awaitable[None]] | None = None
+    on_robot: OnRobot | None = None
+    after: str = ""
+    chapters: tuple[KeyChapter, ...] = ()
+
+
+def late(place: str) -> Callable[..., Any]:
+    """Return a function, ``package.module:function``, that is imported once it is called, to keep the start short."""
+    module, name = place.split(":")
+
+    def call(*arguments: Any) -> Any:
+        return getattr(import_module(module), name)(*arguments)
+
+    return call
 
 
 # No Ctrl+S, Q, A, B, J or Enter, and no Alt: terminals and multiplexers take these for themselves.
 # The footer shows them in this order, as many as fit: what an operator needs most comes first.
-ACTIONS: tuple[Action, ...] = (
+_OF_CORE: tuple[Action, ...] = (
     Action("move_down", "j,down", "down", "Next line", Group.MOVE),
     Action("move_up", "k,up", "up", "Previous line", Group.MOVE),
     Action("move_first", "g,home", "first", "First line", Group.MOVE),
@@ -89,8 +136,6 @@ ACTIONS: tuple[Action, ...] = (
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="request, send a goal, param get list"),
     Action("publish", "S", "publish", "Publish a message by hand, on any topic of this side",
            Group.OPERATE, changes=True, also="pub, send, template, goal pose"),
-    Action("drive", "D", "drive", "Drive a robot by keys, on a topic that has to be armed",
-           Group.OPERATE, changes=True, needs_topic=True, also="teleop, cmd_vel, twist, joystick"),
     Action("detail", "enter", "detail", "Open the details, then a topic's message; or the full log line",
            Group.VIEW, needs_topic=True, in_footer=True),
     Action("message", "v", "message", "View a topic's messages, as a picture or as text", Group.VIEW, needs_topic=True),
@@ -143,21 +188,19 @@ ACTIONS: tuple[Action, ...] = (
     Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
     Action("quit", "q", "quit", "Quit; the bridge stops, unless it runs in another process",
            Group.CONSOLE, in_footer=True),
-    *(action for feature in installed() for action in feature.actions()),
 )  # fmt: skip
 
 
-class KeyChapter(NamedTuple):
-    """The keys of a screen that has its own.
+def _with_features() -> tuple[Action, ...]:
+    """Return the actions of the core, and those of features behind the ones that they follow."""
+    actions = list(_OF_CORE)
+    for action in (each for feature in installed() for each in feature.actions()):
+        places = [place for place, each in enumerate(actions, 1) if each.id == action.after]
+        actions.insert(places[0] if places else len(actions), action)
+    return tuple(actions)
 
-    Attributes:
-        screen: name of the screen's class, or of a base of it.
-        keys: keys, and their meaning.
-    """
 
-    title: str
-    screen: str
-    keys: tuple[tuple[str, str], ...]
+ACTIONS = _with_features()
 
 
 KEYS_ON_SCREENS: tuple[KeyChapter, ...] = (
@@ -187,19 +230,7 @@ KEYS_ON_SCREENS: tuple[KeyChapter, ...] = (
             ("esc", "Leave it"),
         ),
     ),
-    KeyChapter(
-        "Drive (D, or d on a picture)",
-        "DriveScreen",
-        (
-            ("← → ↑ ↓", "Drive while a key is held"),
-            ("uiojlm,.", "The same, and diagonally, as with teleop_twist_keyboard"),
-            ("space k", "Stop"),
-            ("+ -", "Faster, slower"),
-            ("A", "Arm the topic, disarm it, or ask its holder for it"),
-            ("y n", "Give it to the operator who asks for it, or keep it"),
-            ("esc q", "Leave"),
-        ),
-    ),
+    *(chapter for action in ACTIONS for chapter in action.chapters),
     KeyChapter(
         "In a form",
         "FormScreen",

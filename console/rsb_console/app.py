@@ -24,7 +24,7 @@ from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.main import MainScreen
 from rsb_console.screens.take_over import HandOverScreen, NewQuestions
 from rsb_console.session.changes import Changes
-from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.terminal.input_queue import DIALOG, is_guarded
 from rsb_console.terminal_app import ShutdownReason, TerminalApp
 
 if TYPE_CHECKING:
@@ -321,10 +321,8 @@ class ConsoleApp(TerminalApp[None]):
 
     @work
     async def _hand_over(self, route: RouteSnapshot) -> None:
-        """Ask the operator whether another one gets what this console holds; the drive screen asks by itself."""
-        from rsb_console.screens.drive_screen import DriveScreen  # noqa: PLC0415 -- keeps the start short
-
-        if isinstance(self.screen, DriveScreen) and self.screen.drives(route.key):
+        """Ask the operator whether another one gets what this console holds, unless the screen on top does."""
+        if is_guarded(self.screen) and self.screen.hands_over(route.key):
             return
         question = HandOverScreen(self, route)
         gives = await self.ask(question)

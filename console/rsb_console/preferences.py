@@ -19,6 +19,7 @@ from textual.color import Color, ColorParseError
 from textual.theme import Theme
 
 from rsb_bridge.config.files import is_there, replace_file, why_not_written
+from rsb_bridge.feature import BRINGS_ACTIONS
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS
 from rsb_console.look.topic_column import ADDED
@@ -86,6 +87,7 @@ class PreferenceProblem(Wording):
 
     NO_KEYMAP = "{path}: must map action ids to keys, like 'pause: P'"
     UNKNOWN_ACTIONS = "{path}: no action is named {actions}; the help (?) lists them"
+    OF_FEATURE = "{path}: this installation has no {feature}: install all of rsb-console, or leave {action} out"
     SHARED_KEY = "{path}: {key!r} is the key of both {one} and {other}; change one of them"
     NO_SETTINGS = "{path}: must map names to values, like 'bell: true'"
     UNKNOWN_SETTINGS = "{path}: {names}: no setting; there are bell, columns, refresh_rate and theme"
@@ -194,6 +196,9 @@ def load_keymap(path: Path) -> dict[str, str]:
     # YAML reads the key 5 as a number.
     keymap = {str(action): str(keys) for action, keys in loaded.items()}
     unknown = sorted(set(keymap) - set(BY_ID))
+    if absent := next((action for action in unknown if action in BRINGS_ACTIONS), ""):
+        feature = BRINGS_ACTIONS[absent]
+        raise PreferenceError(PreferenceProblem.OF_FEATURE(path=path, feature=feature, action=absent))
     if unknown:
         raise PreferenceError(PreferenceProblem.UNKNOWN_ACTIONS(path=path, actions=", ".join(unknown)))
     _refuse_shared_keys(path, keymap)

@@ -13,15 +13,16 @@ import pytest
 import yaml
 
 from rsb_console.actions import ACTIONS, Group
-from rsb_console.screens.drive_screen import DriveText
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs/screenshots.py"
+OF_FEATURES = sorted(ROOT.glob("extras/rsb_extras/*/docs/*.py"))
+PICTURES = [each for folder in ("docs", "extras/rsb_extras/*/docs") for each in ROOT.glob(f"{folder}/pictures/*.svg")]
 
 
-def taken() -> set[str]:
-    """Return the names of the pictures that the script takes."""
-    calls = [node for node in ast.walk(ast.parse(SCRIPT.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+def taken(script: Path) -> set[str]:
+    """Return the names of the pictures that a script takes."""
+    calls = [node for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
     names = set()
     for call in calls:
         if isinstance(call.func, ast.Attribute) and call.func.attr in ("take", "keep"):
@@ -29,8 +30,9 @@ def taken() -> set[str]:
     return {name for name in names if isinstance(name, str)}
 
 
-def test_each_picture_is_taken_by_the_script() -> None:
-    assert taken() == {picture.stem for picture in (ROOT / "docs/pictures").glob("*.svg")}
+@pytest.mark.parametrize("script", [SCRIPT, *OF_FEATURES], ids=lambda script: script.stem)
+def test_each_picture_is_taken_by_the_script_beside_it(script: Path) -> None:
+    assert taken(script) == {picture.stem for picture in (script.parent / "pictures").glob("*.svg")}
 
 
 def words_of(name: str) -> str:
@@ -44,14 +46,6 @@ def test_the_picture_of_the_help_has_the_present_keys() -> None:
     assert not missing, "make screenshots"
 
 
-def test_the_picture_of_driving_shows_a_key_and_its_motion() -> None:
-    words = words_of("drive")
-    assert re.search(r"forward \+0\.\d\d m/s", words), "make screenshots"
-    assert "moving" in words
-    assert "turning" in words
-    assert DriveText.NO_KEY() not in words
-
-
 @pytest.mark.parametrize("name", ["main", "service", "light", "narrow", "detail"])
 def test_pictures_of_the_demo_have_one_fault(name: str) -> None:
     words = words_of(name)
@@ -59,7 +53,7 @@ def test_pictures_of_the_demo_have_one_fault(name: str) -> None:
     assert not re.search(r"[≈◔▲✗◇] ?1\b", words), "make screenshots"
 
 
-@pytest.mark.parametrize("picture", sorted((ROOT / "docs/pictures").glob("*.svg")), ids=lambda picture: picture.stem)
+@pytest.mark.parametrize("picture", sorted(PICTURES), ids=lambda picture: picture.stem)
 def test_pictures_have_the_colours_of_their_theme(picture: Path) -> None:
     theme = "light" if picture.stem == "light" else "dark"
     primary = yaml.safe_load((ROOT / f"themes/{theme}.yaml").read_text(encoding="utf-8"))["primary"]
@@ -72,11 +66,11 @@ def test_it_starts_and_names_its_parts() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("part", ["robot", "look", "fleet"])
+@pytest.mark.parametrize("part", ["robot", "look", "fleet", *(["drive"] if OF_FEATURES else [])])
 def test_it_takes_its_pictures(part: str, tmp_path: Path) -> None:
     """Without a terminal, and in 24-bit colours."""
     command = (sys.executable, SCRIPT, part, "--folder", tmp_path)
     subprocess.run(command, capture_output=True, env={"PATH": "/usr/bin:/bin", "TERM": "dumb"}, timeout=600, check=True)
     pictures = {each.stem: each.read_text(encoding="utf-8") for each in tmp_path.glob("*.svg")}
     assert pictures
-    assert set(pictures) <= taken()
+    assert set(pictures) <= {name for script in (SCRIPT, *OF_FEATURES) for name in taken(script)}

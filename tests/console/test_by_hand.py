@@ -1,4 +1,4 @@
-"""Goals and velocities as the fields of messages, and tickets."""
+"""Goals as the fields of messages, and tickets."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.by_hand import Published
 from rsb_bridge.model.pictures import Scale
-from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, Goal, publish, velocity
+from rsb_console.session.manual_messages import POSE, ByHandText, Goal, publish
 
 SCALE = Scale("map", -2.0, 3.0, 0.1, 0.2)
 
@@ -75,16 +75,6 @@ def _is_one_value(frame: str) -> None:
     assert fields["header"] == {"stamp": "now", "frame_id": frame}
 
 
-# -- velocities
-
-
-@pytest.mark.parametrize(("forward", "turn"), [(0.2, -0.5), (-2.0, 0.0), (0.0, 0.0)])
-def test_a_velocity_has_the_fields_of_its_type(forward: float, turn: float) -> None:
-    twist = {"linear": {"x": f"{forward:.3f}"}, "angular": {"z": f"{turn:.3f}"}}
-    assert read_fields(velocity(TWIST, forward, turn)) == twist
-    assert read_fields(velocity(TWIST_STAMPED, forward, turn)) == {"header": "auto", "twist": twist}
-
-
 # -- tickets
 
 DONE, OLD = Published(is_done=True, ticket=9), Published(is_done=False, ticket=7)
@@ -94,9 +84,9 @@ def published_with(*answers: Published | EngineError) -> tuple[Published, list[i
     """Publish on an engine that gives these answers. Return the result, and the ticket of each command."""
     engine = ScriptedEngine()
     engine.published = [*answers]
-    result = asyncio.run(publish(engine, "/cmd", "data: x", TWIST))
+    result = asyncio.run(publish(engine, "/cmd", "data: x", POSE))
     sent = [each[1] for each in engine.commands]
-    assert {(each.topic, each.fields, each.type_name) for each in sent} == {("/cmd", "data: x", TWIST)}  # type: ignore[attr-defined]
+    assert {(each.topic, each.fields, each.type_name) for each in sent} == {("/cmd", "data: x", POSE)}  # type: ignore[attr-defined]
     return result, [each.ticket for each in sent]  # type: ignore[attr-defined]
 
 

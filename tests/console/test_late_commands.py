@@ -15,7 +15,6 @@ from rsb_bridge.model.by_hand import OLD_AFTER, Published
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.pictures import Scale
 from rsb_console.command import pub_command
-from rsb_console.screens.drive_screen import Steering
 from rsb_console.session import manual_messages
 
 
@@ -53,20 +52,6 @@ def test_an_old_message_gets_no_further_ticket(
     with pytest.raises(EngineError):
         publish(engine)
     assert not engine.published
-
-
-def test_keys_that_waited_for_a_console_that_stood_still_do_not_drive() -> None:
-    steering = Steering()
-    assert steering.at(0.0) == (0.0, 0.0)
-    steering.press("up", 0.1)
-    assert steering.at(0.2)[0] > 0
-    steering.press("up", 5.0)
-    assert steering.came_late(5.0)
-    assert steering.at(5.1) == (0.0, 0.0)
-    for tenths in range(52, 60):
-        assert steering.at(tenths / 10) == (0.0, 0.0)
-    steering.press("up", 6.0)
-    assert steering.at(6.1)[0] > 0
 
 
 def test_a_goal_on_a_map_of_any_scale_has_a_cell() -> None:

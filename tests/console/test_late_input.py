@@ -1,4 +1,4 @@
-"""Keys that come late: the terminal's pulse, screens that take young keys only, and driving behind a multiplexer."""
+"""Keys that come late: the terminal's pulse, and screens that take young keys only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_console.operations.bridge_operations import OperationText
 from rsb_console.screens.dialog import ConfirmScreen
-from rsb_console.screens.drive_screen import Steering
 from rsb_console.screens.links_screen import LinkText
 from rsb_console.screens.take_over import HandOverScreen
 from rsb_console.terminal.driver import ConsoleDriver, KeyParser
@@ -260,55 +259,6 @@ def test_the_kind_of_a_terminal_is_no_key() -> None:
     assert keys[1].startswith("<")
 
 
-# -- driving behind a multiplexer
-
-
-def moves(*presses: tuple[str, float], at: float) -> bool:
-    steering = Steering(lambda: True)
-    for key, now in presses:
-        steering.press(key, now)
-    return steering.at(at) != (0.0, 0.0)
-
-
-def test_a_motion_begins_with_a_held_keys_third() -> None:
-    assert not moves(("up", 10.0), at=10.0)
-    assert not moves(("up", 10.0), ("up", 10.5), at=10.5)
-    assert moves(("up", 10.0), ("up", 10.5), ("up", 10.53), at=10.53)
-    assert moves(("up", 10.0), ("up", 10.2), ("up", 10.25), ("left", 10.4), at=10.8)
-    assert not moves(("up", 10.0), ("up", 10.5), ("down", 10.53), at=10.53)
-    assert not moves(("up", 10.0), ("up", 10.9), ("up", 10.93), at=10.93)
-    assert not moves(("up", 10.0), ("up", 10.03), ("up", 10.06), at=10.06)
-    assert not moves(("up", 10.0), ("up", 10.3), ("up", 10.6), ("up", 10.9), at=10.9)
-
-
-def test_a_held_key_goes_on() -> None:
-    steering = Steering(lambda: True)
-    steering.press("up", 10.0)
-    for number in range(100):
-        now = 10.5 + number / 30
-        steering.press("up", now)
-        assert steering.at(now) == ((0.2, 0.0) if number else (0.0, 0.0))
-
-
-def test_a_held_key_begins_over_a_shaky_line() -> None:
-    gaps = [0.5, 0.005, 0.055, 0.03, 0.03, 0.03]
-    presses = [("up", 10.0 + sum(gaps[:count])) for count in range(len(gaps) + 1)]
-    assert not moves(*presses[:-1], at=presses[-2][1])
-    assert moves(*presses, at=presses[-1][1])
-
-
-@pytest.mark.parametrize("count", [1, 3, 6, 9, 240])
-@pytest.mark.parametrize("parts", [1, 2, 3, 5])
-@pytest.mark.parametrize("apart", [0.05, 0.08, 0.1, 0.2, 0.3, 0.5, 0.8])
-def test_late_keys_in_parts_move_nothing(count: int, parts: int, apart: float) -> None:
-    """TCP repeats lost segments a round trip apart, or more; the keys of each come together."""
-    steering = Steering(lambda: True)
-    for number in range(count):
-        now = 10.0 + number * 1e-4 + (number * min(parts, count) // count) * apart
-        steering.press("up", now)
-        assert steering.at(now) == (0.0, 0.0)
-
-
 def test_keys_that_come_at_once_have_one_time() -> None:
     parser = KeyParser()
     times = []
@@ -317,10 +267,6 @@ def test_keys_that_come_at_once_have_one_time() -> None:
         time.sleep(0.03)  # the thread that reads them stands still
     assert len(times) == 3
     assert len(set(times)) == 1
-
-
-def test_a_stop_counts_at_once_behind_a_multiplexer() -> None:
-    assert not moves(("up", 10.0), ("up", 10.5), ("up", 10.53), ("space", 10.531), at=10.531)
 
 
 # -- screens

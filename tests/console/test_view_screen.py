@@ -18,6 +18,7 @@ import msgspec
 import pytest
 from tests.console.driving import (
     NARROW,
+    WIDE,
     engine_of,
     form_of,
     notified,
@@ -39,7 +40,6 @@ from textual.pilot import Pilot
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.control.protocol import RequestProblem
-from rsb_bridge.model.by_hand import Draft
 from rsb_bridge.model.pictures import (
     MOST_COLUMNS,
     MOST_DETAIL,
@@ -57,16 +57,15 @@ from rsb_bridge.model.pictures import (
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
-from rsb_console.actions import KEYS_ON_SCREENS
+from rsb_console.actions import BY_ID, KEYS_ON_SCREENS
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.look.picture_rows import AXIS
-from rsb_console.screens.drive_screen import DriveScreen, DriveText
 from rsb_console.screens.help import KeyList
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.screens.publish_screen import PublishScreen
 from rsb_console.screens.view_screen import PicturePane, ViewScreen, ViewText
-from rsb_console.session.manual_messages import POSE, TWIST, Goal
+from rsb_console.session.manual_messages import POSE, Goal
 
 SCAN = "/robot2/scan"
 IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
@@ -534,7 +533,7 @@ async def test_a_goal_far_outside_of_the_picture_is_not_drawn(app: ConsoleApp, p
 
 
 @looking(readonly=True)
-async def test_a_read_only_console_sets_no_goal_and_drives_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_a_read_only_console_sets_no_goal_and_moves_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route(SCAN), DRIVEN)
     await comes(pilot, viewed(MAP))
     await pilot.press("g", "d")
@@ -542,45 +541,25 @@ async def test_a_read_only_console_sets_no_goal_and_drives_nothing(app: ConsoleA
     assert not any(key in text(app) for key in ("g goal", "d drive"))
 
 
-# -- driving
+# -- actions on the robot of the picture
 
 DRIVEN = route(
     "/cmd_vel", outgoing=True, type_name="geometry_msgs/msg/Twist", max_age=0.5, arming=ArmingSnapshot(armed=False)
 )
-ELSEWHERE = replace(DRIVEN, topic="/robot2/cmd_vel", key="2", link="robot2")
-ARMED = replace(ELSEWHERE, topic="/robot3/cmd_vel", key="3", link="robot1", arming=ArmingSnapshot(armed=True))
 
 
-UNTYPED = replace(DRIVEN, topic="/untyped", type_name="", spec=replace_type(DRIVEN, AUTO))
-DRIVES: list[tuple[tuple[RouteSnapshot, ...], str | ViewText | DriveText]] = [
-    ((DRIVEN,), "/cmd_vel"),
-    ((ELSEWHERE,), ViewText.NOT_DRIVEN),
-    ((ELSEWHERE, DRIVEN), "/cmd_vel"),
-    ((DRIVEN, ARMED), "/robot3/cmd_vel"),
-    ((replace(DRIVEN, type_name="", spec=replace_type(DRIVEN, AUTO)),), "/cmd_vel"),
-    ((UNTYPED,), DriveText.TYPE_UNKNOWN),
-    ((), ViewText.NOT_DRIVEN),
-    ((replace(DRIVEN, max_age=0.0),), ViewText.NOT_DRIVEN),
-    ((DRIVEN, replace(DRIVEN, key="4")), ViewText.SEVERAL_DRIVEN),
-]
-
-
+@pytest.mark.skipif("drive" not in BY_ID, reason="the core alone")
 @looking()
-async def test_the_robot_of_the_picture_is_driven(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    engine_of(app).drafts["/cmd_vel"] = Draft(TWIST, "")
-    for routes, topic in DRIVES:
-        await comes(pilot, viewed())
-        put(app, route(SCAN), *routes)
-        await pilot.press("d")
-        if isinstance(topic, ViewText | DriveText):
-            await notified(pilot, topic)
-            assert isinstance(app.screen, ViewScreen)
-            app.clear_notifications()
-            continue
-        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
-        await shown(pilot, topic)
-        await pilot.press("escape")
-        await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
+async def test_an_action_on_the_robot_gets_its_topics_only(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, route(SCAN), replace(DRIVEN, topic="/robot2/cmd_vel", key="2", link="robot2"))
+    await comes(pilot, viewed())
+    await pilot.resize_terminal(*WIDE)
+    assert "d drive" not in text(app)
+    put(app, route(SCAN), DRIVEN)
+    await pilot.resize_terminal(*NARROW)
+    await shown(pilot, "d drive")
+    await pilot.press("d")
+    await shown(pilot, "Drive /cmd_vel")
 
 
 # -- the cursor of a plot

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.feature import BRINGS, installed
+from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, installed
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = {each.parent.name: each.parent for each in ROOT.glob("extras/rsb_extras/*/__init__.py")}
@@ -46,6 +46,25 @@ def test_the_core_knows_which_feature_brings_which_key() -> None:
         for key in importlib.import_module(f"rsb_extras.{name}").FEATURE.session_keys()
     }
     assert found == BRINGS
+
+
+@pytest.mark.skipif(not FOLDERS, reason="the core alone")
+def test_the_core_knows_which_feature_brings_which_action() -> None:
+    features = (importlib.import_module(f"rsb_extras.{name}").FEATURE for name in FOLDERS)
+    assert {action.id: feature.name for feature in features for action in feature.actions()} == BRINGS_ACTIONS
+
+
+def test_an_action_of_a_feature_that_is_not_installed_names_it(tmp_path: Path) -> None:
+    keys = tmp_path / "keys.yaml"
+    keys.write_text("pause: P\ndrive: X\n")
+    asked = WITHOUT + (
+        "import pathlib\n"
+        "from rsb_console.preferences import PreferenceError, load_keymap\n"
+        f"try: load_keymap(pathlib.Path({str(keys)!r}))\n"
+        "except PreferenceError as error: print(error)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, timeout=60, check=True)
+    assert ran.stdout == f"{keys}: this installation has no driving: install all of rsb-console, or leave drive out\n"
 
 
 def test_a_key_of_a_feature_that_is_not_installed_names_it() -> None:

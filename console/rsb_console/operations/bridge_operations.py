@@ -14,7 +14,6 @@ from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.formats import PatternRow
-from rsb_console.screens.main import MainText
 from rsb_console.session.changes import (
     Added,
     CannotUndoError,
@@ -212,16 +211,6 @@ class BridgeOperations:
             route = self._route
             topic = route.topic if route is not None and route.calls is None else ""
             await self._console.ask(PublishScreen(self._console, Message(topic, "", "")))
-
-    async def drive(self) -> None:
-        """Drive by keys on the topic under the cursor."""
-        from rsb_console.screens.drive_screen import drive  # noqa: PLC0415 -- keeps the start short
-
-        row = self._selected()
-        if isinstance(row, PatternRow):
-            self._console.notify(MainText.IS_PATTERN(topic=row.topic), markup=False, timeout=4)
-        elif self._console.engine is not None and row is not None:
-            await drive(self._console, row)
 
     async def retry(self) -> None:
         from rsb_console.screens.links_screen import lets_back  # noqa: PLC0415 -- keeps the start short

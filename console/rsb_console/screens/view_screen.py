@@ -40,13 +40,13 @@ from rsb_bridge.model.pictures import (
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.drawing import VIEWS
+from rsb_console.actions import ACTIONS, BY_ID
 from rsb_console.look import formats
 from rsb_console.look.picture_rows import AXIS, COLOURS, Part, UnreadableError, picture_rows, reads_webp, with_mark
 from rsb_console.screens.dialog import FullScreen
-from rsb_console.screens.drive_screen import drive, full_type, why_not_driven
 from rsb_console.screens.look_screen import is_map
 from rsb_console.screens.publish_screen import Message, PublishScreen
-from rsb_console.session.manual_messages import POSE, TWIST, Goal
+from rsb_console.session.manual_messages import POSE, Goal, full_type
 from rsb_console.session.picture_files import formats_of, picture_file
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
@@ -76,6 +76,7 @@ _LOOKS = {
 _KEYS = ("space hold", "t text", "+- zoom", "p file", "h how", "<> rate", "←→↑↓")
 """The more important ones first: on a narrow screen, the others are not shown."""
 _MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
+_ON_ROBOT = {action.id: action.on_robot for action in ACTIONS if action.on_robot is not None}
 _TURN = 15.0
 """Degrees by which a key turns a goal."""
 _GOAL_TOPIC = "/goal_pose"
@@ -97,8 +98,6 @@ class ViewText(Wording):
     NO_MAP = "a goal needs a map with a frame"
     GOAL_PLACE = "GOAL at {x:.2f}, {y:.2f} m in {frame}: arrows move it, ⏎ turns it, esc leaves"
     GOAL_HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: ←→ turn it, ⏎ publishes, esc leaves"
-    NOT_DRIVEN = "no topic can be driven: that needs a Twist that goes to the robot of the picture, with arm: true"
-    SEVERAL_DRIVEN = "several topics can be driven: choose one in the list of topics, and press its key there"
 
 
 def _joined(parts: Sequence[str], width: int) -> str:
@@ -204,7 +203,7 @@ class ViewScreen(FullScreen[bool]):
         Binding("t", "dismiss(True)", show=False),
         Binding("g", "goal", show=False),
         Binding("enter", "place", show=False),
-        Binding("d", "drive", show=False),
+        *(Binding(each.key, f"on_robot({name!r})", show=False) for name, each in _ON_ROBOT.items()),
         Binding("h", "way", show=False),
         Binding("plus,equals_sign", f"zoom({_ZOOM})", show=False),
         Binding("minus", f"zoom({1 / _ZOOM})", show=False),
@@ -276,9 +275,11 @@ class ViewScreen(FullScreen[bool]):
         """Return the keys that have room in so many cells."""
         type_name = self._subject.type_name
         keys = ["esc", *(_MAP_KEYS if self._layers else ()), *(_POINT_KEYS if _is_points(type_name) else ())]
-        if not self.console.readonly:
-            keys += ["g goal"] if is_map(type_name) else []
-            keys += ["d drive"] if self._driven else []
+        keys += ["g goal"] if is_map(type_name) and not self.console.readonly else []
+        routes = self._routes
+        for name, action in _ON_ROBOT.items():
+            if self.app.check_action(name, ()) and any(map(action.suits, routes)):
+                keys.append(f"{action.key} {BY_ID[name].label}")
         return _joined([*keys, *_KEYS], width)
 
     def _fit(self) -> None:
@@ -484,36 +485,20 @@ class ViewScreen(FullScreen[bool]):
 
     def _goal_topic(self) -> str:
         """Return a topic of poses that goes to the side of the map, or the usual name."""
-        where = self._where
-        routes = [
-            each
-            for each in self.console.snapshot().routes
-            if each.outgoing and full_type(each) in (POSE, "")  # unknown until somebody publishes
-        ]
-        # Not a topic of another robot, whose map is not this one.
-        chosen = [each for each in routes if where in ("", each.link)]
-        return next((each.topic for each in chosen if each.topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
+        poses = (each.topic for each in self._routes if each.outgoing and full_type(each) in (POSE, ""))
+        return next((topic for topic in poses if topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
 
     @property
-    def _driven(self) -> list[RouteSnapshot]:
-        """The topics that may drive the robot of the picture: nobody watches another one here."""
+    def _routes(self) -> list[RouteSnapshot]:
+        """Those to the robot of the picture: nobody watches another one here, whose map is not this one."""
         where = self._where
-        # `drive` asks for a type that nobody has published yet, and says if nobody knows it.
-        routes = [each for each in self.console.snapshot().routes if not why_not_driven(each, TWIST)]
-        return [each for each in routes if where in ("", each.link)]
+        return [each for each in self.console.snapshot().routes if where in ("", each.link)]
 
     @work(group=DIALOG)
-    async def action_drive(self) -> None:
-        """Drive the robot of the picture, which stays in sight."""
-        if self.console.readonly:
-            return
-        driven = self._driven
-        armed = [each for each in driven if each.arming is not None and each.arming.armed]
-        if len(only := armed or driven) == 1:
-            await drive(self.console, only[0])
-        else:
-            text = ViewText.SEVERAL_DRIVEN() if only else ViewText.NOT_DRIVEN()
-            self.notify(text, severity="warning", markup=False)
+    async def action_on_robot(self, name: str) -> None:
+        """Do an action on the robot of the picture, which stays in sight."""
+        if self.app.check_action(name, ()):
+            await _ON_ROBOT[name].run(self.console, self._routes)
 
     # -- the rest -----------------------------------------------------------------------------------------------------
 

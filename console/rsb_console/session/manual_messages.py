@@ -1,4 +1,4 @@
-"""Messages and calls by hand: publishing with tickets, reports of where they went, fields of goals and velocities."""
+"""Messages and calls by hand: publishing with tickets, reports of where they went, and goals on maps."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.audience import NOBODY, Audience
 from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Scale
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Snapshot
 
-POSE, TWIST, TWIST_STAMPED = (f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "Twist", "TwistStamped"))
+POSE = "geometry_msgs/msg/PoseStamped"
 TRIES = 3
 """Tickets for one message: a slow way to the bridge may make one too old."""
 REPORTED_WITHIN = 3.0
@@ -219,11 +220,8 @@ class Goal(NamedTuple):
         )
 
 
-def velocity(type_name: str, forward: float, turn: float) -> str:
-    """Return a velocity as the fields of a Twist or a TwistStamped, in YAML.
-
-    Args:
-        turn: rad/s, counterclockwise.
-    """
-    twist = f"linear: {{x: {forward:.3f}}}, angular: {{z: {turn:.3f}}}"
-    return f"{{header: auto, twist: {{{twist}}}}}" if type_name == TWIST_STAMPED else f"{{{twist}}}"
+def full_type(route: RouteSnapshot) -> str:
+    """Return the full name of a route's type, or an empty string if nobody on this side knows it."""
+    if route.type_name or route.spec.type == "auto":
+        return route.type_name
+    return expand_type_name(route.spec.type)

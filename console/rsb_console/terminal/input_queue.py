@@ -185,6 +185,10 @@ class GuardedScreen(Screen[Any]):
     seen_after = 0.0
     drawn_at: float | None = None
 
+    def hands_over(self, key: str) -> bool:
+        """Whether it shows by itself who asks for the arming of a route, and takes the answer."""
+        return False
+
 
 class InputGate:
     """Decides which input a `GuardedScreen` gets.

@@ -21,7 +21,6 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import SESSION, ScriptedEngine, route
-from tests.support import constants, replaced
 from tests.support.wording import says
 from textual.events import Key
 from textual.pilot import Pilot
@@ -34,96 +33,22 @@ from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, limits_on, why_not_driven
 from rsb_console.screens.take_over import HandOverText
-from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, HearingText, velocity
+from rsb_console.session.manual_messages import ByHandText, HearingText
 from rsb_console.terminal.pulse import Pulse
+from rsb_extras.driving.drive_screen import (
+    TWIST,
+    TWIST_STAMPED,
+    DriveScreen,
+    DriveText,
+    drive_one,
+    limits_on,
+    velocity,
+    why_not_driven,
+)
+from rsb_extras.driving.tests import driving_places
 
-# -- what keys mean
-
-LASTS = 0.6
 SPEED, TURN = 0.2, 0.5
-
-
-def steered(*keys: str, at: float = 10.0) -> Steering:
-    """Return the steering of keys that are pressed at once."""
-    steering = Steering()
-    for key in keys:
-        steering.press(key, at)
-    return steering
-
-
-@pytest.mark.parametrize(
-    ("keys", "forward", "turn"),
-    [
-        (["up"], 1, 0), (["down"], -1, 0), (["left"], 0, 1), (["right"], 0, -1),
-        (["i"], 1, 0), (["comma"], -1, 0), (["j"], 0, 1), (["l"], 0, -1),
-        (["u"], 1, 1), (["o"], 1, -1), (["m"], -1, -1), (["full_stop"], -1, 1),
-        (["up", "left"], 1, 1), (["right", "down"], -1, -1), (["up", "down"], -1, 0), (["left", "right"], 0, -1),
-        (["u", "right"], 1, -1), (["up", "o"], 1, -1),
-        (["up", "k"], 0, 0), (["u", "space"], 0, 0), (["k"], 0, 0), (["space", "up"], 1, 0), ([], 0, 0),
-    ],
-    ids=lambda value: "-".join(value) if isinstance(value, list) else "",
-)  # fmt: skip
-def test_each_key_has_a_velocity(keys: list[str], forward: int, turn: int) -> None:
-    assert steered(*keys).at(10.0) == (forward * SPEED, turn * TURN)
-
-
-def test_a_key_counts_for_a_while() -> None:
-    steering = steered("u")
-    assert steering.at(10.0 + LASTS - 0.01) == (SPEED, TURN)
-    assert steering.at(10.0 + LASTS + 0.01) == (0.0, 0.0)
-
-
-def test_each_direction_has_its_own_time() -> None:
-    steering = steered("up")
-    steering.press("left", 10.4)
-    assert steering.at(10.5) == (SPEED, TURN)
-    assert steering.at(10.7) == (0.0, TURN)
-    steering.press("up", 10.8)
-    assert steering.at(10.9) == (SPEED, TURN)
-    assert steering.at(11.1) == (SPEED, 0.0)
-
-
-def test_a_key_that_repeats_goes_on() -> None:
-    steering = Steering()
-    for number in range(50):
-        steering.press("up", 10.0 + number / 30)
-        assert steering.at(10.0 + number / 30) == (SPEED, 0.0)
-
-
-def test_the_speed_has_limits() -> None:
-    steering = steered("u")
-    steering.change_speed(1.25)
-    assert steering.at(10.0) == pytest.approx((0.25, 0.625))
-    ratio = steering.turn / steering.speed
-    for factor, limit in ((1.25, 2.0), (1 / 1.25, 0.02)):
-        for _ in range(50):
-            steering.change_speed(factor)
-        assert steering.speed == limit
-        assert steering.turn / steering.speed == pytest.approx(ratio)
-
-
-def test_keys_that_come_all_at_once_are_ignored() -> None:
-    """A terminal or a line held them up: what they ask for is over."""
-    steering = Steering()
-    for number in range(30):
-        steering.press("up", 10.0 + number / 1000)
-    assert steering.at(10.03) == (0.0, 0.0)
-    assert steering.came_late(10.03)
-    steering.press("up", 10.2)
-    assert steering.at(10.2) == (0.0, 0.0)
-    assert not steering.came_late(10.4)
-    steering.press("up", 10.4)
-    assert steering.at(10.4) == (SPEED, 0.0)
-
-
-def test_two_keys_that_repeat_are_no_burst() -> None:
-    steering = Steering()
-    for number in range(60):
-        steering.press("up" if number % 2 else "left", 10.0 + number / 80)
-        assert not steering.came_late(10.0 + number / 80)
-
 
 # -- topics
 
@@ -186,8 +111,8 @@ class Robot(ScriptedEngine):
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    replaced.DRIVE_TIME.set(monkeypatch, made)
-    constants.DRIVE_STOOD_STILL.set(monkeypatch, float("inf"))  # as this clock does; test_late_commands has it
+    driving_places.TIME.set(monkeypatch, made)
+    driving_places.STOOD_STILL.set(monkeypatch, float("inf"))  # as this clock does
     monkeypatch.setattr(Robot, "clock", made, raising=False)
     return made
 
@@ -261,6 +186,13 @@ async def test_commands_go_out_while_a_key_counts_and_zeros_after_it(
         ("/cmd_vel", TWIST, ZERO, 0.5)
     }
     assert [each.ticket for each in sent(app)] == [*range(count)]
+
+
+@pytest.mark.parametrize(("forward", "turn"), [(0.2, -0.5), (-2.0, 0.0), (0.0, 0.0)])
+def test_a_velocity_has_the_fields_of_its_type(forward: float, turn: float) -> None:
+    twist = {"linear": {"x": f"{forward:.3f}"}, "angular": {"z": f"{turn:.3f}"}}
+    assert read_fields(velocity(TWIST, forward, turn)) == twist
+    assert read_fields(velocity(TWIST_STAMPED, forward, turn)) == {"header": "auto", "twist": twist}
 
 
 @driven()
@@ -491,6 +423,36 @@ async def test_a_topic_that_cannot_be_driven_is_named(app: ConsoleApp, pilot: Pi
     await pilot.press("D")
     await notified(pilot, DriveText.NOT_DRIVEN, topic="/cmd_vel")
     assert app.screen is app.main
+
+
+# -- on a picture of the robot
+
+OTHER = replace(DISARMED, topic="/robot3/cmd_vel", key="3")
+UNTYPED = replace(DISARMED, type_name="", spec=Topic("/cmd_vel", "transmit"))
+ON_A_ROBOT: list[tuple[tuple[RouteSnapshot, ...], str | DriveText]] = [
+    ((DISARMED,), "/cmd_vel"),
+    ((DISARMED, replace(OTHER, arming=ARMED.arming)), "/robot3/cmd_vel"),
+    ((UNTYPED,), "/cmd_vel"),
+    ((replace(UNTYPED, topic="/untyped"),), DriveText.TYPE_UNKNOWN),
+    ((), DriveText.NONE_HERE),
+    ((replace(DISARMED, max_age=0.0),), DriveText.NONE_HERE),
+    ((DISARMED, OTHER), DriveText.SEVERAL_HERE),
+]
+
+
+@pytest.mark.parametrize(("routes", "result"), ON_A_ROBOT)
+@on_main(landmark="/cmd_vel", make_engine=robot_of(DISARMED))
+async def test_the_one_topic_of_a_robot_is_driven(
+    app: ConsoleApp, pilot: Pilot[None], routes: tuple[RouteSnapshot, ...], result: str | DriveText
+) -> None:
+    put(app, *routes)
+    engine_of(app).drafts["/cmd_vel"] = Draft(TWIST, "")
+    app.run_worker(drive_one(app, routes))
+    if isinstance(result, DriveText):
+        await notified(pilot, result)
+        assert app.screen is app.main
+    else:
+        await shown(pilot, f"Drive {result}")
 
 
 @driven()

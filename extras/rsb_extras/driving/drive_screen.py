@@ -25,16 +25,17 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.audience import NOBODY
 from rsb_bridge.model.by_hand import smallest_limits
 from rsb_bridge.model.commands import Effect
-from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.wording import Wording
+from rsb_console.look.formats import PatternRow
 from rsb_console.screens.dialog import ArmScreen, ConfirmScreen
+from rsb_console.screens.main import MainText
 from rsb_console.screens.take_over import AskHolderScreen
-from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, Landing, hearing, velocity
+from rsb_console.session.manual_messages import ByHandText, Landing, full_type, hearing
 from rsb_console.terminal.input_queue import DIALOG, SEEN_AFTER, GuardedScreen, InputGate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from concurrent.futures import Future
 
     from textual.app import ComposeResult
@@ -44,7 +45,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.by_hand import VelocityLimits
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
+    from rsb_console.screens.main import MainScreen
 
+TWIST, TWIST_STAMPED = (f"geometry_msgs/msg/{name}" for name in ("Twist", "TwistStamped"))
 _KEY_LASTS = 0.6
 """s for which a key counts: a held key repeats after up to 0.5 s for the first time."""
 _RATE = 10.0
@@ -113,14 +116,19 @@ class DriveText(Wording):
     GONE = "it is no longer bridged"
     TYPE_UNKNOWN = "{topic} cannot be driven: its type is unknown; set type: Twist (e)"
     OTHER_TYPE = "{topic} cannot be driven: its type is {type_name}, not Twist or TwistStamped"
+    NONE_HERE = "no topic can be driven: that needs a Twist that goes to the robot of the picture, with arm: true"
+    SEVERAL_HERE = "several topics can be driven: choose one in the list of topics, and press its key there"
     NOT_DRIVEN = "{topic} cannot be driven: set arm: true on the topic first (e), and leave max_age as it is"
 
 
-def full_type(route: RouteSnapshot) -> str:
-    """Return the full name of a route's type, or an empty string if nobody on this side knows it."""
-    if route.type_name or route.spec.type == "auto":
-        return route.type_name
-    return expand_type_name(route.spec.type)
+def velocity(type_name: str, forward: float, turn: float) -> str:
+    """Return a velocity as the fields of a Twist or a TwistStamped, in YAML.
+
+    Args:
+        turn: rad/s, counterclockwise.
+    """
+    twist = f"linear: {{x: {forward:.3f}}}, angular: {{z: {turn:.3f}}}"
+    return f"{{header: auto, twist: {{{twist}}}}}" if type_name == TWIST_STAMPED else f"{{{twist}}}"
 
 
 def why_not_driven(route: RouteSnapshot, type_name: str = "") -> str:
@@ -166,6 +174,31 @@ def limits_on(route: RouteSnapshot, snapshot: Snapshot) -> tuple[VelocityLimits 
     limits = smallest_limits(each.limits for each in routes)
     found = (each.limited_by for each in routes if limits and each.limits and each.limits.are_in(limits))
     return limits, list(dict.fromkeys(chain.from_iterable(found)))
+
+
+def suits(route: RouteSnapshot) -> bool:
+    """Whether a topic may be driven. If nobody has published on it yet, `drive` asks for its type."""
+    return not why_not_driven(route, TWIST)
+
+
+async def drive_selected(screen: MainScreen) -> None:
+    """Drive on the topic under the cursor."""
+    row, console = screen.topics.selected, screen.console
+    if isinstance(row, PatternRow):
+        console.notify(MainText.IS_PATTERN(topic=row.topic), markup=False, timeout=4)
+    elif console.engine is not None and row is not None:
+        await drive(console, row)
+
+
+async def drive_one(console: Console, routes: Sequence[RouteSnapshot]) -> None:
+    """Drive on the one topic of a robot's that can be driven, or the one of several that is armed."""
+    driven = [each for each in routes if suits(each)]
+    armed = [each for each in driven if each.arming is not None and each.arming.armed]
+    if len(only := armed or driven) == 1:
+        await drive(console, only[0])
+    else:
+        text = DriveText.SEVERAL_HERE() if only else DriveText.NONE_HERE()
+        console.notify(text, severity="warning", markup=False)
 
 
 async def drive(console: Console, route: RouteSnapshot) -> None:
@@ -287,6 +320,11 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         Binding("y", "answer(True)", show=False),
         Binding("n", "answer(False)", show=False),
     ]
+    CSS = """
+    #drive {
+        width: 100%; max-width: 110; height: auto; min-height: 5; padding: 0 1; border-subtitle-color: $quiet;
+    }
+    """
     # A disarms, or opens a question that is guarded; n keeps what this console holds.
     SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "n", "ctrl+c"})
 
@@ -439,8 +477,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
     async def _answer(self, answering: Future[None]) -> None:
         await self.console.command(answering)
 
-    def drives(self, key: str) -> bool:
-        """Whether it drives a route, whose holder it asks by itself."""
+    def hands_over(self, key: str) -> bool:
         return key == self._route.key
 
     @property
