@@ -17,6 +17,8 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from tests.support.acceptors import Accepting
+
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
 from rsb_bridge.channel.scheduler import Scheduler
@@ -24,8 +26,6 @@ from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUd
 from rsb_bridge.channel.window import ReceiptBook, Window
 from rsb_bridge.route.sending import QueueLimits, SendQueue
 from rsb_bridge.transport import udp
-from rsb_bridge.transport.streams import StreamHandler
-from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import DatagramSocket
     from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.messages import Receipts
     from rsb_bridge.wire.sealing import Role
 
 _HOST = "127.0.0.1"
@@ -97,11 +98,12 @@ def main() -> None:
 
 async def _send(port: int, rate: int, size: int) -> tuple[float, int]:
     """Send for a while; the CPU time (s) that it took, and how many messages they were."""
-    loop, keys, ready = asyncio.get_running_loop(), _keys("client"), asyncio.Event()
-    channel = ClientUdpChannel(udp.Udp(), (_HOST, port), PathProbe(keys), loop.time, ready.set)
-    await ready.wait()
+    keys = _keys("client")
+    connection = Connection(keys)
+    channel = ClientUdpChannel(connection, udp.Udp(), (_HOST, port))
+    await connection.ready.wait()
     route = Route(outgoing=True)
-    sender = datagram_channel(channel, route, keys, _scheduler())
+    sender = datagram_channel(channel, route, keys, connection.scheduler)
     assert isinstance(sender, DatagramSender)
     route.sender = sender
     content, before, began, due = os.urandom(size), _cpu(), time.monotonic(), 0
@@ -124,15 +126,9 @@ async def _receive(buffer: int) -> None:
     """Receive until a line is read, and print the counts."""
     if buffer:
         vars(udp)["RECEIVE_BUFFER"] = buffer  # it asks the kernel for no more
-    loop, keys, route, over = asyncio.get_running_loop(), _keys("server"), Route(outgoing=False), asyncio.Event()
-    probe = PathProbe(keys)
-
-    def new_channel(link_id: bytes, socket: DatagramSocket, _: Address) -> ServerUdpChannel:
-        channel = ServerUdpChannel(socket, _HOST, probe, loop.time, lambda: None)
-        datagram_channel(channel, route, keys, _scheduler())
-        return channel
-
-    acceptor = Acceptor(StreamHandler, UdpDemultiplexer(new_channel).received, print)
+    loop, route, over = asyncio.get_running_loop(), Route(outgoing=False), asyncio.Event()
+    connection = Connection(_keys("server"), route)
+    acceptor = Accepting(datagrams=UdpDemultiplexer(connection).received)
     bound = await udp.Udp().listen(_HOST, 0, acceptor)
     print(bound.sockets[0].port, flush=True)
     loop.add_reader(sys.stdin, over.set)
@@ -144,8 +140,43 @@ async def _receive(buffer: int) -> None:
     bound.close()
 
 
-def _scheduler() -> Scheduler:
-    return Scheduler(ReceiptBook(asyncio.get_running_loop(), lambda _: None), Window())
+class Connection:
+    """A connection with one UDP channel, which is also the only one of its server.
+
+    Args:
+        route: to receive, or None at the sending end.
+
+    Attributes:
+        ready: the channel has found its path.
+    """
+
+    def __init__(self, keys: DataKeys, route: Route | None = None) -> None:
+        loop = asyncio.get_running_loop()
+        self.now, self.ready, self.probe = loop.time, asyncio.Event(), PathProbe(keys)
+        self.book = ReceiptBook(loop, self)
+        self.scheduler = Scheduler(self.book, Window())
+        self._keys, self._route = keys, route
+
+    def new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel:
+        assert self._route is not None
+        channel = ServerUdpChannel(self, socket, _HOST)
+        datagram_channel(channel, self._route, self._keys, self.scheduler)
+        return channel
+
+    def udp_ready(self) -> None:
+        self.ready.set()
+
+    def take_urgent(self, content: bytes) -> None:
+        """Nothing is urgent here."""
+
+    def send_receipts(self, receipts: Receipts) -> None:
+        """No byte has come on a stream."""
+
+    def ping(self) -> float:
+        return 0.0
+
+    def way_back(self) -> float:
+        return 0.0
 
 
 def _keys(role: Role) -> DataKeys:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import socket
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from tests.bluetooth.guest.conftest import wait_until
 from tests.bluetooth.guest.stand_in import StandIn
+from tests.support.acceptors import Accepting
 from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -90,7 +90,7 @@ class Radio(Rfcomm):
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
         assert (host, port) == (_MAC, _CHANNEL)
-        noting = replace(acceptor, make_handler=lambda: _Noting(acceptor.make_handler(), self.accepted))
+        noting = Accepting(lambda: _Noting(acceptor.make_handler(), self.accepted), shortage=acceptor.shortage)
         return await self._tcp.listen("127.0.0.1", self._port, noting)
 
     async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:

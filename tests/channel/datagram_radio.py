@@ -7,7 +7,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.datagram_channel import datagram_channel
-from rsb_bridge.channel.udp_channel import PathProbe, UdpChannel
+from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.transport.transport import RECEIVE_BUFFER, SendPath
 from rsb_bridge.wire.datagram import by_addressee
 
@@ -83,11 +83,10 @@ class RadioChannel(UdpChannel):
     """A UDP channel whose path is known."""
 
     def __init__(self, socket: RadioSocket, side: Side) -> None:
-        super().__init__(socket, PathProbe(side.keys), asyncio.get_running_loop().time, lambda: None)
+        super().__init__(side, socket)
         self._peer = _ADDRESS
         self.ready = True
         self.air = socket
-        self.on_asked = side.book.report
 
     def _silence(self) -> str:
         return ""

@@ -14,9 +14,11 @@ from tests.support.session_keys import session_keys
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.data_stream import StreamPair, stream_channel, take_receipts
 from rsb_bridge.channel.scheduler import Scheduler
+from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.channel.window import ReceiptBook, Window
 from rsb_bridge.model.session import weight_of
 from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.sealing import CipherSuite
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable
 
     from rsb_bridge.model.reason import Reason
+    from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.messages import Receipts
     from rsb_bridge.wire.sealing import Role
@@ -94,13 +97,28 @@ class Side:
         self.closed: set[int] = set()
         self.routes: dict[int, Route] = {}
         self.keys = DataKeys(session_keys(CipherSuite.AESGCM, _EXPORT), role, Budget(64 << 20))
-        self.book = ReceiptBook(asyncio.get_running_loop(), self._send_receipts)
+        self.probe = PathProbe(self.keys)
+        self.now = asyncio.get_running_loop().time
+        self.book = ReceiptBook(asyncio.get_running_loop(), self)
         self.scheduler = Scheduler(self.book, Window())
         self.reopened = 0
-        self.pair = StreamPair(self, self.scheduler, self.book, self.keys, self._reopen)
+        self.ids = self
+        self.pair = StreamPair(self, Tcp(), 0)
 
-    def _reopen(self) -> None:
+    def open_streams(self, transport: StreamTransport, port: int) -> None:
         self.reopened += 1
+
+    def ping(self) -> float:
+        return 0.0
+
+    def way_back(self) -> float:
+        return 0.0
+
+    def udp_ready(self) -> None:
+        """No route waits for that."""
+
+    def take_urgent(self, content: bytes) -> None:
+        """Nothing is urgent here."""
 
     def awaits_channel(self, route_id: int) -> bool:
         return route_id in self.routes and self.routes[route_id].channel is None
@@ -116,7 +134,7 @@ class Side:
     def in_transit(self) -> int:
         return self.scheduler.sent - self.scheduler.acknowledged
 
-    def _send_receipts(self, message: Receipts) -> None:
+    def send_receipts(self, message: Receipts) -> None:
         self.receipts.append(message)
         if not self.other.deaf:
             asyncio.get_running_loop().call_soon(self.other.take_receipts, message)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from functools import partial
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.sides import Route
+from tests.support.acceptors import Accepting
 from tests.support.coroutines import until
 from tests.support.held import held_by
-from tests.support.schedulers import lone_scheduler
+from tests.support.schedulers import LoneConnection, lone_scheduler
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
@@ -25,12 +27,14 @@ from rsb_bridge.channel.udp_channel import (
     UdpChannel,
     UdpDemultiplexer,
 )
-from rsb_bridge.transport.streams import Address, StreamHandler
-from rsb_bridge.transport.transport import Acceptor, DatagramSocket
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.datagram import DatagramWriter, Probe, Urgent
 from rsb_bridge.wire.framing import LEASED, Budget
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite, Role
+
+if TYPE_CHECKING:
+    from rsb_bridge.transport.streams import Address
+    from rsb_bridge.transport.transport import DatagramSocket
 
 _HOST = "127.0.0.1"
 
@@ -44,6 +48,7 @@ class Server:
         channels: the server's ends by link id, the newest.
         made: how many they were.
         clients: the clients' ends, in the order of their calls.
+        near: their connections.
         probes: what seals and opens each one's probes.
     """
 
@@ -56,35 +61,41 @@ class Server:
         self.clients: list[ClientUdpChannel] = []
         self.probes: list[PathProbe] = []
         self.keys: dict[bytes, DataKeys] = {}
-        self._probes: dict[bytes, PathProbe] = {}
-        self.demultiplexer = UdpDemultiplexer(self._new_channel)
+        self.near: list[LoneConnection] = []
+        self._far: dict[bytes, LoneConnection] = {}
+        self.demultiplexer = UdpDemultiplexer(self)
 
     def now(self) -> float:
         return self.time
 
-    def _new_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
-        probe = self._probes.get(link_id)
-        if probe is None:
+    def new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
+        far = self._far.get(link_id)
+        if far is None:
             return None
         self.made += 1
-        self.channels[link_id] = ServerUdpChannel(socket, _HOST, probe, self.now, lambda: self.ready.append(link_id))
+        self.channels[link_id] = ServerUdpChannel(far, socket, _HOST)
         return self.channels[link_id]
 
-    def connect(self, link_id: bytes, on_ready: Callable[[], None] = lambda: None) -> tuple[ClientUdpChannel, DataKeys]:
+    def connect(self, link_id: bytes) -> tuple[ClientUdpChannel, DataKeys]:
         self.keys[link_id] = _keys(link_id, "server")
-        self._probes[link_id] = PathProbe(self.keys[link_id])
+        self._far[link_id] = _Far(self, link_id)
         keys = _keys(link_id, "client")
-        return self.call(keys, on_ready), keys
+        return self.call(keys), keys
 
-    def call(self, keys: DataKeys, on_ready: Callable[[], None] = lambda: None) -> ClientUdpChannel:
+    def call(self, keys: DataKeys) -> ClientUdpChannel:
         """A client's end with these keys; closed with the server at the latest."""
-        return self.probe_with(PathProbe(keys), on_ready)
+        return self.probe_with(PathProbe(keys))
 
-    def probe_with(self, probe: PathProbe, on_ready: Callable[[], None] = lambda: None) -> ClientUdpChannel:
+    def probe_with(self, probe: PathProbe) -> ClientUdpChannel:
         """A client's end on another socket of its connection."""
         self.probes.append(probe)
-        self.clients.append(ClientUdpChannel(Udp(), (_HOST, self.port), probe, self.now, on_ready))
+        self.near.append(LoneConnection(probe, self.now))
+        self.clients.append(ClientUdpChannel(self.near[-1], Udp(), (_HOST, self.port)))
         return self.clients[-1]
+
+    def urgent(self, link_id: bytes) -> list[bytes]:
+        """The urgent messages that have come over a connection."""
+        return self._far[link_id].urgent
 
     def sends_to(self, channel: ServerUdpChannel, port: int) -> bool:
         """Whether an end sends to a port, which it names if it has heard nothing from there for a while."""
@@ -94,6 +105,17 @@ class Server:
         return channel.trouble == Silence.NOTHING_MORE(port=port, host=_HOST)
 
 
+class _Far(LoneConnection):
+    """The server's end of a connection."""
+
+    def __init__(self, server: Server, link_id: bytes) -> None:
+        super().__init__(PathProbe(server.keys[link_id]), server.now)
+        self._server, self._link_id = server, link_id
+
+    def udp_ready(self) -> None:
+        self._server.ready.append(self._link_id)
+
+
 def _keys(link_id: bytes, role: Role) -> DataKeys:
     return DataKeys(session_keys(CipherSuite.AESGCM, bytes(32), link_id), role, Budget(1 << 20))
 
@@ -101,7 +123,7 @@ def _keys(link_id: bytes, role: Role) -> DataKeys:
 @asynccontextmanager
 async def serving() -> AsyncIterator[Server]:
     server = Server()
-    bound = await Udp().listen(_HOST, 0, Acceptor(StreamHandler, server.demultiplexer.received, lambda message: None))
+    bound = await Udp().listen(_HOST, 0, Accepting(datagrams=server.demultiplexer.received))
     server.port = bound.sockets[0].port
     try:
         yield server
@@ -165,13 +187,12 @@ async def received_by(thief: socket.socket) -> bytes:
 
 async def test_each_end_says_once_that_it_is_ready() -> None:
     async with serving() as server:
-        said: list[bool] = []
-        client, _ = server.connect(b"link one", lambda: said.append(client.ready))
+        client, _ = server.connect(b"link one")
         await until(lambda: client.ready)
         for _ in range(3):
             client.tick()
         await until(lambda: client.received_bytes >= 4 * 60)
-        assert said == [True]
+        assert server.near[0].ready == 1
         assert server.ready == [b"link one"]
 
 
@@ -274,10 +295,8 @@ async def test_a_command_is_not_sent_again_after_a_later_message(monkeypatch: py
 async def test_an_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One of the two is lost."""
     async with serving() as server:
-        client, channel = await met(server)
-        taken: list[bytes] = []
-        channel.on_urgent = taken.append
-        send = client.send
+        client, _ = await met(server)
+        taken, send = server.urgent(b"link one"), client.send
         client.send_urgent(b"both come")
         monkeypatch.setattr(client, "send", lambda datagrams: send([datagrams[1 - lost]]))
         client.send_urgent(b"one is lost")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import constants, replaced
+from tests.support.acceptors import Accepting
 from tests.support.bridge import happened, linked, now, route
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -33,7 +34,6 @@ from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS, Scarcity
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem
 from rsb_bridge.transport.tcp import Tcp
-from rsb_bridge.transport.transport import Acceptor
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator
@@ -79,7 +79,7 @@ def test_connections_that_cannot_be_accepted_wait() -> None:
 
     async def play() -> None:
         port = free_port()
-        listener = await Tcp().listen("127.0.0.1", port, Acceptor(Handler, lambda *_: None, shortages.append))
+        listener = await Tcp().listen("127.0.0.1", port, Accepting(Handler, shortage=shortages.append))
         with contextlib.ExitStack() as clients:
             waiting = [clients.enter_context(socket.socket()) for _ in range(3)]
             with none_left():

@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support import constants, replaced
+from tests.support.acceptors import Accepting
 from tests.support.bridge import happened, link, linked
 from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link.link_server import InboundStreams
+from rsb_bridge.link.link_server import Server
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import ZenohSettings
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
-from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.messages import Hello
@@ -58,9 +58,9 @@ SAID = {
 def arrived(monkeypatch: pytest.MonkeyPatch) -> list[weakref.ref[object]]:
     """All that servers have made for each stream that came in."""
     made: list[weakref.ref[object]] = []
-    arrive, connected = InboundStreams.arrive, Stream.connection_made
+    arrive, connected = Server.make_handler, Stream.connection_made
 
-    def arrives(self: InboundStreams) -> StreamHandler:
+    def arrives(self: Server) -> StreamHandler:
         handler: Any = arrive(self)
         made.extend((weakref.ref(handler), weakref.ref(handler._connection)))
         return handler  # type: ignore[no-any-return]
@@ -140,7 +140,7 @@ def test_little_is_read_at_a_time_until_the_other_end_is_trusted() -> None:
 
     async def test() -> None:
         port = free_port()
-        listener = await Tcp().listen("127.0.0.1", port, Acceptor(Handler, lambda *_: None, lambda _: None))
+        listener = await Tcp().listen("127.0.0.1", port, Accepting(Handler))
         with socket.create_connection(("127.0.0.1", port)) as sock:
             sock.setblocking(False)
             async with asyncio.timeout(30):
@@ -167,7 +167,7 @@ def test_a_connection_that_is_reset_before_it_is_served_still_has_an_address() -
 
     async def test() -> None:
         port = free_port()
-        listener = await Tcp().listen("127.0.0.1", port, Acceptor(Handler, lambda *_: None, lambda _: None))
+        listener = await Tcp().listen("127.0.0.1", port, Accepting(Handler))
         with socket.create_connection(("127.0.0.1", port), source_address=("127.0.3.1", 0)) as sock:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         async with asyncio.timeout(30):

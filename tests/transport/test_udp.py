@@ -13,11 +13,11 @@ from typing import Any, cast
 
 import pytest
 from tests.support import replaced
+from tests.support.acceptors import Accepting
 from tests.support.coroutines import until
 from tests.support.held import held_by
 
-from rsb_bridge.transport.streams import StreamHandler
-from rsb_bridge.transport.transport import RECEIVE_BUFFER, Acceptor
+from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import Udp, UdpSocket, can_segment, coalesce, end_of_run, split_run
 
 HOSTS = pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
@@ -50,7 +50,7 @@ def address_of(host: str, port: int) -> Any:
 @asynccontextmanager
 async def server_on(host: str) -> AsyncIterator[tuple[UdpSocket, list[bytes]]]:
     came: list[bytes] = []
-    acceptor = Acceptor(StreamHandler, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams), print)
+    acceptor = Accepting(datagrams=lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams))
     bound = await Udp().listen(host, 0, acceptor)
     try:
         yield bound.sockets[0], came

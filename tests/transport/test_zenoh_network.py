@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support import constants, replaced
+from tests.support.acceptors import Accepting
 from tests.support.coroutines import until
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -22,8 +23,6 @@ from tests.support.wording import pattern, says
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.session import ZenohSettings
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
-from rsb_bridge.transport.streams import StreamHandler
-from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.zenoh import endpoint as endpoints
 from rsb_bridge.transport.zenoh.endpoint import ROOT, Seen
 from rsb_bridge.transport.zenoh.network import Network, NetworkProblem, Unreachable
@@ -664,7 +663,7 @@ async def test_a_server_is_told_of_others_by_name_and_not_of_itself(router: Rout
     network = Network(ZenohSettings(connect=(router.endpoint,), fleet="told"), tmp_path)
     links, told = Links(network, "pc"), list[str]()
     transport = Zenoh(links)
-    await transport.listen("zenoh", 0, Acceptor(StreamHandler, lambda *_: None, lambda _: None, others=told.append))
+    await transport.listen("zenoh", 0, Accepting(others=told.append))
     endpoint = links.endpoint_if_open()
     try:
         await until(lambda: endpoint.address in endpoint.seen)

@@ -31,11 +31,12 @@ from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.channel.channel import RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
     from rsb_bridge.channel.scheduler import Scheduler
+    from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.messages import Receipts
 
@@ -65,6 +66,21 @@ class RouteNumbers(Protocol):
 
     def is_closed_id(self, route_id: int) -> bool:
         """Whether a route was open under an id, and is closed."""
+
+
+class StreamsOwner(Protocol):
+    """The connection that data streams belong to."""
+
+    keys: DataKeys
+    scheduler: Scheduler
+    book: ReceiptBook
+
+    @property
+    def ids(self) -> RouteNumbers:
+        """The ids of its link's routes."""
+
+    def open_streams(self, transport: StreamTransport, port: int) -> None:
+        """Open the streams that routes with that port lack; a server waits for its client."""
 
 
 class DataStream(StreamHandler):
@@ -242,9 +258,6 @@ class StreamPair:
     If the stream of large messages is lost, as where only large packets are, the routes on the other one go on. Without
     the stream of small messages, both end.
 
-    Args:
-        reopen: opens the streams that it lacks; a server waits for its client.
-
     Attributes:
         small: the stream of small messages, or None until it is accepted.
         large: that of large messages, or the same one.
@@ -252,23 +265,13 @@ class StreamPair:
         kept: whether they stay open while no route uses them.
     """
 
-    def __init__(
-        self,
-        routes: RouteNumbers,
-        scheduler: Scheduler,
-        book: ReceiptBook,
-        keys: DataKeys,
-        reopen: Callable[[], None],
-    ) -> None:
+    def __init__(self, owner: StreamsOwner, transport: StreamTransport, port: int) -> None:
         self.small: DataStream | None = None
         self.large: DataStream | None = None
         self.over = False
         self.kept = True
-        self.scheduler = scheduler
-        self.book = book
-        self.keys = keys
-        self._routes = routes
-        self._reopen = reopen
+        self.scheduler, self.book, self.keys = owner.scheduler, owner.book, owner.keys
+        self._owner, self._transport, self._port = owner, transport, port
         self._lost_at = self._asked_at = float("-inf")
         self._unheard_at = float("-inf")  # when the control connection was silent last
         self._lost_for = NO_REASON
@@ -319,9 +322,9 @@ class StreamPair:
             ProtocolError: nothing of that kind or route is to be expected.
         """
         known = kind in _OF_ROUTES
-        if known and self._routes.awaits_channel(route_id):
+        if known and self._owner.ids.awaits_channel(route_id):
             return False  # the control message that opens its channel comes by another stream
-        if not known or not self._routes.is_closed_id(route_id):
+        if not known or not self._owner.ids.is_closed_id(route_id):
             raise ProtocolError(Broken.FRAME_OF_UNKNOWN_ROUTE(kind=kind, route=route_id))
         return True  # it was on the way while the route was closed
 
@@ -346,7 +349,7 @@ class StreamPair:
         self.lost(stream, reason, resumes=resumes)
         if resumes and self.ends:
             self._pause = _SHORTEST_PAUSE
-            self._reopen()
+            self._owner.open_streams(self._transport, self._port)
 
     def lost(self, stream: DataStream, reason: Reason, *, resumes: bool = False) -> None:
         """End a stream, and close its routes: without `cut`, the peer has broken the format on it.
@@ -420,7 +423,7 @@ class StreamPair:
         elif now - max(self._lost_at, self._asked_at) > self._pause:
             # Nobody waits for it, or it was lost too soon. A route of the other side may need it.
             self._asked_at, self._pause = now, min(2 * self._pause, _LONGEST_PAUSE)
-            self._reopen()
+            self._owner.open_streams(self._transport, self._port)
 
     def end(self, reason: str) -> None:
         """End both streams; the routes hear nothing."""

@@ -72,7 +72,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         self._repeats = 0  # of it, that are left
         self._repeat_at = 0.0
         self._repeating: asyncio.TimerHandle | None = None
-        udp_channel.add_sender(route.id, self)
+        udp_channel.senders[route.id] = self
 
     @property
     def congested(self) -> bool:
@@ -218,7 +218,7 @@ class DatagramReceiver(_DatagramChannel):
         super().__init__(udp_channel, route)
         self._codec = codec
         self._told = 0  # opened datagrams, at the last receipt
-        udp_channel.add_receiver(route.id, self)
+        udp_channel.receivers[route.id] = self
 
     def counts(self) -> Counts | None:
         return Counts(self._codec.newest, self._codec.pending, self._codec.expired)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.data_keys import DataKeys
     from rsb_bridge.channel.scheduler import Scheduler
+    from rsb_bridge.channel.window import ReceiptBook
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport, SendPath
     from rsb_bridge.wire.datagram import Arrived, OfProbeRoute
@@ -126,6 +127,28 @@ class DatagramSink(Protocol):
         """Give up messages whose fragments did not come in time."""
 
 
+class UdpOwner(Protocol):
+    """The connection that UDP channels belong to.
+
+    Attributes:
+        book: sends receipts of its streams.
+        probe: of all its UDP channels.
+    """
+
+    book: ReceiptBook
+    probe: PathProbe
+
+    @property
+    def now(self) -> Callable[[], float]:
+        """Gives the time on the clock that all timers use."""
+
+    def udp_ready(self) -> None:
+        """Use a channel that has just found its path."""
+
+    def take_urgent(self, content: bytes) -> None:
+        """Take a control message, as it was encoded, that came as a datagram."""
+
+
 class UdpChannel:
     """One end of a UDP channel: the parts that client and server share.
 
@@ -134,42 +157,33 @@ class UdpChannel:
         over: whether it is closed or its last route has left: the next route needs another UDP channel.
         trouble: the reason why no datagrams arrive, for an operator, or an empty string.
         received_at: time (s) of the last authentic datagram, or of the channel's start.
-        on_asked: called when the peer has asked for a receipt.
-        on_urgent: called with an urgent control message as it was encoded.
+        on_close: called at its end, or None.
+        senders: sending ends of its routes, which take their receipts, by the route's id.
+        receivers: receiving ends, by the route's id.
         shortages: shortages of receive buffers; the key is whether this side lacks the memory.
         receive_buffer: bytes that the kernel grants of this socket's receive buffer, as of the last second.
     """
 
-    def __init__(
-        self, socket: DatagramSocket, probe: PathProbe, now: Callable[[], float], on_ready: Callable[[], None]
-    ) -> None:
-        """Begin.
-
-        Args:
-            now: the time in s, on the clock that all timers use.
-            on_ready: called once datagrams are known to get through.
-        """
+    def __init__(self, owner: UdpOwner, socket: DatagramSocket) -> None:
         self.socket = socket
         self.ready = False
         self.over = False
         self.trouble = ""
         self.received_bytes = 0
         self.sent_bytes = 0
-        self.on_close: Callable[[], None] = _nothing
-        self.on_asked: Callable[[], None] = _nothing
-        self.on_urgent: Callable[[bytes], None] = _ignore
+        self.on_close: Callable[[], object] | None = None
         self.shortages: dict[bool, BufferShortage] = {}
-        self._probe = probe
-        self._now = now
-        self._on_ready = on_ready
+        self._owner = owner
+        self._probe = owner.probe
+        self._now = owner.now
         self._peer: Address | None = None
         self._path: SendPath | None = None
-        self._began = self.received_at = now()
+        self._began = self.received_at = self._now()
         self._heard: float | None = None
         self.receive_buffer = socket.receive_buffer
         self._carrier: DatagramCarrier | None = None
-        self._senders: dict[int, DatagramSource] = {}
-        self._receivers: dict[int, DatagramSink] = {}
+        self.senders: dict[int, DatagramSource] = {}
+        self.receivers: dict[int, DatagramSink] = {}
 
     def sending(self, scheduler: Scheduler) -> DatagramCarrier:
         """Return the carrier of what is sent on this channel."""
@@ -178,28 +192,20 @@ class UdpChannel:
             self.socket.when_writable.add(self._carrier.writable)
         return self._carrier
 
-    def add_sender(self, route_id: int, sender: DatagramSource) -> None:
-        """Give a route the receipts for its datagrams."""
-        self._senders[route_id] = sender
-
     def written_off(self) -> None:
         """See `rsb_bridge.channel.datagram_carrier.Datagrams`, and so for `given_up`."""
-        for sender in self._senders.values():
+        for sender in self.senders.values():
             sender.written_off()
 
     def given_up(self) -> None:
-        for sender in self._senders.values():
+        for sender in self.senders.values():
             sender.given_up()
-
-    def add_receiver(self, route_id: int, receiver: DatagramSink) -> None:
-        """Give a route its datagrams."""
-        self._receivers[route_id] = receiver
 
     def remove(self, route_id: int) -> None:
         """Remove a route; the last one closes the UDP channel."""
-        self._senders.pop(route_id, None)
-        self._receivers.pop(route_id, None)
-        if not self._senders and not self._receivers:
+        self.senders.pop(route_id, None)
+        self.receivers.pop(route_id, None)
+        if not self.senders and not self.receivers:
             self.close()
 
     def send(self, datagrams: Sequence[bytes]) -> None:
@@ -216,13 +222,13 @@ class UdpChannel:
     def asked(self) -> None:
         """Send a receipt: the peer has asked for one."""
         self.send_receipts()
-        self.on_asked()
+        self._owner.book.report()
 
     def send_receipts(self) -> None:
         """Say what has come of all routes since the last receipt."""
         if self._peer is None:
             return
-        news = [each for receiver in self._receivers.values() if (each := receiver.news()) is not None]
+        news = [each for receiver in self.receivers.values() if (each := receiver.news()) is not None]
         if not news:
             return
         at = int(self.socket.arrived_at() * 1e6)
@@ -239,7 +245,7 @@ class UdpChannel:
         """Take datagrams of one route that name this connection, and came together from one address."""
         now = self._now()
         self.received_bytes += sum(map(len, datagrams))
-        receiver = self._receivers.get(route_id)
+        receiver = self.receivers.get(route_id)
         if receiver is not None:
             if receiver.received(datagrams, now):
                 self._heard_authentic(address, now)
@@ -255,12 +261,12 @@ class UdpChannel:
                 self._receipted(probe)
             elif isinstance(probe, Urgent):
                 self._heard_authentic(address, now)
-                self.on_urgent(probe.content)
+                self._owner.take_urgent(probe.content)
             elif probe is not None and self._probed(probe, address):
                 self._heard = self.received_at = now
         if self._heard is not None and not self.ready:
             self.ready = True
-            self._on_ready()
+            self._owner.udp_ready()
 
     def _heard_authentic(self, address: Address, now: float) -> None:
         """Note a message or a receipt; from the peer's own address it counts as a probe, which a full link may lose."""
@@ -270,7 +276,7 @@ class UdpChannel:
 
     def _receipted(self, receipt: Receipt) -> None:
         for each in receipt.arrived:
-            sender = self._senders.get(each.route)
+            sender = self.senders.get(each.route)
             if sender is not None:
                 sender.receipt(each, receipt.buffer)
         if self._carrier is not None:
@@ -288,7 +294,7 @@ class UdpChannel:
         if self.receive_buffer < RECEIVE_BUFFER:
             self.receive_buffer = self.socket.receive_buffer  # its limit may have been raised
         self._probe.expire(now)
-        for receiver in self._receivers.values():
+        for receiver in self.receivers.values():
             receiver.expire(now)
         self.send_receipts()
         if self._carrier is not None:
@@ -305,30 +311,20 @@ class UdpChannel:
                 self.socket.when_writable.discard(self._carrier.writable)
                 self._carrier.close()
             self._probe.forget()
-            self._free()
-            self.on_close()
-
-    def _free(self) -> None:
-        """Close what is its own."""
+            if self.on_close is not None:
+                self.on_close()
 
 
 class ClientUdpChannel(UdpChannel):
     """A client's: it owns a socket that is connected to the server, and probes."""
 
-    def __init__(
-        self,
-        transport: DatagramTransport,
-        server: Address,
-        probe: PathProbe,
-        now: Callable[[], float],
-        on_ready: Callable[[], None],
-    ) -> None:
+    def __init__(self, owner: UdpOwner, transport: DatagramTransport, server: Address) -> None:
         """Connect, and send the first probe.
 
         Raises:
             OSError: there is no way to the server.
         """
-        super().__init__(transport.connect(server, self._arrived), probe, now, on_ready)
+        super().__init__(owner, transport.connect(server, self._arrived))
         self._peer = server
         self.tick()
 
@@ -352,8 +348,10 @@ class ClientUdpChannel(UdpChannel):
             return Silence.NOTHING_OVER_ZENOH()
         return Silence.NO_ANSWER(port=self._peer[1], host=self._peer[0])
 
-    def _free(self) -> None:
-        self.socket.close()
+    def close(self) -> None:
+        if not self.over:
+            super().close()
+            self.socket.close()
 
 
 class ServerUdpChannel(UdpChannel):
@@ -364,16 +362,9 @@ class ServerUdpChannel(UdpChannel):
     origin: an attacker may have captured it and delivered it first.
     """
 
-    def __init__(
-        self,
-        socket: DatagramSocket,
-        source: str,
-        probe: PathProbe,
-        now: Callable[[], float],
-        on_ready: Callable[[], None],
-    ) -> None:
+    def __init__(self, owner: UdpOwner, socket: DatagramSocket, source: str) -> None:
         """Begin; `source` is the address that the client calls."""
-        super().__init__(socket, probe, now, on_ready)
+        super().__init__(owner, socket)
         self._source = source
         self._challenges: dict[Address, _Challenge] = {}  # the oldest first
 
@@ -421,17 +412,22 @@ class ServerUdpChannel(UdpChannel):
         return Silence.NOTHING_MORE(port=self._peer[1], host=self._peer[0])
 
 
+class UdpServer(Protocol):
+    """The server whose connections have UDP channels."""
+
+    def new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
+        """Make the UDP channel of a connection; `address` is the source of its first datagram.
+
+        Returns:
+            None if there is no such connection, or it may not use that socket.
+        """
+
+
 class UdpDemultiplexer:
     """Hands the datagrams of a server's sockets to the UDP channels of the connections that they name."""
 
-    def __init__(self, new_channel: Callable[[bytes, DatagramSocket, Address], ServerUdpChannel | None]) -> None:
-        """Begin.
-
-        Args:
-            new_channel: makes the UDP channel for a link id, a socket and the source address of the first datagram, or
-                returns None if there is no such connection or it may not use that socket.
-        """
-        self._new_channel = new_channel
+    def __init__(self, server: UdpServer) -> None:
+        self._server = server
         self._channels: dict[tuple[DatagramSocket, bytes], ServerUdpChannel] = {}
 
     def received(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
@@ -442,19 +438,8 @@ class UdpDemultiplexer:
                 channel.received(route_id, its, address)
 
     def _begin(self, socket: DatagramSocket, link_id: bytes, address: Address) -> ServerUdpChannel | None:
-        channel = self._new_channel(link_id, socket, address)
+        channel = self._server.new_udp_channel(link_id, socket, address)
         if channel is not None:
             self._channels[socket, link_id] = channel
-            channel.on_close = lambda: self._forget(socket, link_id)
+            channel.on_close = lambda: self._channels.pop((socket, link_id), None)
         return channel
-
-    def _forget(self, socket: DatagramSocket, link_id: bytes) -> None:
-        self._channels.pop((socket, link_id), None)
-
-
-def _nothing() -> None:
-    """Nobody asked."""
-
-
-def _ignore(_: bytes) -> None:
-    """Nobody takes urgent messages."""

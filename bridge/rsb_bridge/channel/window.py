@@ -16,14 +16,13 @@ the window.
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.model.transports import QUEUES_LITTLE, Ages
 from rsb_bridge.wire.messages import MOST_RECEIPTS, Receipts
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable
 
 # Where these were measured: bench/README.md, *Constants of the window*.
 FIRST = 4 * 1024  # bytes in transit at the beginning, plus one turn: 0.8 s of 5 kB/s, as `Ages.late`
@@ -222,29 +221,31 @@ class ReceiptCounter:
         return self.count != self._sent
 
 
+class ReceiptsOwner(Protocol):
+    """The connection that sends receipts, and measures how long its messages take."""
+
+    def send_receipts(self, receipts: Receipts) -> None:
+        """Send them to the peer."""
+
+    def ping(self) -> float:
+        """Return the shortest ping, or 0 if it is unknown."""
+
+    def way_back(self) -> float:
+        """Return how long a message of the peer takes to get here."""
+
+
 class ReceiptBook:
     """Collects a link's receipts, and sends them together: if one is due, all other streams' receipts go with it.
 
     The window cannot tell bytes that nobody has acknowledged yet from bytes that wait on the way. On a slow link, a
     stream with few bytes would keep them unacknowledged for a second.
-
-    Args:
-        way_back: gives the s that a message of the peer takes to get here.
-        ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
     """
 
-    def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        send: Callable[[Receipts], None],
-        way_back: Callable[[], float] = float,
-        ping: Callable[[], float] = float,
-    ) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, owner: ReceiptsOwner) -> None:
         self.now = loop.time
-        self.way_back = way_back
-        self.ping = ping
+        self.way_back, self.ping = owner.way_back, owner.ping
         self._loop = loop
-        self._send = send
+        self._send = owner.send_receipts
         self._counters: dict[int, ReceiptCounter] = {}
         self._received: dict[int, int] = {}
         self._every: dict[int, int] = {}

@@ -196,6 +196,7 @@ class BaseLink(ABC):
         budget: limits on what the peer may have this side hold and do.
         report_soon: sends a route's counts before the next regular report. May be called for every batch.
         open_channel: opens the channel of a route, or begins to.
+        udp_ready: advances the routes that wait for a UDP channel.
         extensions: the link's parts.
         route_fields: returns what features show of a route.
         meter_of: returns what counts the bytes that arrive for a route, or None.
@@ -205,6 +206,7 @@ class BaseLink(ABC):
     fullness: LinkRates
     report_soon: Callable[[Route], None]
     open_channel: Callable[[Route], None]
+    udp_ready: Callable[[], None]
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         self.context = context

@@ -431,9 +431,9 @@ class ClientLink(Link):
             self._udp_failed(descriptors.scarcity_message("client"))
             return None
         address = self.control.stream.address  # of IPv6 with flow and scope, without which no link-local one is reached
-        server, ready = (address[0], port, *address[2:]), self.route_channels.udp_ready
+        server = (address[0], port, *address[2:])
         try:
-            udp_channel = ClientUdpChannel(transport, server, self.channels.probe, self.context.now, ready)
+            udp_channel = ClientUdpChannel(self.channels, transport, server)
         except OSError as error:
             self._udp_failed(f"UDP to {transport.format_address(server)}: {os_error_message(error)}")
             return None
@@ -449,7 +449,7 @@ class ClientLink(Link):
 
     def _retry_udp(self) -> None:
         self._udp_retry = None
-        self.route_channels.udp_ready()
+        self.udp_ready()
 
 
 def _not_connected(address: str, error: OSError) -> Failure:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.data_keys import DataKeys
@@ -17,7 +16,7 @@ from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.wire.events import StreamName
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.channel.data_stream import DataStream, RouteNumbers
@@ -57,6 +56,10 @@ class CarriedLink(Protocol):
     def ids(self) -> RouteNumbers:
         """The ids of its routes."""
 
+    @property
+    def udp_ready(self) -> Callable[[], None]:
+        """Advances the routes that wait for a UDP channel."""
+
     def send(self, message: Receipts) -> None:
         """Send a control message."""
 
@@ -79,13 +82,17 @@ class DataChannels:
     Attributes:
         keys: seal and open the routes' messages.
         scheduler: shares the streams among the routes.
+        book: sends receipts.
         probe: the datagram that finds a UDP path.
     """
 
     def __init__(self, link: CarriedLink, keys: SessionKeys) -> None:
         self._link = link
-        self._book = ReceiptBook(link.context.loop, link.send, self._way_back, self._ping)
-        self.scheduler = Scheduler(self._book, Window(link.transport.ages))
+        # What its streams and UDP channels ask of the link.
+        self.ids, self.now, self.udp_ready = link.ids, link.context.now, link.udp_ready
+        self.send_receipts, self.take_urgent, self.open_streams = link.send, link.take_urgent, link.open_streams
+        self.book = ReceiptBook(link.context.loop, self)
+        self.scheduler = Scheduler(self.book, Window(link.transport.ages))
         self.keys = DataKeys(keys, link.role, link.budget.unfinished, meter_of=link.meter_of)
         self.probe = PathProbe(self.keys)
         self._pairs: dict[tuple[str, int], StreamPair] = {}
@@ -93,10 +100,10 @@ class DataChannels:
         self._newest = 0
         self._taken: set[int] = set()
 
-    def _ping(self) -> float:
+    def ping(self) -> float:
         return 2 * (self._link.keepalive.clock.uncertainty or 0.0)
 
-    def _way_back(self) -> float:
+    def way_back(self) -> float:
         # Certain only beyond the error of the peer's clock, which is half of the shortest round trip.
         keepalive = self._link.keepalive
         return max(0.0, keepalive.ping_delay - (keepalive.clock.uncertainty or 0.0))
@@ -109,7 +116,7 @@ class DataChannels:
         for channel in self._udp.values():
             channel.close()
         # After all streams and sockets, which leave both at their end.
-        self._book.close()
+        self.book.close()
         self.scheduler.close()
 
     # --- streams
@@ -172,9 +179,7 @@ class DataChannels:
     def _pair(self, transport: StreamTransport, port: int) -> StreamPair:
         pair = self._pairs.get((transport.name, port))
         if pair is None or pair.over:
-            reopen = partial(self._link.open_streams, transport, port)
-            pair = StreamPair(self._link.ids, self.scheduler, self._book, self.keys, reopen)
-            self._pairs[transport.name, port] = pair
+            pair = self._pairs[transport.name, port] = StreamPair(self, transport, port)
         return pair
 
     def _streams(self) -> Iterator[DataStream]:
@@ -196,8 +201,6 @@ class DataChannels:
     def add_udp(self, port: int, channel: UdpChannel, *, probe: bool = False) -> None:
         """Add a new channel; a client probes its path every 0.25 s, and from the 9th time on only in `tick`."""
         self._udp[port] = channel
-        channel.on_asked = self._book.report
-        channel.on_urgent = self._link.take_urgent
         if probe:
             self._probe(channel, _QUICK_PROBES)
 
@@ -241,7 +244,7 @@ class DataChannels:
         """Send pending receipts, and close the window of a stalled link. Called once a second."""
         self._tick_udp()
         self.scheduler.tick()
-        self._book.report()
+        self.book.report()
         self._pairs = {key: pair for key, pair in self._pairs.items() if not pair.over}
         for pair in tuple(self._pairs.values()):
             pair.tick(self._link.keepalive.control_quiet)

@@ -269,7 +269,7 @@ class Link(BaseLink):
         # Before the proposals: Neighbours decides what would loop (PROTOCOL.md, 3).
         self.neighbourhood = self.extend(Neighbourhood(self))
         self.route_channels = self.extend(RouteChannels(self))
-        self.open_channel = self.route_channels.open
+        self.open_channel, self.udp_ready = self.route_channels.open, self.route_channels.udp_ready
         self.report_soon = self.extend(RouteReports(self)).add
         self.table = self.extend(RouteTable(self))
         self.proposed = self.extend(ProposedTopics(self, self.table))

@@ -23,7 +23,6 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.descriptors import RESERVE
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Attach, Established, Event, Failed, RefusalCode, StreamRefused
 from rsb_bridge.wire.messages import Hello, Welcome
@@ -68,6 +67,7 @@ class Server:
 
     Attributes:
         links: by client name; a client in the session has one even before it first connects.
+        datagrams: takes what sockets bring, as `rsb_bridge.transport.transport.Acceptor` has it.
         refused_clients: refused clients that no link shows.
     """
 
@@ -80,11 +80,8 @@ class Server:
         self._pending = InboundStreams(context, self)
         self.refused_clients = RefusedClients(context)
         self._transport = context.transports.of_link(context.session.server_ip)
-        datagrams = UdpDemultiplexer(self._new_udp_channel).received
-        acceptor = Acceptor(
-            self._pending.arrive, datagrams, self._pending.shortage, self._with_a_key_of_ours, self._tell_of_others
-        )
-        self._ports = Ports(context.session, context.transports, acceptor)
+        self.datagrams = UdpDemultiplexer(self).received
+        self._ports = Ports(context.session, context.transports, self)
         self.entries = {entry.client.name: entry for entry in entries}
         self.links: dict[str, ServerLink] = {}
         for entry in entries:
@@ -103,7 +100,15 @@ class Server:
         address = self._transport.format_address((session.server_ip, session.server_port))
         self.context.log(Level.INFO, EventCode.ENGINE_LISTENING, f"listening on {address} ({' and '.join(names)})")
 
-    async def _with_a_key_of_ours(self, hosts: list[str]) -> list[str]:
+    # --- as its transports' acceptor
+
+    def make_handler(self) -> StreamHandler:
+        return _InboundStream(self._pending)
+
+    def shortage(self, message: str) -> None:
+        self._pending.shortage(message)
+
+    async def prove(self, hosts: list[str]) -> list[str]:
         """Return which servers have a client's key, so that the client could not tell them from this one.
 
         It asks as the client does, and goes no further than the server's proof.
@@ -128,8 +133,10 @@ class Server:
             each.give_up()
         return [str(each.stream.address[0]) for each in proven]
 
-    def _tell_of_others(self, message: str) -> None:
+    def others(self, message: str) -> None:
         self.context.log(Level.WARNING, EventCode.ENGINE_OTHER_SERVERS, message)
+
+    # --- life
 
     def stop(self) -> None:
         """Stop accepting connections, and reject the pending ones."""
@@ -247,7 +254,7 @@ class Server:
         transport, port = link.take_stream(event)
         if refusal := link.descriptors.refusal:
             raise Refusal(RefusalCode.BUSY, refusal, link.name)
-        stream.when_gone(link.descriptors.take())
+        stream.when_gone = link.descriptors.take()
         stream.write(connection.accept_attach())
         link.channels.attach(stream, event.name, transport, port, connection.leftover())
         link.route_channels.streams_opened(transport.name, port)
@@ -288,7 +295,7 @@ class Server:
             (link for link in self.links.values() if link.keys is not None and link.keys.link_id == link_id), None
         )
 
-    def _new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
+    def new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
         link = self._link_of(link_id)
         return link.new_udp_channel(socket, address) if link is not None else None
 
@@ -301,10 +308,6 @@ class InboundStreams(PendingConnections):
         self.admission = admission
         self._context = context
         self._turned_away = 0
-
-    def arrive(self) -> StreamHandler:
-        """Return the handler of a new stream."""
-        return _InboundStream(self)
 
     def expel(self, name: str, message: str) -> None:
         """Reject the connections that authenticate as this client, whose key or right has changed."""

@@ -487,10 +487,8 @@ class ServerLink(Link):
         stream = self.control.stream
         if len(address) != len(stream.address):
             return None
-        udp_channel = ServerUdpChannel(
-            socket, stream.own_address, self.channels.probe, self.context.now, self.route_channels.udp_ready
-        )
+        udp_channel = ServerUdpChannel(self.channels, socket, stream.own_address)
         self.channels.add_udp(socket.port, udp_channel)
         # The client may send messages together with its answer to the first challenge: routes have to take them then.
-        self.route_channels.udp_ready()
+        self.udp_ready()
         return udp_channel

@@ -18,7 +18,8 @@ from rsb_bridge.transport.transport import ListenError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.transport.streams import Address, Stream
+    from rsb_bridge.transport.streams import Address, Stream, StreamHandler
+    from rsb_bridge.transport.transport import Acceptor
 
 EVERY_ADDRESS = "::"
 _LOOKED_UP_WITHIN = 3.0
@@ -116,20 +117,19 @@ class StreamListener:
         self,
         sockets: list[socket.socket],
         backlog: int,
-        make_stream: Callable[[], Stream],
-        shortage: Callable[[str], None],
+        acceptor: Acceptor,
+        make_stream: Callable[[StreamHandler], Stream],
     ) -> None:
         """Begin to listen.
 
         Args:
             sockets: bound; they are closed with this.
             backlog: connections that the kernel may hold until they are accepted.
-            shortage: called with a message each time that nothing can be accepted for now.
         """
         self._loop = asyncio.get_running_loop()
         self._sockets = sockets
+        self._acceptor = acceptor
         self._make_stream = make_stream
-        self._shortage = shortage
         self._accepting: set[asyncio.Task[None]] = set()
         self._again: dict[socket.socket, asyncio.TimerHandle] = {}
         for sock in sockets:
@@ -162,11 +162,11 @@ class StreamListener:
     def _rest(self, sock: socket.socket, error: OSError) -> None:
         self._loop.remove_reader(sock)
         self._again[sock] = self._loop.call_later(_SHORT_FOR, self._loop.add_reader, sock, self._accept, sock)
-        self._shortage(os_error_message(error))
+        self._acceptor.shortage(os_error_message(error))
 
     async def _serve(self, accepted: socket.socket, address: Address) -> None:
         def make_stream() -> Stream:
-            stream = self._make_stream()
+            stream = self._make_stream(self._acceptor.make_handler())
             stream.address = address  # the kernel forgets it when the other end resets the connection
             return stream
 

@@ -99,7 +99,7 @@ class Rfcomm(RfcommTraits, StreamTransport):
             raise ListenError(str(error)) from None
         try:
             sock.bind((host, port))
-            return StreamListener([sock], _BACKLOG, lambda: RfcommStream(acceptor.make_handler()), acceptor.shortage)
+            return StreamListener([sock], _BACKLOG, acceptor, RfcommStream)
         except OSError as error:
             sock.close()
             if error.errno == errno.EADDRINUSE:

@@ -113,6 +113,7 @@ class Stream(asyncio.Protocol):
         congested: whether more than `high_water` bytes wait for the kernel, so that writers should pause.
         received_at: time (s, on the loop's clock) of the last bytes, or of the connection.
         sent_bytes: so far, including bytes that still wait.
+        when_gone: called when its descriptor is free again, which may be a while after `close`, or None.
         address: of the other end.
         own_address: host or adapter of this end, or empty if unknown.
     """
@@ -130,7 +131,7 @@ class Stream(asyncio.Protocol):
         self.own_address = ""
         self._transport: asyncio.Transport | None = None
         self._now: Callable[[], float] = float  # until it is connected
-        self._when_gone: Callable[[], None] = _nothing
+        self.when_gone: Callable[[], None] | None = None
         self._reason = NO_REASON
         self._given_up_after = 0.0
         self._retried_after = RETRIED_AFTER
@@ -253,10 +254,6 @@ class Stream(asyncio.Protocol):
         """Whether it is closed, and all that was written has left or is lost."""
         return self._transport is None
 
-    def when_gone(self, work: Callable[[], None]) -> None:
-        """Have something done when its descriptor is free again, which may be a while after `close`."""
-        self._when_gone = work
-
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
@@ -307,7 +304,8 @@ class Stream(asyncio.Protocol):
             self._lingering.cancel()
         _free(self._transport)
         self._transport = None
-        self._when_gone()
+        if self.when_gone is not None:
+            self.when_gone()
         # Nothing comes after this event, and nothing leads back to the link, which would be freed late.
         handler, self.handler = self.handler, StreamHandler()
         handler.closed(self._reason or (broken(error) if error else Reason("closed", EndCode.BROKE)))
@@ -323,10 +321,6 @@ def _free(transport: asyncio.Transport | None) -> None:
     """Have a socket's transport freed at once: asyncio leaves a method of its own bound in it, which is a cycle."""
     if transport is not None and hasattr(transport, "_read_ready_cb"):
         transport._read_ready_cb = None
-
-
-def _nothing() -> None:
-    """Nobody waits for the descriptor."""
 
 
 def format_address(address: Address) -> str:

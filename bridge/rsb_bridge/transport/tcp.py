@@ -146,17 +146,15 @@ class Tcp(TcpTraits, StreamTransport):
         with contextlib.ExitStack() as unless_connected:
             unless_connected.callback(sock.close)
             loop = asyncio.get_running_loop()
-            _, stream = await loop.create_connection(lambda: TcpStream(handler, self._ending), sock=sock)
+            _, stream = await loop.create_connection(lambda: self._stream(handler), sock=sock)
             unless_connected.pop_all()
         return stream
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
-        sockets = await bind(host, port, socket.SOCK_STREAM)
+        return StreamListener(await bind(host, port, socket.SOCK_STREAM), _BACKLOG, acceptor, self._stream)
 
-        def accepted() -> TcpStream:
-            return TcpStream(acceptor.make_handler(), self._ending)
-
-        return StreamListener(sockets, _BACKLOG, accepted, acceptor.shortage)
+    def _stream(self, handler: StreamHandler) -> TcpStream:
+        return TcpStream(handler, self._ending)
 
     def source_address(self, peer: Address) -> str:
         family = socket.AF_INET6 if len(peer) == 4 else socket.AF_INET

@@ -16,14 +16,13 @@ All of it runs on the I/O loop. Timers and the time come from the loop, so that 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
 
 from rsb_bridge.model.transports import TransportTraits
 from rsb_bridge.transport.streams import Address, format_address
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Sequence
+    from collections.abc import Callable, Sequence
 
     from rsb_bridge.model.session import Session
     from rsb_bridge.transport.streams import Stream, StreamHandler
@@ -89,33 +88,26 @@ Datagrams: TypeAlias = list[tuple[bytes | memoryview, Address]]
 """Datagrams, each with the address it came from."""
 
 
-async def _none_of(_: list[str]) -> list[str]:
-    """Return that no host has a key of this server."""
-    return []
+class Acceptor(Protocol):
+    """The server that takes the streams and datagrams of a listening transport."""
 
+    def make_handler(self) -> StreamHandler:
+        """Return the handler of an inbound stream, before its `StreamHandler.connected`."""
 
-def _ignore(_: str) -> None:
-    """Tell nobody."""
+    def datagrams(self, socket: DatagramSocket, datagrams: Datagrams, /) -> None:
+        """Take the datagrams that one wake-up of a socket brought."""
 
+    def shortage(self, message: str) -> None:
+        """Tell why no stream can be accepted now, for example because the process may have no more descriptors.
 
-@dataclass(frozen=True, slots=True)
-class Acceptor:
-    """A listening transport's handlers of streams and datagrams.
+        Called each time. The streams wait, and accepting them is tried again.
+        """
 
-    Attributes:
-        make_handler: called for each inbound stream, before its `StreamHandler.connected`.
-        datagrams: called with the datagrams that one wake-up of a socket brought.
-        shortage: called with a message each time that streams cannot be accepted, for example because the process may
-            have no more descriptors. The streams wait, and accepting them is tried again.
-        prove: finds out which of the hosts that announce themselves as servers have a key of this one.
-        others: called with a message if other servers are announced.
-    """
+    async def prove(self, hosts: list[str]) -> list[str]:
+        """Return which of the hosts that announce themselves as servers have a key of this one."""
 
-    make_handler: Callable[[], StreamHandler]
-    datagrams: Callable[[DatagramSocket, Datagrams], None]
-    shortage: Callable[[str], None]
-    prove: Callable[[list[str]], Awaitable[list[str]]] = _none_of
-    others: Callable[[str], None] = _ignore
+    def others(self, message: str) -> None:
+        """Tell that other servers are announced."""
 
 
 class Listener(Protocol):

@@ -10,13 +10,14 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.acceptors import Accepting
 from tests.support.wording import pattern
 
 from rsb_bridge.bluetooth.hci import ANY_ADAPTER
 from rsb_bridge.transport import rfcomm
 from rsb_bridge.transport.rfcomm import Rfcomm, RfcommProblem
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.transport.transport import Acceptor, ListenError
+from rsb_bridge.transport.transport import ListenError
 
 from .conftest import holding
 
@@ -95,14 +96,10 @@ class Pair:
         return client, server
 
 
-def _streams_to(make_handler: Callable[[], Recorder]) -> Acceptor:
-    return Acceptor(make_handler, lambda socket, datagrams: None, lambda message: None)
-
-
 @asynccontextmanager
 async def listening(address: str, channel: int, bind: str = "") -> AsyncIterator[Pair]:
     pair = Pair(address, channel)
-    server = await Rfcomm().listen(bind or address, channel, _streams_to(pair.accept))
+    server = await Rfcomm().listen(bind or address, channel, Accepting(pair.accept))
     try:
         yield pair
     finally:
@@ -177,9 +174,9 @@ async def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monk
 async def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
     absent = RfcommProblem.ANOTHER_ADAPTER(host="00:11:22:33:44:55", adapters=", ".join(addresses))
     with pytest.raises(ListenError, match=absent):
-        await Rfcomm().listen("00:11:22:33:44:55", 3, _streams_to(Recorder))
+        await Rfcomm().listen("00:11:22:33:44:55", 3, Accepting(Recorder))
     with (
         holding((addresses[0], 3, "listen")),
         pytest.raises(ListenError, match=pattern(RfcommProblem.CHANNEL_TAKEN, channel=3)),
     ):
-        await Rfcomm().listen(addresses[0].lower(), 3, _streams_to(Recorder))
+        await Rfcomm().listen(addresses[0].lower(), 3, Accepting(Recorder))
