@@ -38,8 +38,13 @@ DOWN = replace(LINK, state=State.DOWN, cause="unreachable", since=NOW - 60)
 class Table:
     def __init__(self) -> None:
         self.clock = ManualClock()
-        self.ended: list[object] = []
-        self.known = Acknowledgements(self.clock, self.ended.append)
+        self.events = EventLog(self.clock)
+        self.known = Acknowledgements(self.clock, self.events)
+
+    @property
+    def ended(self) -> list[str]:
+        """The topics whose acknowledgements have ended."""
+        return [event.topic for event in self.events.after(0)]
 
     def mark(self, *routes: RouteSnapshot, link: LinkSnapshot = LINK) -> list[bool]:
         """Whether the link is marked, and whether each route is."""
@@ -144,7 +149,7 @@ def test_an_acknowledgement_that_ends_is_told_once_and_only_if_a_fault_is_left(t
     other = replace(SCAN, state=State.SLOW, cause="slow")
     for _ in range(5):
         table.mark(other)
-    assert table.ended == [other]
+    assert table.ended == [other.topic]
 
 
 def test_the_end_of_an_acknowledgement_is_an_event() -> None:

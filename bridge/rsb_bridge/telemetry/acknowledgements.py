@@ -5,15 +5,17 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.faults import explained_by_link
-from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, PatternSnapshot, RouteSnapshot, State
+from rsb_bridge.model.snapshot import Acknowledgement, Level, LinkSnapshot, PatternSnapshot, RouteSnapshot, State
 from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.telemetry.event_log import EventLog
 
 _TOLERANCE = 2.0
 """s by which the beginning of a state may be wrong, because the wall clock is adjusted."""
@@ -41,15 +43,11 @@ class _AcknowledgedFault(NamedTuple):
 
 
 class Acknowledgements:
-    """Marks the acknowledged faults of each snapshot, and forgets them once they are over, which bounds its size.
+    """Marks the acknowledged faults of each snapshot, and forgets them once they are over, which bounds its size."""
 
-    Args:
-        ended: called with each link, route or pattern whose acknowledgement ends because its fault became another one.
-    """
-
-    def __init__(self, clock: Clock, ended: Callable[[AnyFaulty], None] = lambda _: None) -> None:
+    def __init__(self, clock: Clock, events: EventLog) -> None:
         self._clock = clock
-        self._ended = ended
+        self._events = events
         self._known: dict[tuple[str, str], _AcknowledgedFault] = {}
         self._marked: dict[tuple[str, str], tuple[Any, Any]] = {}
         """The newest marked snapshots, each with its original, so that an unchanged one stays the same object."""
@@ -87,83 +85,71 @@ class Acknowledgements:
         if not self._known:
             self._marked.clear()
             return links, routes
-        # A fault that this snapshot does not have is forgotten: `_keep` takes over the others.
-        before, self._known = self._known, {}
-        marked, self._marked = self._marked, {}
-        new_links = tuple(self._link(link, before, marked, now) for link in links)
+        patterns = (pattern for link in links for pattern in link.patterns)
+        every: tuple[AnyFaulty, ...] = (*links, *patterns, *routes)
+        # A fault that this snapshot does not have is forgotten.
+        self._known = {_key(each): kept for each in every if (kept := self._kept(each, now)) is not None}
+        before, self._marked = self._marked, {}
+        new_links = tuple(self._marked_link(link, before) for link in links)
         by_name = {link.name: link for link in new_links}
-        return new_links, tuple(self._route(route, by_name.get(route.link), before, marked, now) for route in routes)
+        new_routes = []
+        for route in routes:
+            record, link = self._record(route), by_name.get(route.link)
+            if record is None and link is not None and explained_by_link(route.cause, link):
+                record = link.acknowledged
+            new_routes.append(route if record is None else self._copy(route, before, record))
+        return new_links, tuple(new_routes)
 
-    def _link(
-        self, link: LinkSnapshot, before: dict[tuple[str, str], _AcknowledgedFault], marked: dict[Any, Any], now: float
-    ) -> LinkSnapshot:
-        record = self._keep(link, before, now)
-        patterns = [self._keep(pattern, before, now) for pattern in link.patterns]
-        if record is None and not any(patterns):
-            return link
-        return self._replaced(_key(link), link, marked, record, patterns)
-
-    def _route(
-        self,
-        route: RouteSnapshot,
-        link: LinkSnapshot | None,
-        before: dict[tuple[str, str], _AcknowledgedFault],
-        marked: dict[Any, Any],
-        now: float,
-    ) -> RouteSnapshot:
-        record = self._keep(route, before, now)
-        if record is None and link is not None and explained_by_link(route.cause, link):
-            record = link.acknowledged
-        return route if record is None else self._replaced(_key(route), route, marked, record, [])
-
-    def _keep(
-        self,
-        faulty: AnyFaulty,
-        before: dict[tuple[str, str], _AcknowledgedFault],
-        now: float,
-    ) -> Acknowledgement | None:
-        known = before.get(_key(faulty))
+    def _kept(self, faulty: AnyFaulty, now: float) -> _AcknowledgedFault | None:
+        """Return what is known of a fault, unless it is over or has become another one."""
+        known = self._known.get(_key(faulty))
         if known is None:
             return None
         if not _is_fault(faulty, known.state, known.cause):
             # A fault that is over needs no operator; one that became another one counts again.
             if has_fault(faulty):
-                self._ended(faulty)
+                self._log_end(faulty)
             return None
         # Another cause restarts the state's time, so the comparison below has to restart, too: a killed publisher is
         # silent, and gone some 20 s later.
         if known.cause != faulty.cause:
-            known = known._replace(cause=faulty.cause, at=self._clock.steady())
-        elif not isinstance(faulty, PatternSnapshot):  # a pattern has no `since`
+            return known._replace(cause=faulty.cause, at=self._clock.steady())
+        if not isinstance(faulty, PatternSnapshot):  # a pattern has no `since`
             since = faulty.fault_since if isinstance(faulty, LinkSnapshot) else faulty.since
             lasting, elapsed = now - since, self._clock.steady() - known.at
             if lasting + _TOLERANCE < elapsed:  # it was over meanwhile, and began again
-                self._ended(faulty)
+                self._log_end(faulty)
                 return None
-        self._known[_key(faulty)] = known
-        return known.record
+        return known
 
-    def _replaced(
-        self,
-        key: tuple[str, str],
-        faulty: Faulty,
-        marked: dict[Any, Any],
-        record: Acknowledgement | None,
-        patterns: list[Acknowledgement | None],
-    ) -> Faulty:
-        old, new = marked.get(key, (None, None))
+    def _log_end(self, faulty: AnyFaulty) -> None:
+        text = f"acknowledgement ended, the fault is now {faulty.state.upper()}"
+        text += f" ({faulty.cause})" if faulty.cause else ""
+        link, topic = (faulty.name, "") if isinstance(faulty, LinkSnapshot) else (faulty.link, _name(faulty))
+        code = EventCode.OPERATOR_ACKNOWLEDGEMENT_ENDED
+        self._events.add(Level.INFO, code, f"{topic}: {text}" if topic else text, link=link, topic=topic)
+
+    def _record(self, faulty: AnyFaulty) -> Acknowledgement | None:
+        known = self._known.get(_key(faulty))
+        return None if known is None else known.record
+
+    def _marked_link(self, link: LinkSnapshot, before: dict[Any, Any]) -> LinkSnapshot:
+        record, records = self._record(link), [self._record(row) for row in link.patterns]
+        if record is None and not any(records):
+            return link
+        pairs = zip(link.patterns, records, strict=True)
+        rows = (row if each is None else dataclasses.replace(row, acknowledged=each) for row, each in pairs)
+        return self._copy(link, before, record, patterns=tuple(rows))
+
+    def _copy(self, faulty: Faulty, before: dict[Any, Any], record: Acknowledgement | None, **others: Any) -> Faulty:
+        """Return a marked copy; the one of `before` if nothing has changed."""
+        old, new = before.get(_key(faulty), (None, None))
         # Attached consoles are sent what is another object than before (`control.states`).
         if old is not faulty or new.acknowledged != record:
-            new = dataclasses.replace(faulty, acknowledged=record)
-            if isinstance(new, LinkSnapshot):
-                pairs = zip(new.patterns, patterns, strict=True)
-                rows = tuple(
-                    row if each is None else dataclasses.replace(row, acknowledged=each) for row, each in pairs
-                )
-                new = dataclasses.replace(new, patterns=rows)
-        self._marked[key] = faulty, new
-        marked_now: Faulty = new
-        return marked_now
+            new = dataclasses.replace(faulty, acknowledged=record, **others)
+        self._marked[_key(faulty)] = faulty, new
+        copy: Faulty = new
+        return copy
 
 
 def _is_fault(faulty: AnyFaulty, state: State, cause: str) -> bool:

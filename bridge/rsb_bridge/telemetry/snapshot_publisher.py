@@ -8,8 +8,7 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, State
+from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, State
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.snapshot import RefusedClient, Snapshot
-    from rsb_bridge.telemetry.acknowledgements import AnyFaulty
     from rsb_bridge.telemetry.event_log import EventLog
 
 _AT_ONCE, _REFRESHES = 128, 4
@@ -85,7 +83,7 @@ class SnapshotPublisher:
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:
         self.latest = blank
-        self.acknowledged = Acknowledgements(clock, self._acknowledgement_ended)
+        self.acknowledged = Acknowledgements(clock, events)
         self._events = events
         self._clock = clock
         self._routes: dict[ShownRoute, RouteSnapshot] = {}
@@ -95,17 +93,6 @@ class SnapshotPublisher:
         self._turn = 0
         self._published_at = clock.steady()
         self._is_looked_at = True  # the first refresh renews all
-
-    def _acknowledgement_ended(self, faulty: AnyFaulty) -> None:
-        """Add an event: the fault counts again."""
-        text = f"acknowledgement ended, the fault is now {faulty.state.upper()}"
-        if isinstance(faulty, LinkSnapshot):
-            link, topic = faulty.name, ""
-        else:
-            link, topic = faulty.link, faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
-        text += f" ({faulty.cause})" if faulty.cause else ""
-        code = EventCode.OPERATOR_ACKNOWLEDGEMENT_ENDED
-        self._events.add(Level.INFO, code, f"{topic}: {text}" if topic else text, link=link, topic=topic)
 
     def newest(self) -> Snapshot:
         """Return the newest snapshot; called on any thread.
