@@ -12,6 +12,7 @@ import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
+from rsb_bridge.feature import feature_names
 from rsb_bridge.link.connecting import ServerSearch
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections, Rejected
@@ -31,8 +32,6 @@ from rsb_bridge.wire.sealed_stream import Credential
 from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rsb_bridge.context import Context
     from rsb_bridge.link.server_link import ClientEntry
     from rsb_bridge.model.reason import Reason
@@ -71,11 +70,8 @@ class Server:
         refused_clients: refused clients that no link shows.
     """
 
-    def __init__(
-        self, context: Context, entries: list[ClientEntry], make_welcome: Callable[[bytes, bool], Welcome], *, aes: bool
-    ) -> None:
+    def __init__(self, context: Context, entries: list[ClientEntry], *, aes: bool) -> None:
         self.context = context
-        self._make_welcome = make_welcome
         self._aes = aes
         self._pending = InboundStreams(context, self)
         self.refused_clients = RefusedClients(context)
@@ -158,8 +154,7 @@ class Server:
 
     def _add_link(self, entry: ClientEntry) -> None:
         name = entry.client.name
-        descriptors = DescriptorShare(name, lambda: len(self.links) == 1)
-        self.links[name] = ServerLink(self.context, entry, self._ports, descriptors)
+        self.links[name] = ServerLink(self.context, entry, self._ports, DescriptorShare(name, self.links))
 
     def remove_client(self, name: str) -> None:
         """Stop accepting a client, and end its link."""
@@ -195,14 +190,6 @@ class Server:
 
     # --- inbound connections
 
-    def streams_awaited(self, host: str = "") -> int:
-        """Return how many streams linked clients have yet to open, at one host or at all."""
-        return sum(
-            link.streams_awaited
-            for link in self.links.values()
-            if link.control is not None and host in ("", link.control.stream.host)
-        )
-
     def connection(self) -> ServerConnection:
         """Return the state machine for an inbound stream."""
         return ServerConnection(self.credential, self._welcome, self._aes, multiplexed=self._transport.multiplexed)
@@ -216,9 +203,16 @@ class Server:
 
     def _welcome(self, hello: Hello) -> Welcome:
         link = self.links[hello.name]
-        welcome = self._make_welcome(os.urandom(LINK_ID_LENGTH), link.use_name)
-        if at := self._transport.announced_at:
-            welcome = msgspec.structs.replace(welcome, at=at)
+        welcome = Welcome(
+            __version__,
+            self.context.session.name,
+            os.urandom(LINK_ID_LENGTH),
+            self.context.ros.instance_id,
+            self.context.domain_id,
+            link.use_name,
+            at=self._transport.announced_at,
+            features=feature_names(),
+        )
         if link.keeps_name_from(hello):
             return msgspec.structs.replace(welcome, taken=link.name_taken())
         if link.shut_down_by is not None:
@@ -304,10 +298,19 @@ class InboundStreams(PendingConnections):
     """The streams of clients that have not authenticated yet."""
 
     def __init__(self, context: Context, admission: Server) -> None:
-        super().__init__(context, context.transports.strangers, _LIMITS, admission.streams_awaited)
+        super().__init__(context, context.transports.strangers, _LIMITS)
         self.admission = admission
         self._context = context
         self._turned_away = 0
+
+    def _expected(self, host: str) -> int:
+        """Return how many streams linked clients have yet to open."""
+        controls = ((link, link.control) for link in self.admission.links.values())
+        return sum(
+            link.streams_awaited
+            for link, control in controls
+            if control is not None and host in ("", control.stream.host)
+        )
 
     def expel(self, name: str, message: str) -> None:
         """Reject the connections that authenticate as this client, whose key or right has changed."""

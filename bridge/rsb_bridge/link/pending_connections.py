@@ -16,7 +16,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport import descriptors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from rsb_bridge.link.refused_clients import Recording
     from rsb_bridge.model.budgets import Strangers
@@ -63,24 +63,12 @@ class Limits(NamedTuple):
 
 
 class PendingConnections:
-    """All connections that have not authenticated yet.
+    """All connections that have not authenticated yet."""
 
-    Args:
-        streams_awaited: returns how many connections are expected from a host, or in all if it is empty; they are
-            allowed on top of the limits.
-    """
-
-    def __init__(
-        self,
-        recording: Recording,
-        strangers: Strangers,
-        limits: Limits,
-        streams_awaited: Callable[[str], int] = lambda _: 0,
-    ) -> None:
+    def __init__(self, recording: Recording, strangers: Strangers, limits: Limits) -> None:
         self.refusals = Refusals(recording)
         self.strangers = strangers
         self._limits = limits
-        self._streams_awaited = streams_awaited
         self._present: dict[PendingConnection, None] = {}  # the longest waiting first
 
     @property
@@ -110,7 +98,11 @@ class PendingConnections:
 
     def _full(self, count: int, limit: int, host: str = "") -> bool:
         # The first condition only spares the second one, which looks at all open routes.
-        return count >= limit and count >= limit + self._streams_awaited(host)
+        return count >= limit and count >= limit + self._expected(host)
+
+    def _expected(self, host: str) -> int:
+        """Return how many are expected from a host, or in all if it is empty; they are allowed on top of the limits."""
+        return 0
 
     def _uses_reserve(self) -> bool:
         """Whether idle connections would take file descriptors from the others."""

@@ -27,7 +27,7 @@ from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire.messages import Hello, Welcome
+from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
@@ -154,15 +154,6 @@ class ServerRole:
         self._server = Server(
             context,
             _entries(session, keys),
-            lambda link_id, use_name: Welcome(
-                __version__,
-                session.name,
-                link_id,
-                context.ros.instance_id,
-                context.domain_id,
-                use_name,
-                features=feature_names(),
-            ),
             aes=preferred_suite() is CipherSuite.AESGCM,
         )
         self._tasks = Tasks(context.loop, lambda: self._bind_later("internal error"))

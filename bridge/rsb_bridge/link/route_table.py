@@ -75,7 +75,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.session import Identity, Topic
-    from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import RefuseCode
 
@@ -95,63 +94,6 @@ _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
     "parameters": (CallingParametersRoute, ProvidingParametersRoute),
 }
 """The halves of a route of each kind: where its messages or calls come from, and where they go."""
-
-
-def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
-    """Return the class of a route's half on this side."""
-    sending, receiving = _HALVES[proposal.kind]
-    return sending if proposal.from_client == is_client else receiving
-
-
-def _dispatch(message: _HalfMessage, route: Route) -> None:
-    """Pass a message to this side's half; ignore it if it is for the other half."""
-    match message:
-        case Describe() if isinstance(route, IncomingRoute):
-            route.described(message)
-        case Ready() if isinstance(route, OutgoingRoute):
-            route.peer_ready(message)
-        case Publishers() if isinstance(route, IncomingRoute):
-            route.told_of_publishers(message)
-        case Provide() if isinstance(route, CallingRoute):
-            route.provided(message)
-
-
-class Pausing:
-    """Pauses and resumes routes on both sides, at the request of either side."""
-
-    def __init__(self, peer: Peer, peer_operators: PeerOperators) -> None:
-        self._peer = peer
-        self._peer_operators = peer_operators
-
-    def pause(self, route: Route, *, paused: bool) -> None:
-        """Pause or resume a route on both sides."""
-        who = acting_operator()
-        route.pausing.change(paused=paused, who=who)
-        self._send(route, who)
-
-    def taken_up(self, route: Route, proposal: Propose, *, known: bool) -> None:
-        """Compare the pause of a proposal with this side's, which an operator may have changed since.
-
-        Args:
-            known: whether this side's revisions are about the peer's present process.
-        """
-        self.from_peer(route, proposal, known=known)
-        if (route.pausing.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
-            self._send(route)  # an operator of this side changed it while the link was down
-
-    def from_peer(self, route: Route, message: Pause | Propose, *, known: bool = True) -> None:
-        """Take the peer's state of the pause, and record the change of an operator there."""
-        was, who = route.pausing.paused, message.who if isinstance(message, Pause) else ""
-        revision = message.revision if isinstance(message, Pause) else message.pause_revision
-        take = route.pausing.merge if known else route.pausing.adopt
-        take(paused=message.paused, revision=revision, who=self._peer_operators.says(who))
-        if route.pausing.paused != was and known:
-            self._peer_operators.paused(route, who)
-
-    def _send(self, route: Route, who: str = "") -> None:
-        if route.id:
-            pausing = route.pausing
-            self._peer.send(Pause(route=route.id, paused=pausing.paused, revision=pausing.revision, who=who))
 
 
 class RouteTable(Extension):
@@ -175,7 +117,6 @@ class RouteTable(Extension):
         self._link = link
         self._refused: dict[str, str] = {}
         self.peer_operators = PeerOperators(link.context, "server" if link.is_client else link.name)
-        self._pausing = Pausing(link, self.peer_operators)
         self.arming = LinkArming(
             link.context, link, self.peer_operators, lambda: tuple(link.routes.values()), self.propose
         )
@@ -210,7 +151,8 @@ class RouteTable(Extension):
         """
         key = route_key(self._link.name, proposal)
         self.check_add(spec, proposal, key)
-        half = _half_of(proposal, is_client=self._link.is_client)
+        sending, receiving = _HALVES[proposal.kind]
+        half = sending if proposal.from_client == self._link.is_client else receiving
         route = self._link.routes[key] = half(self._context, self._link, spec, proposal, proposed_here=proposed_here)
         allow_rate(route, self._link)
         if isinstance(route, IncomingRoute | CallingRoute):
@@ -235,12 +177,6 @@ class RouteTable(Extension):
             self.arming.keep_demand(route.local_topic, spec)
             self._context.demands.apply()
 
-    def _move(self, route: Route, at: int) -> None:
-        """Move a route to an index; a session lists its topics in this order."""
-        routes = [each for each in self._link.routes.values() if each is not route]
-        routes.insert(at, route)
-        self._link.routes = {each.key: each for each in routes}
-
     def remove(self, route: Route, reason: str, *, anonymous: bool = False) -> None:
         """Remove a route on both sides; `anonymous` keeps the operator's name from the other side."""
         self.listed.discard(route.spec.identity)
@@ -258,7 +194,9 @@ class RouteTable(Extension):
         self._forget(route, EventCode.ROUTE_REMOVED, "edited")
         new = self.add(spec, proposal, proposed_here=True)
         new.arming.follow(route.arming)
-        self._move(new, at)
+        # A session lists its topics in this order.
+        routes = [each for each in self._link.routes.values() if each is not new]
+        self._link.routes = {each.key: each for each in (*routes[:at], new, *routes[at:])}
         return new
 
     def deny(self, route: Route, reason: str) -> None:
@@ -336,8 +274,28 @@ class RouteTable(Extension):
 
     def pause(self, route: Route, *, paused: bool) -> None:
         """Pause or resume a route on both sides, and disarm it."""
-        self._pausing.pause(route, paused=paused)  # first: disarming reopens the route, which names no operator
-        self.arming.disarm(route, Disarmed.PAUSED)
+        who = acting_operator()
+        route.pausing.change(paused=paused, who=who)
+        self._tell_pause(route, who)
+        self.arming.disarm(route, Disarmed.PAUSED)  # which reopens the route, and names no operator
+
+    def _tell_pause(self, route: Route, who: str = "") -> None:
+        if route.id:
+            paused, revision = route.pausing.paused, route.pausing.revision
+            self._link.send(Pause(route=route.id, paused=paused, revision=revision, who=who))
+
+    def _take_pause(self, route: Route, message: Pause | Propose, *, known: bool = True) -> None:
+        """Take the peer's state of the pause, and record the change of an operator there.
+
+        Args:
+            known: whether this side's revisions are about the peer's present process.
+        """
+        was, who = route.pausing.paused, message.who if isinstance(message, Pause) else ""
+        revision = message.revision if isinstance(message, Pause) else message.pause_revision
+        take = route.pausing.merge if known else route.pausing.adopt
+        take(paused=message.paused, revision=revision, who=self.peer_operators.says(who))
+        if route.pausing.paused != was and known:
+            self.peer_operators.paused(route, who)
 
     def apply_demands(self) -> None:
         """Reopen the routes whose demands have changed."""
@@ -424,7 +382,7 @@ class RouteTable(Extension):
         """Take a pause, which outlives openings: the end of one, by its data connection, may have come before it."""
         if (route := self._link.ids.find(message.route)) is None:
             return
-        self._pausing.from_peer(route, message)
+        self._take_pause(route, message)
         if route.pausing.paused and route.id:
             self.arming.disarm(route, Disarmed.PAUSED)
 
@@ -470,7 +428,9 @@ class RouteTable(Extension):
             route.arming.follow(before.arming)
         same_process = route.instance == link.instance  # before it is opened, which notes the present process
         self._reopen(route, proposal.route)
-        self._pausing.taken_up(route, proposal, known=same_process)
+        self._take_pause(route, proposal, known=same_process)
+        if (route.pausing.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
+            self._tell_pause(route)  # an operator of this side changed it while the link was down
         return route, before is None
 
     def _known(self, ours: Propose) -> Route | None:
@@ -601,8 +561,19 @@ class RouteTable(Extension):
                     known = route.reopening.refused
                     reason = known if known.code is differs else Reason(reason.text, differs)
                 route.refuse(EventCode.ROUTE_REFUSED, reason)
-            case Describe() | Ready() | Publishers() | Provide():
-                _dispatch(message, route)
+            # Of these, what is for the other half is ignored.
+            case Describe():
+                if isinstance(route, IncomingRoute):
+                    route.described(message)
+            case Publishers():
+                if isinstance(route, IncomingRoute):
+                    route.told_of_publishers(message)
+            case Ready():
+                if isinstance(route, OutgoingRoute):
+                    route.peer_ready(message)
+            case Provide():
+                if isinstance(route, CallingRoute):
+                    route.provided(message)
             case Close():
                 reason = Reason(message.reason, message.code)
                 if not reason.broke:
@@ -620,10 +591,11 @@ class RouteTable(Extension):
     async def tick_routes(self) -> None:
         """Run the own tick of the routes that are not idle, once a second."""
         now, link = self._context.now(), self._link
-        await in_slices([route for route in link.routes.values() if route.is_due(now)], self._tick_route)
 
-    def _tick_route(self, route: Route) -> None:
-        self._link.guarded(route.tick)
+        def tick(route: Route) -> None:
+            link.guarded(route.tick)
+
+        await in_slices([route for route in link.routes.values() if route.is_due(now)], tick)
 
     def tick(self) -> None:
         """Propose refused routes again, and remove routes that the peer no longer wants."""

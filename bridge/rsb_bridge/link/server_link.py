@@ -31,7 +31,7 @@ from rsb_bridge.wire.sealed_stream import ReplayCache
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sized
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
@@ -150,7 +150,7 @@ class TopicPorts:
             if port not in listed:
                 allowed = join_first([str(each) for each in listed], _NAMED) or "none"
                 raise ListenError(PortDenied.NOT_LISTED(port=port, allowed=allowed))
-            return _nothing  # the list itself limits their number
+            return lambda: None  # the list itself limits their number
         if key not in self._users and len(self._users) >= PORTS_PER_CLIENT:
             raise ListenError(PortDenied.TOO_MANY(client=self._client, limit=PORTS_PER_CLIENT))
         self._users[key] = self._users.get(key, 0) + 1
@@ -160,10 +160,6 @@ class TopicPorts:
         self._users[key] -= 1
         if not self._users[key]:
             del self._users[key]
-
-
-def _nothing() -> None:
-    """Release a listed port, which is not counted."""
 
 
 def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None:
@@ -192,17 +188,16 @@ class DescriptorShare:
     clients that take as many as they can never keep the next one out. The rule fits any limit of the process.
     """
 
-    def __init__(self, client: str, is_only_client: Callable[[], bool]) -> None:
-        """Begin without descriptors; `is_only_client` tells whether no other client needs any."""
+    def __init__(self, client: str, clients: Sized) -> None:
         self.held = 0
         self._client = client
-        self._is_only_client = is_only_client
+        self._clients = clients
 
     @property
     def room(self) -> int:
         """Number of descriptors that it may still take."""
         left = descriptors.left()  # with other clients, it may take one more while more are left than it holds
-        return left if self._is_only_client() else (left - self.held + 1) // 2
+        return left if len(self._clients) == 1 else (left - self.held + 1) // 2
 
     @property
     def refusal(self) -> str:
