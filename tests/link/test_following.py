@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
@@ -14,7 +14,6 @@ from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Propose
 
 if TYPE_CHECKING:
-    from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.graph_watch import Names
 
@@ -25,9 +24,13 @@ class Side:
     def __init__(self) -> None:
         self.sent: list[Followed] = []
         self.changes = 0
-        self.followed = PeerSubscription(cast("Context", self), lambda name, _: "secret" not in name, self._sent)
+        self.context = self
+        self.followed = PeerSubscription(cast("Any", self))
 
-    def _sent(self, message: object) -> None:
+    def shows(self, name: str, _: str) -> bool:
+        return "secret" not in name
+
+    def send(self, message: object) -> None:
         assert isinstance(message, Followed)
         self.sent.append(message)
 

@@ -31,26 +31,19 @@ from rsb_bridge.model.snapshot import Level, PatternSnapshot, State
 from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Welcome
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
     from rsb_bridge.config.rights import Rights
-    from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.graph_watch import Named, Names
     from rsb_bridge.link.proposed_routes import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import ControlMessageBase
 
 _GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
 _IN_ONE_MESSAGE = 200
 """Names of either list: even the longest ones, with four bytes a character, take less than the 1 MiB of a frame."""
-
-
-def _from_client_graph(topic: Topic) -> bool:
-    """Whether an entry follows the client's graph: where it is published, or where the provider is."""
-    return (topic.direction == "transmit") == (topic.kind == "topic")
 
 
 class PatternEntry:
@@ -69,7 +62,8 @@ class PatternEntry:
 
     def __init__(self, topic: Topic, *, client: str, prefixed: bool, always_prefixed: bool = False) -> None:
         self.topic = topic
-        self.from_client = _from_client_graph(topic)
+        # A topic is followed where it is published, a service where its provider is.
+        self.from_client = (topic.direction == "transmit") == (topic.kind == "topic")
         self.left_out: dict[str, str] = {}
         self.beyond = 0
         self._here = Pattern(topic.topic)
@@ -113,19 +107,10 @@ class PatternEntry:
 
 
 class PeerSubscription:
-    """Sends the peer the names of this side's graph that match its patterns.
+    """Sends the peer the names of this side's graph that match its patterns."""
 
-    Args:
-        context: looks for names again when the peer asks for others.
-        shows: whether the peer may know of a name of a kind.
-    """
-
-    def __init__(
-        self, context: Context, shows: Callable[[str, Kind], bool], send: Callable[[ControlMessageBase], None]
-    ) -> None:
-        self._context = context
-        self._shows = shows
-        self._send = send
+    def __init__(self, link: BaseLink) -> None:
+        self._link = link
         self._request: int | None = None  # None: the peer follows nothing
         self._asked_for: tuple[NamePattern, ...] = ()  # not compiled yet
         self._patterns: list[tuple[Kind, Pattern]] = []
@@ -142,7 +127,7 @@ class PeerSubscription:
         self.disconnected()
         self._request, self._answered, self._more = message.request, False, 0
         self._asked_for = message.patterns
-        self._context.names_changed()
+        self._link.context.names_changed()
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
         """Return the peer's patterns. They are compiled when the graph is searched, not each time the peer asks."""
@@ -173,13 +158,13 @@ class PeerSubscription:
         # At least one message: that nothing matches is an answer, too.
         for at in range(0, max(len(present), len(gone), 1), _IN_ONE_MESSAGE):
             part = slice(at, at + _IN_ONE_MESSAGE)
-            self._send(Followed(self._request, tuple(present[part]), tuple(gone[part]), more))
+            self._link.send(Followed(self._request, tuple(present[part]), tuple(gone[part]), more))
 
     def _tells(self, named: Named, type_name: str) -> bool:
         kind, name = named
         matches = any(kind == each and pattern.match(name) is not None for each, pattern in self._patterns)
         # The other side would end the connection for a longer text (PROTOCOL.md, 3).
-        return matches and max(len(name), len(type_name)) <= TEXT_LENGTH and self._shows(name, kind)
+        return matches and max(len(name), len(type_name)) <= TEXT_LENGTH and self._link.shows(name, kind)
 
 
 def _found(named: Named, type_name: str) -> FoundName:
@@ -201,12 +186,12 @@ class LinkPatterns(Extension):
     """
 
     def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
-        context = self._context = link.context
+        self._context = link.context
         self._link = link
         self._table = table
         self._proposed = proposed
         self._transport = link.transport.name
-        self.followed = PeerSubscription(context, link.shows, link.send)
+        self.followed = PeerSubscription(link)
         self.messages = {Follow: self.followed.asked, Followed: self._receive}
         self.entries: list[PatternEntry] = []
         self._here: Names | None = None  # matching names of this side's graph, or None as long as they are unknown
@@ -282,8 +267,13 @@ class LinkPatterns(Extension):
 
     def brings_back(self, route: Route) -> str:
         """Return why a pattern cannot leave out a route's topic, or an empty string if all can."""
-        reached = (_exceptions_reached(entry) for entry in self.entries if self._claims(entry, route))
-        return next(filter(None, reached), "")
+        for entry in self.entries:
+            if self._claims(entry, route) and len(entry.topic.excepts) >= EXCEPTIONS_PER_PATTERN:
+                limit = (
+                    f"pattern {entry.topic.topic} has {EXCEPTIONS_PER_PATTERN} exceptions already, which is the limit"
+                )
+                return f"{limit}: edit it, and use patterns in except"
+        return ""
 
     def _claims(self, entry: PatternEntry, route: Route) -> bool:
         same = entry.topic.kind == route.spec.kind and entry.topic.direction == route.spec.direction
@@ -357,11 +347,9 @@ class LinkPatterns(Extension):
         self.there, self.unseen, self._due = names, message.more, True
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
-        """Return the patterns of this side's graph."""
         return [(entry.topic.kind, entry.source) for entry in self.entries if self.is_local(entry)]
 
     def update_names(self, names: Names) -> None:
-        """Take the present names of this side's graph."""
         if self.entries and names != self._here:
             self._here = names
             self.reconcile()
@@ -381,11 +369,14 @@ class LinkPatterns(Extension):
         if not self.entries and not any(route.pattern for route in self._link.routes.values()):
             return
         with acting(""):  # a change of the graph is not an operator's action
-            self._reconcile(self._wanted())
+            wanted = self._wanted()
+            for each in self.entries:
+                each.beyond, each.left_out = 0, {}
+            self._keep_made(wanted)
+            self._add(wanted)
 
-    def _reconcile(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
-        for each in self.entries:  # first: `_keep` and `_add` fill both
-            each.beyond, each.left_out = 0, {}
+    def _keep_made(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
+        """Change the routes that patterns have made to what these say now, and drop those that no pattern matches."""
         routes = {route.spec.identity: route for route in self._link.routes.values()}
         self.gone = {identity: at for identity, at in self.gone.items() if identity in routes}
         for identity, route in routes.items():
@@ -400,7 +391,6 @@ class LinkPatterns(Extension):
                 self.gone.pop(identity, None)
             else:
                 self.gone.setdefault(identity, self._context.now())
-        self._add(wanted)
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """Return the matching topics, each with its winning pattern, in the order of patterns and names."""
@@ -584,14 +574,6 @@ class LinkPatterns(Extension):
 def _identity_of(route: Route) -> Identity:
     """Return the identity of the pattern that has made a route."""
     return route.spec.kind, route.pattern, route.spec.direction
-
-
-def _exceptions_reached(entry: PatternEntry) -> str:
-    """Return why a pattern can have no more exceptions, with the remedy, or an empty string."""
-    if len(entry.topic.excepts) < EXCEPTIONS_PER_PATTERN:
-        return ""
-    limit = f"pattern {entry.topic.topic} has {EXCEPTIONS_PER_PATTERN} exceptions already, which is the limit"
-    return f"{limit}: edit it, and use patterns in except"
 
 
 def _limit_reached(entry: PatternEntry, routes: int) -> str:
