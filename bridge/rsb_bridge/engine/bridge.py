@@ -19,7 +19,7 @@ import msgspec
 from rsb_bridge.api import EngineError, InvalidRequestError, Unable
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH, string_bytes
 from rsb_bridge.config.keys import shared_key_problem
-from rsb_bridge.config.session_changes import changes, client_named, with_changed_client, with_client, without_client
+from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.publishing import Publishing
@@ -56,12 +56,11 @@ from rsb_bridge.transport.transport import ListenError
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator, Sequence
 
-    from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
     from rsb_bridge.engine.part import EnginePart, Handlers
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.commands import Command, R
-    from rsb_bridge.model.session import Client, Session
+    from rsb_bridge.model.session import Session
     from rsb_bridge.ros.ros_interface import LostPort, OnFailure, RawMessage, Subscription
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
@@ -146,7 +145,6 @@ class Bridge:
         return find_route(self, key)
 
     async def end_motions(self, topics: set[str] | None = None) -> bool:
-        """See `rsb_bridge.engine.topic_commands.CommandedBridge`."""
         return await self._publishing.end_motions(topics)
 
     @property
@@ -345,25 +343,12 @@ class Bridge:
             name = faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
             self.log.add(code, what, topic=name, link=faulty.link)
 
-    async def add_client(self, client: Client, keys: tuple[Key, ...]) -> None:
-        """Accept one more client, on a server."""
-        await self._change_clients(lambda session: with_client(session, client), {client.name: keys})
+    async def change_clients(self, session: Session, keys: Keys) -> None:
+        """Change to a server's session with other clients.
 
-    async def change_client(self, client: Client, keys: tuple[Key, ...]) -> None:
-        """Replace a client's entry. The topics that are proposed to the client stay."""
-
-        def change(session: Session) -> Session:
-            topics = client_named(session, client.name).topics
-            return with_changed_client(session, msgspec.structs.replace(client, topics=topics))
-
-        await self._change_clients(change, {client.name: keys})
-
-    async def remove_client(self, name: str) -> None:
-        """Accept a client no longer, on a server."""
-        await self._change_clients(lambda session: without_client(session, name), {})
-
-    async def _change_clients(self, change: Callable[[Session], Session], keys: Keys) -> None:
-        session = change(self.session)
+        Args:
+            keys: of the clients that are new or have others.
+        """
         for problem in validate(session):
             raise LinkError(str(problem))
         known = {**self.role.keys, **keys}

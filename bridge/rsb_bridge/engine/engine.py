@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-import hashlib
 import logging
 import os
 import threading
@@ -14,46 +13,31 @@ from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, TypeVar, cast
 
-import msgspec
-
 from rsb_bridge.api import EngineApi, EngineError, Unable
-from rsb_bridge.config.session_changes import is_another, kept
-from rsb_bridge.config.session_file import (
-    SessionError,
-    SessionInFile,
-    demand_places,
-    load_file,
-    open_file,
-    same,
-    save,
-)
-from rsb_bridge.config.validation import domain_of, validate
+from rsb_bridge.config.validation import domain_of
 from rsb_bridge.context import Context
 from rsb_bridge.engine.access import Access, load_keys
 from rsb_bridge.engine.bridge import Bridge
+from rsb_bridge.engine.file_commands import EngineFile, FileCommands
 from rsb_bridge.engine.io_loop import IoLoop
 from rsb_bridge.history.history_files import Disk
 from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import AddClient, ChangeClient, History, Reload, RemoveClient, Save, Stop, operator
-from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot
+from rsb_bridge.model.commands import History, Stop, operator
+from rsb_bridge.model.snapshot import Event, Level, Snapshot
 from rsb_bridge.ros.ros_interface import RosError, RosInterface
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
-from rsb_bridge.tasks import in_thread
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Mapping
+    from collections.abc import Callable, Coroutine
 
-    from rsb_bridge.config.keys import Key
-    from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.link.roles import Keys
     from rsb_bridge.model.commands import Command, R
-    from rsb_bridge.model.demands import SourceKey
-    from rsb_bridge.model.session import Client, Session
+    from rsb_bridge.model.session import Session
 
 
 class PendingCommands:
@@ -163,23 +147,8 @@ _RECORDED_WITHIN = 0.5
 """s for the recorder, and for its files, even if a hanging I/O thread has used up all: else the history lacks the end.
 A round figure."""
 
-_READ_WITHIN = 10.0
-"""s in which the session's files have to be read: so much longer, other changes wait at most. A round figure."""
-
 _logger = logging.getLogger(__name__)
 T = TypeVar("T")
-
-
-async def _read(work: Callable[[], T]) -> T:
-    """Read files on a thread; not on the loop's own, as a network folder may never answer.
-
-    Raises:
-        EngineError: they are not read in time.
-    """
-    try:
-        return await in_thread("rsb-read", work, _READ_WITHIN)
-    except TimeoutError:
-        raise EngineError(Unable.DISK_SILENT(seconds=_READ_WITHIN)) from None
 
 
 class Engine(EngineApi):
@@ -211,13 +180,7 @@ class Engine(EngineApi):
         transports: Transports | None = None,
         state: Path | None = None,
     ) -> None:
-        self._session = session
-        self._base = base
-        self._file: Path | None = None
-        self._opened: SessionFile | None = None
-        """That file as it was read or saved last, or None if it had mistakes then."""
-        self._in_file = SessionInFile()
-        self._places: Mapping[SourceKey, str] = {}
+        self._file = EngineFile(session, base)
         self._ros = ros
         self._clock = clock or Clock()
         self._random = random or Random()  # noqa: S311 — jitter, no secret
@@ -247,7 +210,7 @@ class Engine(EngineApi):
 
     @property
     def session(self) -> Session:
-        return self._session if self._bridge is None else self._bridge.session
+        return self._file.session if self._bridge is None else self._bridge.session
 
     @property
     def waits_for_operator(self) -> bool:
@@ -287,18 +250,19 @@ class Engine(EngineApi):
             raise EngineError(Unable.STOPPED_BEFORE_START())
 
     def _start(self) -> None:
+        session = self._file.session
         try:
-            domain = domain_of(self._session, os.environ.get("ROS_DOMAIN_ID"))
+            domain = domain_of(session, os.environ.get("ROS_DOMAIN_ID"))
         except ValueError as error:
             raise EngineError(str(error)) from None
         self._snapshots.latest = dataclasses.replace(self._snapshots.latest, domain_id=domain)
-        if not self._session.use_encryption:
+        if not session.use_encryption:
             text = "encryption is off: all data crosses unencrypted"
             self._events.add(Level.WARNING, EventCode.KEY_UNENCRYPTED, text)
-        keys, granted = load_keys(self._session, self._base)
+        keys, granted = load_keys(session, self._file.base)
         self.access.warn_of(keys, granted)
         self.access.grant(granted)
-        ros = self._ros or _node(domain, self._session.name)
+        ros = self._ros or _node(domain, session.name)
         try:
             ros.start()
         except RosError as error:
@@ -354,13 +318,9 @@ class Engine(EngineApi):
         return self._events.wait(after, timeout)
 
     def use_file(self, path: Path | None, holds: Session | None = None) -> None:
-        self._file = path
-        self._opened = None if path is None else open_file(path)
-        self._in_file.session = None if path is None else holds or self.session
-        self._in_file.name = "" if path is None else path.name
-        self._places = {} if path is None else demand_places(path)
+        self._file.use(path, holds or self.session)
         if (bridge := self._bridge) is not None:
-            places = self._places
+            places = self._file.places
             bridge.context.call(lambda: bridge.context.demands.set_places(places))
 
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
@@ -400,7 +360,7 @@ class Engine(EngineApi):
         loop = asyncio.get_running_loop()
         queue = RosToLoopQueue(loop, loop.do_now if isinstance(loop, IoLoop) else None)
         context = Context(
-            self._session,
+            self._file.session,
             domain,
             ros,
             self._events,
@@ -409,18 +369,11 @@ class Engine(EngineApi):
             self._clock,
             self._random,
             self._transports,
-            self._in_file,
+            self._file.contents,
         )
-        context.demands.set_places(self._places)
-        bridge = Bridge(context, keys, self._snapshots, self._folder)
-        bridge.handlers |= {
-            AddClient: lambda command: self._put_client(bridge.add_client, command.client),
-            ChangeClient: lambda command: self._put_client(bridge.change_client, command.client),
-            RemoveClient: lambda command: self._remove_client(bridge, command.name),
-            Reload: lambda command: self._reload(bridge, command),
-            Save: lambda _: self._save(bridge),
-        }
-        self._bridge = bridge
+        context.demands.set_places(self._file.places)
+        self._bridge = bridge = Bridge(context, keys, self._snapshots, self._file.folder)
+        bridge.handlers |= FileCommands(bridge, self._file, self.access).handlers
         loop.set_exception_handler(bridge.internal_error)
         self._commands.open(loop)
         try:
@@ -433,133 +386,3 @@ class Engine(EngineApi):
         finally:
             self._commands.end()
             self._transports.close()
-
-    async def _put_client(
-        self, command: Callable[[Client, tuple[Key, ...]], Coroutine[None, None, None]], client: Client
-    ) -> None:
-        """Add or change a client with the keys that are in its key files now.
-
-        Raises:
-            EngineError: there is no key, or the command fails.
-        """
-        if self._session.role != "server":
-            raise EngineError(Unable.NOT_A_SERVER())
-        # Others' key files may have changed, or be gone: that is for a reload to find.
-        alone = msgspec.structs.replace(self._session, clients=(client,), operators=())
-        keys, _ = await _read(lambda: load_keys(alone, self._folder()))
-        self.access.check_link(keys)
-        self.access.warn_of(keys, {})
-        await command(client, keys[client.name])
-        await self._client_saved(client.name)
-
-    async def _remove_client(self, bridge: Bridge, name: str) -> None:
-        await bridge.remove_client(name)
-        await self._client_saved(name)
-
-    async def _client_saved(self, name: str) -> None:
-        """Take over a client's entry from the file: a change of a client is written there first."""
-        path, before, held = self._file, self._opened, self._in_file.session
-        if path is None or before is None or held is None:
-            return
-        now = await _read(lambda: open_file(path))
-        # Another change of the file is somebody else's, which a save must not overwrite.
-        if now is not None and same(_without(before.session, name), _without(now.session, name)):
-            self._opened = now
-            self._in_file.session = msgspec.structs.replace(held, clients=now.session.clients, bench=now.session.bench)
-
-    def _folder(self) -> Path:
-        """Return the folder of the session file."""
-        return self._base if self._file is None else self._file.parent
-
-    async def _reload(self, bridge: Bridge, command: Reload) -> Reloaded:
-        dry_run, who = command.dry_run, operator()
-        try:
-            # All files are read before anything changes, and no link waits for the disk.
-            opened, session, left = await _read(self._read_again)
-            path = opened.path
-            places = await _read(lambda: demand_places(path))
-            keys, granted = await _read(lambda: load_keys(session, path.parent))
-        except EngineError as error:
-            if not dry_run:
-                text = f"not reloaded, nothing is changed: {str(error).replace(chr(10), '; ')}"
-                self._events.add(Level.ERROR, EventCode.ENGINE_RELOAD_FAILED, text, who=who)
-            raise
-        if command.seen:
-            would, _ = await bridge.reload(session, keys, dry_run=True, drop_arm=command.drop_arm)
-            if command.seen != _digest([*would, *self.access.reload(granted, dry_run=True)]):
-                raise EngineError(Unable.RELOADS_OTHER())
-        if not dry_run:
-            self.access.warn_of(keys, granted)
-            self._in_file.session = session  # now, since what fails names the lines of this file
-        done, failed = await bridge.reload(session, keys, dry_run=dry_run, drop_arm=command.drop_arm)
-        if not dry_run:
-            self._places = places
-            bridge.context.demands.set_places(places)
-        done += self.access.reload(granted, dry_run=dry_run)
-        if not dry_run:
-            self._session = session
-            self._base, self._opened = path.parent, opened
-            if not (done or failed or left):
-                text = f"reload by {who}: nothing differs in {path}"
-                self._events.add(Level.INFO, EventCode.OPERATOR_RELOADED, text, who=who)
-            for text in left:
-                self._events.add(Level.WARNING, EventCode.ENGINE_RELOAD_INCOMPLETE, f"reload by {who}: {text}", who=who)
-        return Reloaded(tuple(done), tuple(left), tuple(failed), _digest(done))
-
-    async def _save(self, bridge: Bridge) -> None:
-        path, known, session = self._file, self._opened, bridge.session
-        if path is None:
-            raise EngineError(Unable.NO_FILE())
-        if path.parent.resolve() != self._base.resolve():
-            raise EngineError(Unable.SAVED_ELSEWHERE())
-        try:
-            self._opened = await _read(lambda: _saved(session, path, known))
-        except SessionError as error:
-            raise EngineError(str(error)) from None
-        self._in_file.session = session
-        self._places = await _read(lambda: demand_places(path))
-        bridge.context.demands.set_places(self._places)
-        who = operator()
-        self._events.add(Level.INFO, EventCode.OPERATOR_SAVED, f"saved to {path.name} by {who}", who=who)
-
-    def _read_again(self) -> tuple[SessionFile, Session, list[str]]:
-        """Read the session file: the file, the session to change to, and the differences that cannot take effect.
-
-        Raises:
-            EngineError: the session is in no file, or the file has mistakes.
-        """
-        if self._file is None:
-            raise EngineError(Unable.NO_FILE())
-        try:
-            opened = load_file(self._file)
-        except SessionError as error:
-            raise EngineError(str(error)) from None
-        if problem := is_another(self._session, opened.session):
-            raise EngineError(f"{self._file}: {problem}")
-        session, left = kept(self._session, opened.session)
-        if problems := validate(session):  # the old and the new parts may contradict each other
-            raise EngineError("; ".join([*left, *map(str, problems)]))
-        return opened, session, left
-
-
-def _without(session: Session, client: str) -> Session:
-    others = tuple(each for each in session.accepted_clients if each.name != client)
-    return msgspec.structs.replace(session, clients=others, bench=None)
-
-
-def _saved(session: Session, path: Path, known: SessionFile | None) -> SessionFile:
-    """Write a session to its file, unless the file on disk holds it already, and return the file.
-
-    Raises:
-        SessionError: it is not written: somebody else has changed the file, say.
-    """
-    now = open_file(path)
-    if now is not None and same(now.session, session):
-        return now
-    if known is None:
-        known = load_file(path)  # its mistakes are the reason why it is not overwritten
-    return save(session, path, known)
-
-
-def _digest(changes: list[str]) -> str:
-    return hashlib.sha256("\n".join(changes).encode()).hexdigest()[:16] if changes else ""
