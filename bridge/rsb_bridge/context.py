@@ -104,24 +104,27 @@ class Context:
         self.similar_topics = SimilarTopics(self.ros, self.now)
         self.suggester = NameSuggester(self.ros, self.now)
         self.renderer = Renderer(self.now)
-        # Functions, since the session is replaced by each change, and `demands` is not there yet.
-        self.demands = RunningDemands(
-            lambda: self.session.armed,
-            self._set_armed,
-            lambda: self.loop.call_soon(self.demands.apply),
-            self._demand_kept,
-            self._demand_dropped,
-        )
+        self.demands = RunningDemands(self)
 
-    def _set_armed(self, armed: tuple[str | ArmedName, ...]) -> None:
-        if armed != self.session.armed:
-            self.session = msgspec.structs.replace(self.session, armed=armed)
+    @property
+    def armed(self) -> tuple[str | ArmedName, ...]:
+        """The names and patterns that have to be armed, with those of all entries."""
+        return self.session.armed
 
-    def _demand_kept(self, source: DemandSource, origin: str) -> None:
+    def set_armed(self, armed: tuple[str | ArmedName, ...]) -> None:
+        self.session = msgspec.structs.replace(self.session, armed=armed)
+
+    def demands_changed(self) -> None:
+        """Have the routes reopened soon whose demands have changed."""
+        self.loop.call_soon(self.demands.apply)
+
+    def demand_kept(self, source: DemandSource, origin: str) -> None:
+        """Log that a demand stays whose entry is gone."""
         text = f"{source.name}: still has to be armed ({origin}): kept under armed; save the session"
         self.events.add(Level.INFO, EventCode.OPERATOR_ARM_KEPT, text, topic=source.name, old=origin)
 
-    def _demand_dropped(self, source: DemandSource, origin: str) -> None:
+    def demand_dropped(self, source: DemandSource, origin: str) -> None:
+        """Log that an operator has dropped a demand."""
         who = operator()
         text = f"{source.name}: no longer has to be armed: {who} dropped the demand ({origin})"
         about: About = {"topic": source.name, "who": who, "old": origin}

@@ -10,7 +10,7 @@ from tests.config.mistakes import problems
 
 from rsb_bridge.config.session_file import demand_places, load_file, save
 from rsb_bridge.model.by_hand import VelocityLimits
-from rsb_bridge.model.demands import Demands, as_armed, kept, lines_of, outliving, sources_of
+from rsb_bridge.model.demands import Demands, as_armed, most_careful, sources_of
 from rsb_bridge.model.session import ArmedName, Session, Topic
 from rsb_console.command.check import SessionCheckText, summary
 from rsb_console.session.draft import problems_of, topic_of, values_of
@@ -124,16 +124,12 @@ def test_they_belong_to_the_name_and_its_type(path: Path) -> None:
     assert service.limits is None
 
 
-def test_a_demand_for_arming_that_is_kept_keeps_its_limits() -> None:
-    def demands(*topics: Topic) -> Demands:
-        return Demands(sources_of(Session(name="r", role="client", server_ip="::1", topics=topics)))
-
+def test_the_line_of_an_entry_in_armed_has_its_limits() -> None:
     limited = Topic("/cmd", "receive", arm=True, limits=LIMITS)
-    wider = Topic("/cmd", "transmit", arm=True, limits=VelocityLimits(0.6, 1.0))
-    narrower = Topic("/cmd", "transmit", arm=True, limits=VelocityLimits(0.4, 1.0))
-    for after in ((), (wider,), (narrower,)):
-        stay = outliving(demands(limited).sources, lines_of(demands(*after).sources))
-        assert [as_armed(kept(old, name)) for old, name in stay] == [ArmedName("/cmd", limits=LIMITS)]
+    wider = Topic("/cmd", "transmit", arm=True, limits=VelocityLimits(0.6, 0.9))
+    lines = tuple(sources_of(Session(name="r", role="client", server_ip="::1", topics=(limited, wider))))
+    assert as_armed(lines[0]) == ArmedName("/cmd", "topic", limits=LIMITS)
+    assert most_careful(lines).limits == VelocityLimits(0.5, 0.9)
 
 
 @pytest.mark.parametrize("text", ["{linear: 0.5, angular: 1}", "{linear: .5}"])

@@ -154,7 +154,7 @@ def test_a_pattern_that_goes_or_matches_less_leaves_its_demand(bridge: Bridge, y
     for excepts in (("/cmd_vel",), ("/cmd_*",)):
         spec = msgspec.structs.replace(pattern, excepts=excepts)
         server.edit_topic(shown.key, spec).result(60)
-        assert any(excepts[0] in str(each) for each in server.session.armed)
+        assert any("/cmd*" in str(each) for each in server.session.armed)
     stays_demanded(yard, server, client)
     server.remove_topic(shown.key).result(60)
     stays_demanded(yard, server, client)
@@ -293,7 +293,7 @@ def test_a_saved_session_demands_what_its_removed_entry_did(bridge: Bridge, yard
     save(server.session, path)
     server.stop()
     again = bridge.start(load(path))
-    assert again.session.armed == (ArmedName("/cmd_vel", deadman=0.0),)
+    assert again.session.armed == (ArmedName("/cmd_vel", "topic", client="robot1", deadman=0.0),)
     client.add_topic(Topic("/cmd_vel", "receive")).result(60)
     eventually(lambda: linked(client) and linked(again))
     eventually(lambda: set_up((again, client), "/cmd_vel"))
@@ -308,7 +308,7 @@ def test_a_server_removes_a_client_and_keeps_what_it_demands(bridge: Bridge, yar
     client = bridge.client(Topic("/cmd_vel", "receive"))
     eventually(lambda: set_up((server, client), "/cmd_vel"))
     server.remove_client("robot2").result(60)
-    assert server.session.armed == (ArmedName("/cmd_vel", deadman=0.0),)
+    assert server.session.armed == (ArmedName("/cmd_vel", "topic", client="robot2", deadman=0.0),)
     assert set_up((server, client), "/cmd_vel")
 
 

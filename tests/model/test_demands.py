@@ -9,11 +9,11 @@ import msgspec
 import pytest
 
 from rsb_bridge.model.demands import (
-    MOST_ARMED,
     Demand,
     Demands,
     OriginText,
     RunningDemands,
+    armed_line,
     describe,
     sources_of,
     sources_of_entries,
@@ -145,23 +145,26 @@ class Running:
         dropped: names of which operators read that their demand is dropped.
     """
 
-    def __init__(self, *topics: Topic, armed: tuple[str | ArmedName, ...] = ()) -> None:
+    def __init__(self, *topics: Topic, armed: tuple[str | ArmedName, ...] = (), client: str = "") -> None:
         self.armed = armed
-        self.entries = Entries("", topics)
+        self.entries = Entries(client, topics)
         self.kept: list[str] = []
         self.dropped: list[str] = []
-        self.demands = RunningDemands(
-            lambda: self.armed,
-            self._set_armed,
-            lambda: None,
-            lambda source, _: self.kept.append(source.name),
-            lambda source, _: self.dropped.append(source.name),
-        )
+        self.demands = RunningDemands(self)
         self.demands.register(self.entries)
         self.demands.apply()
 
-    def _set_armed(self, armed: tuple[str | ArmedName, ...]) -> None:
+    def set_armed(self, armed: tuple[str | ArmedName, ...]) -> None:
         self.armed = armed
+
+    def demands_changed(self) -> None:
+        """The test applies changes itself."""
+
+    def demand_kept(self, source: DemandSource, origin: str) -> None:
+        self.kept.append(source.name)
+
+    def demand_dropped(self, source: DemandSource, origin: str) -> None:
+        self.dropped.append(source.name)
 
     def edit(self, *topics: Topic) -> None:
         self.entries.topics = topics
@@ -176,30 +179,37 @@ class Running:
         return found.deadman if found is not None and found.arm else None
 
 
+GO = ArmedName("/cmd", "topic")
+GO_ALL = ArmedName("/cmd*", "topic")
+
+
 @pytest.mark.parametrize(
-    ("before", "after", "armed"),
+    ("before", "after", "written"),
     [
-        ((CMD,), (), ["/cmd"]),
-        ((CMD,), (Topic("/cmd", "receive"),), ["/cmd"]),
-        ((CMD,), (Topic("/cmd", "receive", max_age=5.0),), ["/cmd"]),
-        ((CMD,), (Topic("/cmd2", "receive", arm=True),), ["/cmd"]),
-        ((CMD,), (Topic("/cmd", "transmit", arm=True),), ["/cmd"]),
-        ((CMD,), (Topic("/cmd", "receive", kind="service", arm=True),), ["/cmd"]),
-        ((CMD,), (PATTERN,), ["/cmd"]),
-        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (), [ArmedName("/cmd", deadman=5.0)]),
-        ((CMD, Topic("/cmd", "transmit", arm=True)), (), ["/cmd"]),
+        ((CMD,), (), [GO]),
+        ((CMD,), (Topic("/cmd", "receive"),), [GO]),
+        ((CMD,), (Topic("/cmd", "receive", max_age=5.0),), [GO]),
+        ((CMD,), (Topic("/cmd2", "receive", arm=True),), [GO]),
+        ((CMD,), (Topic("/cmd", "transmit", arm=True),), []),
+        ((CMD,), (Topic("/cmd", "receive", kind="service", arm=True),), [GO]),
+        ((CMD,), (PATTERN,), [GO]),
+        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (), [ArmedName("/cmd", "topic", deadman=5.0)]),
+        ((CMD, Topic("/cmd", "transmit", arm=True)), (), [GO]),
         ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (CMD,), []),
-        ((PATTERN,), (), [ArmedName("/cmd*", "topic")]),
-        ((PATTERN,), (Topic("/cmd*", "receive", arm=True, excepts=("/cmd_a",)),), ["/cmd_a"]),
-        ((PATTERN,), (Topic("/cmd*", "receive", arm=True, type="Twist"),), [ArmedName("/cmd*", "topic")]),
+        ((PATTERN,), (), [GO_ALL]),
+        ((PATTERN,), (Topic("/cmd*", "receive", arm=True, excepts=("/cmd_a",)),), [GO_ALL]),
+        ((PATTERN,), (Topic("/cmd*", "receive", arm=True, type="Twist"),), [GO_ALL]),
+        ((Topic("/c/*", "receive", arm=True, excepts=("/c/a",)),), (), [ArmedName("/c/*", "topic", excepts=("/c/a",))]),
         ((Topic("/c/*", "receive", arm=True, excepts=("/c/a",)),),
-         (Topic("/c/*", "receive", arm=True, excepts=("/c/a", "/c/b*")),), [ArmedName("/c/b*", "topic")]),
-        ((PATTERN,), (Topic("/cmd_*", "receive", arm=True),), [ArmedName("/cmd*", "topic")]),
+         (Topic("/c/*", "receive", arm=True, excepts=("/c/a", "/c/b*")),),
+         [ArmedName("/c/*", "topic", excepts=("/c/a",))]),
+        ((Topic("/c/*", "receive", arm=True, excepts=("/c/a",)),), (Topic("/c/*", "receive", arm=True),), []),
+        ((PATTERN,), (Topic("/cmd_*", "receive", arm=True),), [GO_ALL]),
         ((Topic("/cmd", "receive", max_age=5.0),), (), []),
     ],
 )  # fmt: skip
 def test_what_an_entry_demanded_stays(
-    before: tuple[Topic, ...], after: tuple[Topic, ...], armed: list[str | ArmedName]
+    before: tuple[Topic, ...], after: tuple[Topic, ...], written: list[str | ArmedName]
 ) -> None:
     """A name once demanded stays so, even without its entries; an edit may change the deadman."""
     running = Running(*before)
@@ -207,9 +217,66 @@ def test_what_an_entry_demanded_stays(
     running.edit(*after)
     assert [each for each in names if running.demanded(each) is None] == []
     running.demands.apply()
-    assert list(running.armed) == armed
+    assert list(running.demands.written) == written
     running.edit()
     assert [each for each in names if running.demanded(each) is None] == []
+
+
+def test_armed_has_the_lines_of_all_entries() -> None:
+    other = Topic("/other", "receive", arm=True, deadman=5.0)
+    running = Running(CMD, other, Topic("/scan", "transmit", max_age=1.0), armed=("/line",))
+    assert running.armed == ("/line", GO, ArmedName("/other", "topic", deadman=5.0))
+    assert running.demands.written == ("/line",)
+    running.edit(CMD, msgspec.structs.replace(other, deadman=7.0))
+    running.demands.apply()
+    assert running.armed == ("/line", GO, ArmedName("/other", "topic", deadman=7.0))
+
+
+def test_a_line_of_the_session_stays_as_it_is_written() -> None:
+    """A file may list the same name twice, in an entry and under `armed`."""
+    running = Running(CMD, armed=(GO,))
+    assert (running.armed, running.demands.written) == ((GO,), (GO,))
+    running.edit(msgspec.structs.replace(CMD, deadman=0.0))
+    assert running.demanded("/cmd") == DEADMAN
+    assert running.demands.written == (GO,)
+
+
+@pytest.mark.parametrize("entry", [CMD, PATTERN])
+def test_a_server_s_removed_entry_still_counts_under_its_client_s_name(entry: Topic) -> None:
+    """A client that bridged the name to another one of the server was free of it once the entry was removed."""
+    running = Running(entry, client="robot1")
+    running.edit()
+    find = running.demands.of
+    assert find("topic", "/far", client="robot1", client_name="/cmd") is not None
+    assert find("topic", "/far", client="robot2", client_name="/cmd") is None
+    assert find("topic", "/robot1/cmd") is not None
+
+
+def test_exceptions_that_come_one_by_one_leave_one_line() -> None:
+    running = Running(PATTERN)
+    names = tuple(f"/cmd_{number}" for number in range(20))
+    for number in range(1, len(names)):
+        running.edit(msgspec.structs.replace(PATTERN, excepts=names[:number]))
+        assert None not in map(running.demanded, names)
+    assert running.demands.written == (GO_ALL,)
+
+
+def test_a_stricter_line_is_kept_with_a_wider_one() -> None:
+    """The other side removed a pattern's topic, and its deadman became longer."""
+    running = Running(PATTERN)
+    for excepts, deadman in (("/cmd_a",), None), (("/cmd_a",), 5.0), (("/cmd_a", "/cmd_b"), 5.0):
+        running.edit(msgspec.structs.replace(PATTERN, excepts=excepts, deadman=deadman))
+        running.demands.apply()
+    assert running.demanded("/cmd_b") == 5.0
+
+
+def test_another_session_takes_no_line_out() -> None:
+    running = Running(CMD, armed=("/other", "/edited"))
+    running.armed = (ArmedName("/edited", deadman=5.0),)
+    assert running.demanded("/other") == DEADMAN
+    assert running.demanded("/edited") == 5.0
+    running.edit()
+    assert running.demanded("/cmd") == DEADMAN
 
 
 def test_a_deadman_that_has_been_kept_is_not_made_longer_by_a_new_entry() -> None:
@@ -218,13 +285,6 @@ def test_a_deadman_that_has_been_kept_is_not_made_longer_by_a_new_entry() -> Non
     assert running.demanded("/cmd") == 5.0
     running.edit(CMD)
     assert running.demanded("/cmd") == 5.0
-
-
-def test_of_more_names_than_armed_takes_the_pattern_is_kept_as_a_whole() -> None:
-    running = Running(PATTERN, armed=tuple(f"/a{number}" for number in range(MOST_ARMED)))
-    running.edit(msgspec.structs.replace(PATTERN, excepts=("/cmd_a", "/cmd_b")))
-    assert running.demanded("/cmd_a") is not None
-    assert running.armed[MOST_ARMED:] == (ArmedName("/cmd*", "topic"),)
 
 
 def test_only_a_drop_ends_a_demand_and_at_the_end_of_the_change() -> None:
@@ -268,7 +328,7 @@ def test_what_comes_and_goes_during_a_change_was_demanded() -> None:
         assert running.demanded("/cmd") is not None
         running.edit()
     assert running.demanded("/cmd") is not None
-    assert running.armed == ("/cmd",)
+    assert running.armed == (GO,)
 
 
 def test_a_drop_of_an_entry_that_stays_leaves_its_demand() -> None:
@@ -286,12 +346,12 @@ def test_what_stays_beyond_another_session_s_lines_is_named_in_advance() -> None
     narrower = msgspec.structs.replace(PATTERN, excepts=("/cmd_a",))
     other = client(narrower, msgspec.structs.replace(edited, deadman=60.0), armed=("/same",))
     staying = running.demands.staying(other.sources)
-    assert sorted(each.name for each in staying) == ["/cmd", "/cmd_a", "/other"]
+    assert sorted(each.name for each in staying) == ["/cmd", "/cmd*", "/other"]
     with running.demands.changing("anna"):
         running.demands.drop(staying)
         running.armed = ("/same",)
         running.edit(narrower, msgspec.structs.replace(edited, deadman=60.0))
-    assert running.armed == ("/same",)
+    assert running.demands.written == ("/same",)
     assert (running.demanded("/cmd_a"), running.demanded("/edit"), running.demanded("/other")) == (None, 60.0, None)
     assert running.demanded("/cmd_b") is not None
 
@@ -311,6 +371,7 @@ def test_who_added_an_entry_is_forgotten_with_its_demand() -> None:
     with running.demands.changing("anna"):
         running.edit(CMD)
     (added,) = running.demands.sources
+    assert added == armed_line(next(iter(running.entries.demand_sources())))
     assert running.demands.origin(added) == OriginText.ADDED(who="anna")
     with running.demands.changing("anna"):
         running.drop("/cmd")
@@ -322,7 +383,7 @@ def test_who_added_an_entry_is_forgotten_with_its_demand() -> None:
 
 def test_a_change_costs_a_server_of_many_robots_little() -> None:
     """A server of 60 robots stood still for 0.9 s whenever a route went."""
-    demands = RunningDemands(lambda: (), lambda _: None, lambda: None, lambda *_: None, lambda *_: None)
+    demands = Running().demands
     patterns = tuple(Topic(f"/cmd{number}*", "receive", arm=True) for number in range(20))
     for number in range(60):
         demands.register(Entries(f"robot{number}", patterns))

@@ -164,8 +164,9 @@ def test_what_either_session_demands_never_crosses_unarmed(seed: int) -> None:
     yard.world.play(life=yard.live(yard.edit()))
 
 
-def _forgotten(self: RunningDemands, stay: object) -> None:
-    """Replace edits by their old form, in which a removed entry takes its demand along."""
+def _forgotten(self: RunningDemands, line: DemandSource, now: object) -> None:
+    """Have a removed entry take its demand along."""
+    self._armed.pop(line, None)
 
 
 def _of_the_entry(self: LinkArming, route: Route) -> Demand:
@@ -186,7 +187,7 @@ _matching = replaced.DEMANDS_MATCHING.value
 
 @pytest.mark.parametrize(
     ("owner", "name", "mistake"),
-    [(RunningDemands, "_keep", _forgotten), (LinkArming, "_own", _of_the_entry), (Demands, "_matching", _first)],
+    [(RunningDemands, "_entry_gone", _forgotten), (LinkArming, "_own", _of_the_entry), (Demands, "_matching", _first)],
     ids=["edits drop demands", "only the route's own entry", "patterns do not count"],
 )
 def test_a_mistake_is_found(owner: type, name: str, mistake: Callable[..., object]) -> None:

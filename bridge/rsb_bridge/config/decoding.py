@@ -74,7 +74,7 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
     Returns:
         The struct. In it, a value with a problem is the default; a required one is something harmless.
     """
-    known = {field.name: field for field in _fields(model)}
+    known = {field.encode_name: field for field in _fields(model)}
     values = {name: _STAND_INS[name] for name, field in known.items() if field.required}
     if not isinstance(data, Mapping):
         keys = ", ".join(values or known)
@@ -98,7 +98,7 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
     )
     for name, field in known.items():
         if name in data:
-            values.update(_value(name, data[name], field.type, problems, join(location, name)))
+            values.update(_value(field.name, data[name], field.type, problems, join(location, name)))
         elif field.required:
             expected = f"{_expected(field.type)}{_MEANINGS.get(name, '')}"
             problems.append(Problem(join(location, name), ValueMistake.MISSING(expected=expected)))

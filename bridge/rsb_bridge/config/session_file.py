@@ -19,7 +19,7 @@ from rsb_bridge.config.keys import Key, key_path, read_key
 from rsb_bridge.config.rights import operator_name_problem
 from rsb_bridge.config.validation import build, placed, settings_problems, validate, validate_topic
 from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read_yaml, text_if_there
-from rsb_bridge.model.demands import SourceKey, sources_of_names
+from rsb_bridge.model.demands import SourceKey, armed_line, sources_of_entries, sources_of_names
 from rsb_bridge.model.session import Problem, Session, Topic, ZenohSettings
 from rsb_bridge.model.text import one_line
 from rsb_bridge.model.wording import Wording
@@ -107,22 +107,27 @@ def parse(text: str, path: Path) -> Session:
 def demand_places(path: Path) -> dict[SourceKey, str]:
     """Return where a session file demands arming or limits (``robot.yaml:14``); one with mistakes has no such lines."""
     try:
-        return {key: f"{path.name}:{line}" for key, line in demand_lines(read_text(path), path).items()}
+        found = demand_lines(read_text(path), path)
     except SessionError:
         return {}
+    return {key: ", ".join(f"{path.name}:{line}" for line in lines) for key, lines in found.items()}
 
 
-def demand_lines(text: str, path: Path) -> dict[SourceKey, int]:
-    """Return the lines of a session file's text that demand arming or limits."""
+def demand_lines(text: str, path: Path) -> dict[SourceKey, list[int]]:
+    """Return the lines of a session file's text that demand arming or limits, by the keys of what they demand."""
     session, lines = parse(text, path), read_yaml(text, path).lines
-    sources = enumerate(sources_of_names(session.armed))
-    found = {source.key: lines[join("armed", at)] for at, source in sources}
-    holders = [("", "", session.topics)]
-    holders += [(join("clients", at), each.name, each.topics) for at, each in enumerate(session.listed_clients)]
-    for where, client, topics in holders:
+    found: dict[SourceKey, list[int]] = {}
+    for at, source in enumerate(sources_of_names(session.armed)):
+        found.setdefault(source.key, []).append(lines[join("armed", at)])
+    holders = [("", session.name, False, False, session.topics)]
+    for at, each in enumerate(session.listed_clients):
+        holders.append((join("clients", at), each.name, True, each.is_prefixed(session), each.topics))
+    for where, client, on_server, use_name, topics in holders:
         for topic, here in zip(topics, locations(topics), strict=True):
             if topic.arm or topic.limits is not None:
-                found[client, topic.identity] = lines[join(join(where, here), "arm" if topic.arm else "limits")]
+                (source,) = sources_of_entries([topic], client, on_server=on_server, use_name=use_name)
+                key = armed_line(source).key if topic.arm else source.key
+                found.setdefault(key, []).append(lines[join(join(where, here), "arm" if topic.arm else "limits")])
     return found
 
 

@@ -42,7 +42,7 @@ from rsb_bridge.model.patterns import (
     is_valid,
 )
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
-from rsb_bridge.model.session import Kind, Problem, Session, Topic
+from rsb_bridge.model.session import ArmedName, Kind, Problem, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
 from rsb_bridge.model.wording import Wording
 
@@ -263,7 +263,7 @@ def problems_here(topic: Topic, session: Session) -> Iterator[Problem]:
 
 def _names(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:
     name, remote = join(location, key_of(topic.kind, "topic")), join(location, key_of(topic.kind, "remote_topic"))
-    yield from exception_problems(topic, location)
+    yield from exception_problems(topic.topic, topic.excepts, location)
     if topic.is_pattern:
         yield from pattern_problems(topic, location, transport_of(topic, session))
     else:
@@ -435,30 +435,42 @@ def pattern_problems(topic: Topic, location: str, transport: type[TransportTrait
     yield from found
     # What is not valid has no wildcards to compare.
     if topic.remote_topic is not None and not found:
-        ours, theirs = Pattern(topic.topic).wildcards, Pattern(topic.remote_topic).wildcards
-        if ours != theirs:
-            message = TopicMistake.WILDCARDS_DIFFER(
-                remote=show(topic.remote_topic),
-                remote_wildcards=_wildcards(theirs),
-                name=show(topic.topic),
-                wildcards=_wildcards(ours),
-            )
-            yield Problem(join(location, remote_key), message)
+        yield from _other_wildcards(topic.topic, topic.remote_topic, join(location, remote_key))
     if topic.port is not None and not transport.multiplexed:
         yield Problem(join(location, "port"), TopicMistake.PORT_OF_PATTERN(kind=transport.port_kind))
 
 
-def exception_problems(topic: Topic, location: str) -> Iterator[Problem]:
+def _other_wildcards(name: str, remote: str, location: str) -> Iterator[Problem]:
+    """Yield the problem of two names of which one side's has other wildcards."""
+    ours, theirs = Pattern(name).wildcards, Pattern(remote).wildcards
+    if ours != theirs:
+        message = TopicMistake.WILDCARDS_DIFFER(
+            remote=show(remote), remote_wildcards=_wildcards(theirs), name=show(name), wildcards=_wildcards(ours)
+        )
+        yield Problem(location, message)
+
+
+def exception_problems(name: str, excepts: Sequence[str], location: str) -> Iterator[Problem]:
     """Yield the mistakes in a pattern's exceptions."""
     location = join(location, "except")
-    if topic.excepts and not topic.is_pattern:
-        yield Problem(location, f"{show(topic.topic)} is a single name, not a pattern: leave except out")
-    elif len(topic.excepts) > EXCEPTIONS_PER_PATTERN:
-        message = f"{len(topic.excepts)} entries, and at most {EXCEPTIONS_PER_PATTERN} are allowed: use patterns in it"
+    if excepts and not is_pattern(name):
+        yield Problem(location, f"{show(name)} is a single name, not a pattern: leave except out")
+    elif len(excepts) > EXCEPTIONS_PER_PATTERN:
+        message = f"{len(excepts)} entries, and at most {EXCEPTIONS_PER_PATTERN} are allowed: use patterns in it"
         yield Problem(location, message)
     else:
-        for at, name in enumerate(topic.excepts):
-            yield from form_problems(name, join(location, at), hidden=True)
+        for at, each in enumerate(excepts):
+            yield from form_problems(each, join(location, at), hidden=True)
+
+
+def armed_name_problems(entry: ArmedName, location: str) -> Iterator[Problem]:
+    """Yield the mistakes in what a line of `armed` says of a client's names."""
+    if entry.topic is not None:
+        found = list(form_problems(entry.topic, join(location, "topic"), hidden=True))
+        yield from found
+        if not found and not list(form_problems(entry.name, location, hidden=True)):
+            yield from _other_wildcards(entry.name, entry.topic, join(location, "topic"))
+    yield from exception_problems(entry.name, entry.excepts, location)
 
 
 def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:

@@ -25,6 +25,7 @@ from rsb_bridge.config.file_form import (
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.rights import benchmark_limit_problems, grant_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
+    armed_name_problems,
     entry_problems,
     form_problems,
     limits_problems,
@@ -414,6 +415,7 @@ def armed_problems(armed: Sequence[str | ArmedName]) -> Iterator[Problem]:
         here = join("armed", at)
         entry = ArmedName(each) if isinstance(each, str) else each
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
+        yield from armed_name_problems(entry, here)
         yield from range_problems(entry, here)
         yield from on_end_problems(end_text(entry.on_end), join(here, "on_end"), entry.kind)
         yield from limits_problems(entry.limits, join(here, "limits"), entry.kind, entry.type or AUTO, entry.name)

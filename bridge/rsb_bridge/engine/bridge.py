@@ -442,7 +442,7 @@ class Bridge:
         return done, failed
 
     def _steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
-        old = self.context.session
+        old = msgspec.structs.replace(self.context.session, armed=self.context.demands.written)
         in_place = (
             (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
             (("check_messages",), self._set_check),

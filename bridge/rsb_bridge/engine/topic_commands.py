@@ -254,10 +254,11 @@ class TopicCommands(EnginePart):
         """
         demands = self._demands
         key = "" if link.is_client else link.name, entry.identity
+        others_entries = {line for other, line in demands.added.items() if other != key}
         own = [
             each
             for each in demands.sources
-            if each.arm and (each.key == key or (each.name == name and isinstance(each.key[1], str)))  # of `armed`
+            if each.arm and each.name == name and each.kind in (None, entry.kind) and each not in others_entries
         ]
         if names_it and not wanted:
             lines = ", ".join(map(demands.origin, own)) or PEER_DEMANDS

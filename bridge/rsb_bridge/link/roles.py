@@ -93,7 +93,8 @@ class ClientRole:
 
     @property
     def session(self) -> Session:
-        return msgspec.structs.replace(self._context.session, topics=self._link.listed_topics())
+        armed = self._context.demands.written
+        return msgspec.structs.replace(self._context.session, topics=self._link.listed_topics(), armed=armed)
 
     @property
     def unsaved(self) -> bool:
@@ -186,7 +187,7 @@ class ServerRole:
     def session(self) -> Session:
         links = tuple(self._server.links.values())
         clients = tuple(msgspec.structs.replace(link.entry.client, topics=link.listed_topics()) for link in links)
-        session = self._context.session
+        session = msgspec.structs.replace(self._context.session, armed=self._context.demands.written)
         # The form of a session for one client has no place for topics that the server proposes; without any, it stays.
         if session.clients is None and not any(client.topics for client in clients):
             return session

@@ -17,7 +17,7 @@ from rsb_bridge.model.session import DEADMAN, ArmedName, Client, Identity, Kind,
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 PEER_DEMANDS: Final = "the other side's session"
 """The origin of a demand that the other side makes."""
@@ -43,7 +43,9 @@ class DemandText(Wording):
 _KINDS_OF_SERVICES: Final[tuple[Kind, ...]] = ("action", "parameters")
 
 SourceKey: TypeAlias = tuple[str, Identity | str]
-"""An entry by its client's name (empty in a client's session) and its identity; an entry of `armed` by its name."""
+"""A line of `armed` by its client's name and the names that it matches; an entry by its client's name and its identity.
+
+The client's name is empty in a client's session, and of lines of `armed` that no client's entry has added."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,7 @@ class DemandSource:
     """One line of a session that demands arming, a `max_age` or `limits`.
 
     Attributes:
+        key: the same for lines that match the same names, but for `excepts`.
         name: a name or a pattern on this side.
         deadman: in seconds, or 0 for none.
         kind: of the names, or None for every kind.
@@ -125,7 +128,10 @@ def local_name(topic: Topic, client: str, *, on_server: bool, use_name: bool) ->
 def sources_of_entries(
     topics: Iterable[Topic], client: str, *, on_server: bool, use_name: bool
 ) -> Iterator[DemandSource]:
-    """Yield the entries of one link that demand anything; `local_name` has the same arguments."""
+    """Yield the entries of one link that demand anything; `local_name` has the same arguments.
+
+    What an entry demands with `arm` is a line of `armed` (`armed_line`).
+    """
     for topic in topics:
         if topic.arm or topic.max_age is not None or topic.limits is not None:
             name = local_name(topic, client, on_server=on_server, use_name=use_name)
@@ -150,31 +156,79 @@ def sources_of_names(armed: Iterable[str | ArmedName]) -> Iterator[DemandSource]
     """Yield what a session's `armed` demands."""
     for each in armed:
         entry = ArmedName(each) if isinstance(each, str) else each
-        key = "", f"{entry.kind or ''} {entry.type or ''} {entry.name}".strip()
-        max_age = default_max_age(entry.max_age, armed=True)
-        type_name = full_type(entry.type or AUTO)
-        on_end = end_text(entry.on_end)
+        type_name, client, on_client = full_type(entry.type or AUTO), entry.client or "", entry.topic or entry.name
+        far = "" if on_client == entry.name else on_client
         yield DemandSource(
-            key,
+            (client, " ".join(filter(None, (entry.kind, type_name, entry.name, far)))),
             entry.name,
             entry.deadman_seconds,
             entry.kind,
             type_name,
-            max_age=max_age,
-            on_end=on_end,
+            on_client,
+            entry.excepts,
+            max_age=default_max_age(entry.max_age, armed=True),
+            on_end=end_text(entry.on_end),
             limits=entry.limits,
         )
 
 
+def as_armed(source: DemandSource) -> str | ArmedName:
+    """Return the line of `armed` for a demand for arming."""
+    entry = ArmedName(
+        source.name,
+        source.kind,
+        source.type or None,
+        client=source.key[0] or None,
+        topic=None if source.on_client in ("", source.name) else source.on_client,
+        excepts=source.excepts,
+        deadman=_unless(source.deadman, DEADMAN),
+        max_age=_unless(source.max_age, ARMED),
+        on_end=source.on_end or None,
+        limits=source.limits,
+    )
+    return source.name if entry == ArmedName(source.name) else entry
+
+
+def _unless(seconds: float | None, default: float) -> float | None:
+    return None if seconds == default else seconds
+
+
+@lru_cache(4096)
+def armed_line(source: DemandSource) -> DemandSource:
+    """Return a demand for arming as the line of `armed` says it, which an entry adds there."""
+    return next(sources_of_names([as_armed(source)]))
+
+
+def most_careful(lines: Sequence[DemandSource]) -> DemandSource:
+    """Return one line instead of several of the same key: it leaves out what all of them leave out."""
+    first = lines[0]
+    one = replace(
+        first,
+        deadman=min((each.deadman for each in lines if each.deadman), default=0.0),
+        max_age=smallest_max_age(each.max_age for each in lines),
+        on_end=more_careful_end(each.on_end for each in lines),
+        limits=smallest_limits(each.limits for each in lines),
+        excepts=tuple(name for name in first.excepts if all(name in each.excepts for each in lines)),
+    )
+    return armed_line(one)
+
+
+def stays_within(old: DemandSource, new: DemandSource) -> bool:
+    """Whether a line matches all names that another one does. How careful it is may be edited."""
+    return old.key == new.key and set(new.excepts) <= set(old.excepts)
+
+
 def sources_of(session: Session) -> Iterator[DemandSource]:
-    """Yield every line of a session that demands anything."""
+    """Yield every line of a session that demands anything; entries add theirs to `armed`."""
     yield from sources_of_names(session.armed)
     if session.role == "client":
-        yield from sources_of_entries(session.topics, session.name, on_server=False, use_name=False)
-        return
-    for client in session.accepted_clients:
-        use_name = client.is_prefixed(session)
-        yield from sources_of_entries(client.topics, client.name, on_server=True, use_name=use_name)
+        entries = sources_of_entries(session.topics, session.name, on_server=False, use_name=False)
+    else:
+        entries = chain.from_iterable(
+            sources_of_entries(each.topics, each.name, on_server=True, use_name=each.is_prefixed(session))
+            for each in session.accepted_clients
+        )
+    yield from (armed_line(each) if each.arm else each for each in entries)
 
 
 class Demands:
@@ -266,55 +320,6 @@ def demand_on_entry(demands: Demands, session: Session, client: Client | None, t
     return demands.of(topic.kind, name, topic.type, client=owner, client_name=topic.topic) or NO_DEMAND
 
 
-Lines: TypeAlias = "dict[tuple[SourceKey, str, str], DemandSource]"
-"""Lines that demand arming, by their keys, names on this side and types. What else they say can be edited."""
-
-
-def lines_of(sources: Iterable[DemandSource]) -> Lines:
-    """Return the sources that demand arming."""
-    return {_line(source): source for source in sources if source.arm}
-
-
-def _line(source: DemandSource) -> tuple[SourceKey, str, str]:
-    return source.key, source.name, source.type
-
-
-def outliving(before: Iterable[DemandSource], new: Lines) -> Iterator[tuple[DemandSource, str]]:
-    """Yield the demands for arming that stay although these lines do not make them: a source, and the name.
-
-    A line that is still there may say anything else, except that it leaves out further names.
-    """
-    for source in before:
-        if not source.arm:
-            continue
-        if (now := new.get(_line(source))) is None:
-            yield source, source.name
-        else:
-            names = (name for name in now.excepts if name not in source.excepts)
-            yield from ((source, _on_this_side(name, source) or source.name) for name in names)
-
-
-def kept(source: DemandSource, name: str) -> DemandSource:
-    """Return a source for `armed` that demands a name, as carefully as another source."""
-    has_kind = is_pattern(name) or isinstance(source.key[1], str)
-    kind, type_name = (source.kind, source.type) if has_kind else (None, "")
-    new = replace(source, name=name, kind=kind, type=type_name, on_client="", excepts=())
-    # By way of the file's form, so that it equals the source that is read from `armed` later.
-    return next(sources_of_names([as_armed(new)]))
-
-
-def _unless(seconds: float | None, default: float) -> float | None:
-    return None if seconds == default else seconds
-
-
-def as_armed(source: DemandSource) -> str | ArmedName:
-    """Return the entry of `armed` for one of its sources."""
-    deadman, max_age = _unless(source.deadman, DEADMAN), _unless(source.max_age, ARMED)
-    on_end, type_name = source.on_end or None, source.type or None
-    entry = ArmedName(source.name, source.kind, type_name, deadman, max_age, on_end, source.limits)
-    return source.name if entry == ArmedName(source.name) else entry
-
-
 def full_type(name: str) -> str:
     """Return the full name of a type in a session, or an empty string for ``auto``."""
     if name == AUTO:
@@ -323,15 +328,6 @@ def full_type(name: str) -> str:
         return expand_type_name(name)
     except ValueError:  # a problem of its own, which `check` reports
         return name
-
-
-def _on_this_side(name: str, source: DemandSource) -> str | None:
-    """Return this side's name for a name that a pattern leaves out on the client, or None if that is not certain."""
-    if source.name == source.on_client:
-        return name
-    if not is_pattern(name) and (parts := _pattern(source.on_client).match(name)) is not None:
-        return _pattern(source.name).fill(parts)
-    return None
 
 
 def _matches(name_or_pattern: str, name: str) -> bool:
@@ -411,15 +407,11 @@ def effective_max_age(demands: Iterable[float | None], *, armed: bool) -> float:
     return default_max_age(smallest_max_age(demands), armed=armed) or 0.0
 
 
-MOST_ARMED: Final = 1000
-"""Entries of `armed` beyond which a pattern is kept as a whole, instead of the names that it leaves out."""
-
-
 class Holder(Protocol):
     """A link, which has a part of the session's entries."""
 
     def demand_sources(self) -> Iterable[DemandSource]:
-        """Yield the entries that demand arming, as operators have left them."""
+        """Yield the entries that demand anything, as operators have left them."""
 
     def apply_demands(self) -> None:
         """Reopen the routes whose demands have changed."""
@@ -428,35 +420,46 @@ class Holder(Protocol):
         """Tell the other side that an operator drops a demand."""
 
 
+class Host(Protocol):
+    """The bridge, which has the running session."""
+
+    @property
+    def armed(self) -> tuple[str | ArmedName, ...]:
+        """The session's `armed`, which another session may replace."""
+
+    def set_armed(self, armed: tuple[str | ArmedName, ...]) -> None: ...
+
+    def demands_changed(self) -> None:
+        """Have `RunningDemands.apply` called soon."""
+
+    def demand_kept(self, source: DemandSource, origin: str) -> None:
+        """Log that a line stays whose entry is gone."""
+
+    def demand_dropped(self, source: DemandSource, origin: str) -> None:
+        """Log that an operator has dropped a line."""
+
+
 class RunningDemands:
-    """The present demands for arming: each entry adds its demand, and only an operator drops one.
+    """The present demands: the running session's `armed`, to which each entry with `arm` adds its line.
 
-    An edited entry demands what it says now. If it goes, or its name changes, its demand stays, as a line of `armed`.
-    Lines without `arm` go with their entries.
+    Only an operator takes a line out (`drop`). If its entry goes or another session replaces this one, it stays. While
+    the entry is there, the line says what the entry says, except that it leaves out no further names.
 
-    Args:
-        armed: returns the running session's `armed`.
-        soon: has `apply` called soon.
-        kept: is called with a source whose entry is gone, and its origin.
-        dropped: is called with a source that an operator has dropped, and its origin.
+    Attributes:
+        added: the lines of present entries, by their entries.
+        written: the lines of `armed` for the session's file, which has those of entries by the entries.
     """
 
-    def __init__(
-        self,
-        armed: Callable[[], tuple[str | ArmedName, ...]],
-        set_armed: Callable[[tuple[str | ArmedName, ...]], None],
-        soon: Callable[[], object],
-        kept: Callable[[DemandSource, str], None],
-        dropped: Callable[[DemandSource, str], None],
-    ) -> None:
-        self._armed = armed
-        self._set_armed = set_armed
-        self._soon = soon
-        self._kept = kept
-        self._dropped = dropped
+    def __init__(self, host: Host) -> None:
+        self._host = host
         self._holders: list[Holder] = []
         self._demands = Demands()
+        self._armed: dict[DemandSource, str | ArmedName] = {}
         self._given: tuple[str | ArmedName, ...] = ()
+        self._listed: frozenset[str | ArmedName] = frozenset()
+        self._entries: tuple[DemandSource, ...] = ()
+        self.added: dict[SourceKey, DemandSource] = {}
+        self.written: tuple[str | ArmedName, ...] = ()
         self._applied: tuple[DemandSource, ...] | None = ()
         self._is_stale = True
         self._is_due = self._is_changing = False
@@ -464,8 +467,9 @@ class RunningDemands:
         self._dropping: dict[DemandSource, str] = {}
         self._places: Mapping[SourceKey, str] = {}
         self._changed_by: dict[SourceKey, str] = {}
+        self._read()
 
-    # --- the entries
+    # --- the lines
 
     def register(self, holder: Holder) -> None:
         """Count the entries of one more link."""
@@ -483,7 +487,7 @@ class RunningDemands:
         self._is_stale = True
         if not self._is_due:
             self._is_due = True
-            self._soon()
+            self._host.demands_changed()
 
     def of(
         self, kind: Kind, name: str, type_name: str = "", *, client: str = "", client_name: str = ""
@@ -498,46 +502,85 @@ class RunningDemands:
 
     def keep(self, source: DemandSource) -> None:
         """Demand what an entry demands that cannot be added."""
-        self._keep([(source, source.name)])
+        self._read()
+        line = armed_line(source)
+        self._changed_by[line.key] = self._who or "the other side"
+        self._merge(line)
+        self._renew()
         self.changed()
 
     def _read(self) -> Demands:
-        """Take in changes. No demand gets lost by them."""
-        # A reload replaces `armed` with the session, steps before it calls `changed`.
-        if self._is_stale or self._given is not self._armed():
-            before, present = self._demands.sources, self._present()
-            if present != before:  # it is equal after most changes, of which peers can cause many
-                new = lines_of(present)
-                self._keep(outliving(before, new))
-                if self._who:
-                    known = self._places.keys() | {source.key for source in before}
-                    new_keys = (key for key, *_ in new if key not in known)
-                    self._changed_by = dict.fromkeys(new_keys, self._who) | self._changed_by
-                # Once more: keeping may have added to `armed`.
-                self._demands = Demands(self._present())
-                still = {source.key for source in self._demands.sources}
-                self._changed_by = {key: who for key, who in self._changed_by.items() if key in still}
-            self._is_stale, self._given = False, self._armed()
+        """Have every present entry's line in `armed`."""
+        # Another session replaces `armed` steps before its entries come and `changed` is called.
+        if (given := self._host.armed) is not self._given:
+            self._replace(given)
+        if self._is_stale:
+            entries = tuple(dict.fromkeys(chain.from_iterable(each.demand_sources() for each in self._holders)))
+            if entries != self._entries:  # they are equal after most changes, of which peers can cause many
+                self._entries = entries
+                self._add({each.key: armed_line(each) for each in entries if each.arm})
+                self._renew()
+            self._is_stale = False
         return self._demands
 
-    def _present(self) -> tuple[DemandSource, ...]:
-        entries = chain.from_iterable(holder.demand_sources() for holder in self._holders)
-        return tuple(dict.fromkeys((*sources_of_names(self._armed()), *entries)))
+    def _replace(self, given: tuple[str | ArmedName, ...]) -> None:
+        """Take `armed` of another session, and keep the lines that it does not have."""
+        self._listed = frozenset(given)
+        lines = dict(zip(sources_of_names(given), given, strict=True))
+        stay = {old: each for old, each in self._armed.items() if not any(stays_within(old, new) for new in lines)}
+        self._armed = lines | stay
+        for line in self.added.values():
+            self._armed.setdefault(line, as_armed(line))
+        self._renew()
 
-    def _keep(self, stay: Iterable[tuple[DemandSource, str]]) -> None:
-        """Demand names in `armed`, each as carefully as a source."""
-        armed = list(self._armed())
-        known = set(sources_of_names(armed))
-        for old, name in stay:
-            source = kept(old, old.name if len(armed) >= MOST_ARMED else name)
-            if source in known:
+    def _add(self, added: dict[SourceKey, DemandSource]) -> None:
+        """Add the lines of present entries; those that entries added before stay, or say what their entries say now."""
+        before, now = {each.key for each in self.added.values()}, dict.fromkeys(added.values())
+        for key, old in self.added.items():
+            new = added.get(key)
+            if old in now:
                 continue
-            known.add(source)
-            armed.append(as_armed(source))
-            if not self._dropping.keys() & {old, source}:
-                self._kept(old, self.origin(old))
-            self._changed_by[source.key] = self._who or "the other side"
-        self._set_armed(tuple(armed))
+            if new is None or new.key != old.key:
+                self._entry_gone(old, now)
+            elif not stays_within(old, new):
+                self._armed.pop(old, None)
+                self._merge(old)
+            elif self._armed.get(old) not in self._listed:
+                self._armed.pop(old, None)
+        for line in now:
+            self._armed.setdefault(line, as_armed(line))
+            if line.key in self._places:
+                self._changed_by.pop(line.key, None)
+            elif self._who and line.key not in before:
+                self._changed_by[line.key] = self._who
+        self.added = added
+
+    def _entry_gone(self, line: DemandSource, now: Iterable[DemandSource]) -> None:
+        if any(each.key == line.key for each in now):  # another entry adds it, too
+            return
+        if all(each.key != line.key for each in self._dropping):
+            self._host.demand_kept(line, self.origin(line))
+        self._changed_by[line.key] = self._who or "the other side"
+
+    def _merge(self, line: DemandSource) -> None:
+        """Add a line that no entry has, in one with others of its key."""
+        others = [each for each in self._armed if each.key == line.key and each not in self.added.values()]
+        for each in others:
+            del self._armed[each]
+        one = most_careful([line, *others])
+        self._armed[one] = as_armed(one)
+
+    def _renew(self) -> None:
+        """Set `armed`, and what follows from it."""
+        armed, added = tuple(self._armed.values()), set(self.added.values())
+        if armed != self._host.armed:
+            self._host.set_armed(armed)
+        self._given = self._host.armed
+        self._listed &= set(armed)
+        self.written = tuple(each for line, each in self._armed.items() if line not in added or each in self._listed)
+        self._demands = Demands((*self._armed, *(each for each in self._entries if not each.arm)))
+        still = {line.key for line in self._armed}
+        self._changed_by = {key: who for key, who in self._changed_by.items() if key in still}
 
     # --- changes by operators
 
@@ -560,10 +603,13 @@ class RunningDemands:
             self.apply()
 
     def staying(self, sources: Iterable[DemandSource]) -> dict[DemandSource, str]:
-        """Return what would be kept if these lines replaced the present ones, each with the origin of its demand."""
-        new = lines_of(sources)
-        found = {kept(old, name): self.origin(old) for old, name in outliving(self.sources, new)}
-        return {source: origin for source, origin in found.items() if _line(source) not in new}
+        """Return what would stay if these lines replaced the present ones, each with the origin of its demand."""
+        new = [each for each in sources if each.arm]
+        return {
+            line: self.origin(line)
+            for line in self.sources
+            if line.arm and not any(stays_within(line, each) for each in new)
+        }
 
     def drop(self, sources: Mapping[DemandSource, str]) -> None:
         """Let demands go at the end of the present change, as an operator has agreed to by name.
@@ -580,15 +626,19 @@ class RunningDemands:
 
     def _forget(self) -> None:
         """Drop the demands that an operator has dropped, unless an entry still makes them."""
-        self._read()
-        gone = {_line(each) for old in self._dropping for each in (old, kept(old, old.name))}
-        self._demands = Demands(source for source in self._demands.sources if _line(source) not in gone)
-        self._set_armed(tuple(each for each in self._armed() if _line(*sources_of_names([each])) not in gone))
+        if not self._dropping:
+            return
         self.changed()
-        still = set(self._read().sources)
+        self._read()
+        dropped = {each.key for each in self._dropping}
+        self._armed = {line: each for line, each in self._armed.items() if line.key not in dropped}
+        for line in self.added.values():
+            self._armed.setdefault(line, as_armed(line))
+        self._renew()
+        still = {line.key for line in self._armed}
         for source, origin in self._dropping.items():
-            if source not in still:
-                self._dropped(source, origin)
+            if source.key not in still:
+                self._host.demand_dropped(source, origin)
 
     def apply(self) -> None:
         """Reopen the routes whose demands have changed."""
@@ -603,7 +653,7 @@ class RunningDemands:
     # --- where the lines are
 
     def set_places(self, places: Mapping[SourceKey, str]) -> None:
-        """Take the lines of a session file, by their entries."""
+        """Take the lines of a session file, by their keys."""
         self._places = places
         self._changed_by = {key: who for key, who in self._changed_by.items() if key not in places}
         self._applied = None  # routes have to name the lines again
@@ -612,6 +662,6 @@ class RunningDemands:
     def origin(self, source: DemandSource) -> str:
         """Return a line that demands something, for an operator."""
         if (who := self._changed_by.get(source.key)) is not None:
-            text = OriginText.ADDED if isinstance(source.key[1], tuple) else OriginText.KEPT
-            return describe(source, {source.key: text(who=who)})
+            is_added = any(each.key == source.key for each in self.added.values())
+            return describe(source, {source.key: (OriginText.ADDED if is_added else OriginText.KEPT)(who=who)})
         return describe(source, self._places)

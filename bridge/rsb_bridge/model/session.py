@@ -268,13 +268,18 @@ class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
     may: OperatorMay = "look"
 
 
-class ArmedName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class ArmedName(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, rename={"excepts": "except"}
+):
     """A name that requires arming on this side, on every route.
 
     Attributes:
         name: a name or a pattern on this side.
         kind: of what has the name, or None for every kind.
         type: of what has the name, or None for every type.
+        client: on a server, the client whose entry had it: that client's `topic` requires arming under any name.
+        topic: the name on the client, or None for the same.
+        excepts: as in `Topic`, names on the client.
         deadman: as in `Topic`.
         max_age: as in `Topic`.
         on_end: as in `Topic`.
@@ -284,6 +289,9 @@ class ArmedName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_de
     name: str
     kind: Kind | None = None
     type: str | None = None
+    client: str | None = None
+    topic: str | None = None
+    excepts: tuple[str, ...] = ()
     deadman: float | None = None
     max_age: float | None = None
     on_end: str | dict[str, Any] | None = None
@@ -320,7 +328,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         check_messages: whether what peers send is checked against its type before ROS gets it.
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; or None.
         features: values of the features' keys, by name, without those that are as by default (`feature.SessionKey.of`).
-        armed: names and patterns on this side that require arming, with or without an entry.
+        armed: names and patterns on this side that require arming, with or without an entry. In a running bridge, each
+            entry with `arm` adds its line (`rsb_bridge.model.demands.RunningDemands`).
         clients: the clients of a server; empty if it has none yet, or None for one with the session's own name and key.
         ports: TCP and UDP ports that clients' topics may have on the server, or None for any 16 for each client.
         allow: on a client, the server's rights to bridge, as in `Client`. If empty, the server may read all topics, and
