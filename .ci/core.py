@@ -15,6 +15,8 @@ from pathlib import Path
 CORE = Path("build/core").absolute()
 KEPT = {".mypy_cache", ".import_linter_cache"}
 FEATURES = "extras/"
+USERS = "bench/"
+"""The developers' benchmarks, which use the feature for benchmarks."""
 ENTRY_POINTS = re.compile(r"\[rsb_console\.feature\]\n(?:[^\[\n].*\n|\n)*")
 
 
@@ -36,12 +38,12 @@ def copy_tree() -> None:
     listed = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
     names = subprocess.run(listed, capture_output=True, text=True, check=True).stdout.split("\0")
     for name in filter(None, names):
-        if not name.startswith(FEATURES) and os.path.lexists(name):
+        if not name.startswith((FEATURES, USERS)) and os.path.lexists(name):
             (CORE / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(name, CORE / name, follow_symlinks=False)
     settings = CORE / "pyproject.toml"
     text = settings.read_text(encoding="utf-8")
-    for lists in (', "rsb_extras"', ', "extras/rsb_extras"'):
+    for lists in (', "rsb_extras"', ', "extras/rsb_extras"', ', "bench"'):
         assert lists in text
         text = text.replace(lists, "")
     settings.write_text(text, encoding="utf-8")

@@ -15,9 +15,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from bench import attached_rates, bed
 from bench.console import OVER_SSH, Watched
 
-from bench import attached_rates, bed
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session, Topic
@@ -45,7 +45,7 @@ def _costs(rounds: int) -> None:
         # Here, the user's own bridges are not seen: with one named `bench`, the client would not be `bench-2`.
         os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"] = name
         with (
-            bed.Process("-m", "rsb_bridge.ros.measured_stream", "many", str(bed.NEAR), "/bench/topic_", str(TOPICS)),
+            bed.Process("-m", "rsb_extras.bench.measured_stream", "many", str(bed.NEAR), "/bench/topic_", str(TOPICS)),
             bed.headless(_session(folder, "server", bed.FAR, bed.free_port())),
             bed.headless(folder / "client.yaml") as bridge,
         ):

@@ -14,9 +14,8 @@ import tempfile
 import threading
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench.console import OVER_SSH, Watched
-
 from bench import bed
+from bench.console import OVER_SSH, Watched
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

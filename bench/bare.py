@@ -19,8 +19,8 @@ from bench.relay import node_in
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from rsb_bridge.ros.measured_stream import DEPTH, drain
 from rsb_bridge.ros.node import RosNode
+from rsb_extras.bench.measured_stream import DEPTH, drain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -1,6 +1,6 @@
 """Test beds: no bridge, a relay, our bridge or the thesis's pipeline between a talker and a listener.
 
-The rest is in `rsb_console.bench`, which `rsb-console bench` uses, too.
+The rest is in `rsb_extras.bench`, which `rsb-console bench` uses, too.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_console.bench import loopback
-from rsb_console.bench.loopback import TOPIC, Bed, Process, ready
 from rsb_console.session.demo_session import free_port
+from rsb_console.simulated.processes import Process
+from rsb_extras.bench import loopback
+from rsb_extras.bench.loopback import TOPIC, Bed, ready
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

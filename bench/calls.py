@@ -12,18 +12,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from bench import bed
 from bench.figures import in_turn, print_table
 from tests.support.calls import TYPE, CallNode, Outcome
 
-from bench import bed
-from rsb_console.bench import loopback
+from rsb_extras.bench import loopback
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from bench.figures import Figures
 
-    from rsb_console.bench.loopback import Process
+    from rsb_console.simulated.processes import Process
 
 QUIET = 20.0
 _KINDS = ("direct", "proxy", "bare-tcp", "tcp")

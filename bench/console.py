@@ -9,9 +9,8 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING
 
-from tests.console.terminal import Terminal
-
 from bench import bed
+from tests.console.terminal import Terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

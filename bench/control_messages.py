@@ -21,11 +21,11 @@ from tests.support.rogue import Rogue
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.model.benchmark import BenchmarkLimits
-from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.wire.framing import CONTROL_LIMIT
+from rsb_extras.bench import LIMITS, BenchmarkLimits
+from rsb_extras.bench.benchmark import BENCH
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -117,7 +117,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         key, port = write_key(folder / "k.key").secret, free_port()
-        clients = (Client("robot1", "k.key", bench=BenchmarkLimits()),)
+        clients = (Client("robot1", "k.key", features={LIMITS.name: BenchmarkLimits()}),)
         server = Engine(
             Session(
                 name="pc", role="server", server_ip="127.0.0.1", server_port=port, shutdown_topic=None, clients=clients

@@ -21,20 +21,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import bed
+
 from rsb_bridge.config import session_file
 from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.ros.stand_in import Talk
-from rsb_console.bench import loopback
-from rsb_console.bench.results import BenchError
-from rsb_console.bench.robots import RobotTraffic
-from rsb_console.bench.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
 from rsb_console.command.shell import allow_many_descriptors
+from rsb_console.simulated import processes
+from rsb_console.simulated.processes import ProcessError
+from rsb_console.simulated.robots import RobotTraffic
+from rsb_console.simulated.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
+from rsb_extras.bench import loopback
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.model.snapshot import Snapshot
-    from rsb_console.bench.loopback import Process
+    from rsb_console.simulated.processes import Process
 
 DOMAIN = 96
 _WITHIN = 120.0
@@ -228,7 +230,7 @@ def _without_router(running: SimulatedFleet, down: float, stack: ExitStack) -> D
     running.router.signal(signal.SIGKILL)
     running.router.stop()
     time.sleep(down)
-    stack.enter_context(loopback.router(network.connect[0]))
+    stack.enter_context(processes.router(network.connect[0]))
     returned, routes = time.time(), running.load.routes
     robots = running.wait(lambda robot: len(robot.open) >= 3 * routes, _WITHIN)
     return Delays.of((robot.up[-1] for robot in robots.values()), returned)
@@ -240,7 +242,7 @@ def _wait_until_heard(listener: Process) -> None:
     listener.ask("reset")
     while not listener.ask("count")["count"]:
         if time.monotonic() > deadline:
-            raise BenchError("nothing reaches the listener: is the domain free, and ROS set up?")
+            raise ProcessError("nothing reaches the listener: is the domain free, and ROS set up?")
         time.sleep(_BIN)
 
 

@@ -20,13 +20,13 @@ from bench.console import Watched
 from rsb_bridge.cdr.known_types import BATTERY_STATE
 from rsb_bridge.config.session_file import load_fleet
 from rsb_bridge.ros.stand_in import Talk
-from rsb_console.bench.robots import RobotTraffic
-from rsb_console.bench.simulated_fleet import SimulatedFleet, fleet, listening
 from rsb_console.command.shell import allow_many_descriptors
 from rsb_console.fleet.zenoh_source import ZenohFleet
+from rsb_console.simulated.robots import RobotTraffic
+from rsb_console.simulated.simulated_fleet import SimulatedFleet, fleet, listening
 
 if TYPE_CHECKING:
-    from rsb_console.bench.loopback import Process
+    from rsb_console.simulated.processes import Process
 
 DOMAIN = 98
 LOAD = RobotTraffic((Talk("/pose", 1.0, 200), Talk("/battery_state", 0.2, 0, BATTERY_STATE)), ())

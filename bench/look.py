@@ -27,10 +27,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench import bed
 from bench.small import _threads
 from tests.support.relay import Relay
 
-from bench import bed
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.pictures import Wish

@@ -19,10 +19,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from bench import bed, calls
 from tests.bluetooth.guest.stand_in import StandIn
 from tests.support.calls import CallNode
 
-from bench import bed, calls
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import bed
-from rsb_console.bench import loopback
+
+from rsb_extras.bench import loopback
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from bench import bed
+
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH, stamped_string
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine

@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
-from rsb_bridge.ros.measured_stream import DEPTH, drain
+from rsb_extras.bench.measured_stream import DEPTH, drain
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ from std_srvs.srv import Trigger
 from test_msgs.action import Fibonacci
 
 from rsb_bridge.cdr.known_types import made_at, stamped_string
-from rsb_bridge.ros.measured_stream import drain
+from rsb_extras.bench.measured_stream import drain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -17,15 +17,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from bench import bed, calls
 from bench.figures import Figures, in_turn, print_table
 
-from bench import bed, calls
-from rsb_console.bench.suite import highest_lossless
+from rsb_extras.bench.suite import highest_lossless
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from rsb_console.bench.results import Run
+    from rsb_extras.bench.results import Run
 
 ROUNDS = 3
 DEFAULT_BEDS = ("drained", "relay", "bare-tcp", "tcp", "udp", "zenoh", "thesis")

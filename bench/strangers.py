@@ -23,18 +23,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from bench import bed
+
 from rsb_bridge.transport.zenoh.endpoint import ROOT
 from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import CipherSuite
-from rsb_console.bench import loopback
-from rsb_console.bench.results import BenchError
+from rsb_console.simulated import processes
+from rsb_extras.bench import loopback
+from rsb_extras.bench.results import BenchError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from rsb_console.bench.loopback import Process
+    from rsb_console.simulated.processes import Process
 
 FLAT = 10.0
 """MB by which the memory may grow. At most 6 were measured (bench/README.md, Attacks)."""
@@ -126,7 +128,7 @@ class Stage:
         zenoh: loopback.ZenohPath = "router" if transport == _ZENOH else ""
         self.port = loopback.write_sessions(self._folder, near, far, entries, zenoh)
         if zenoh:
-            resources.enter_context(loopback.router(f"tcp/127.0.0.1:{self.port}"))
+            resources.enter_context(processes.router(f"tcp/127.0.0.1:{self.port}"))
         self._bed = resources.enter_context(loopback.ends(near, far))
         self.server = resources.enter_context(loopback.headless(self._folder / "server.yaml"))
 

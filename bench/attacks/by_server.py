@@ -7,12 +7,12 @@ import tempfile
 import time
 from pathlib import Path
 
+from bench import bed
 from bench.attacks.stage import Watch, Watched, domains, seen_in
 from tests.support.ports import free_port
 from tests.support.rogue import BLOB
 from tests.support.rogue_server import RogueServer
 
-from bench import bed
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.qos import Qos

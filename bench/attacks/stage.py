@@ -12,6 +12,7 @@ import unicodedata
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from bench import bed
 from bench.attacks.callers import ASKED, ASKED_HZ, CALLED, OFFERS
 from bench.attacks.peers import HOARD
 from bench.attacks.service import CLIENTS, Clients, Service
@@ -21,7 +22,6 @@ from tests.support.calls import CallNode
 from tests.support.locks import two_domains
 from tests.support.ports import free_port
 
-from bench import bed
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Client, Session, Topic
@@ -135,7 +135,7 @@ class Stage:
 
     def _ros(self, part: str, domain: int, topic: str) -> bed.Process:
         return self._resources.enter_context(
-            bed.Process("-m", "rsb_bridge.ros.measured_stream", part, str(domain), topic)
+            bed.Process("-m", "rsb_extras.bench.measured_stream", part, str(domain), topic)
         )
 
     def watch(self, seconds: float) -> Row:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-    from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
     from rsb_bridge.model.by_hand import Draft, Held, Published
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.history import HistoryReport
@@ -220,9 +219,6 @@ class EngineApi(ABC):
 
     def history(self, seconds: float) -> Future[HistoryReport]:
         return self.do(commands.History(seconds))
-
-    def bench(self, order: BenchmarkStep) -> Future[Outcome]:
-        return self.do(commands.Bench(order))
 
     def stop_bridge(self) -> Future[None]:
         return self.do(commands.Stop())

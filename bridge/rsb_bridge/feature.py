@@ -23,10 +23,11 @@ GROUP = "rsb_console.feature"
 """The entry points, each of which names an instance of a subclass of `Feature`."""
 
 BRINGS: Mapping[str, str] = {
+    "bench": "bench",
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
 }
 """Keys of session files, and the feature of this project that brings each: an installation without it says so."""
-BRINGS_COMMANDS: Mapping[str, str] = {"doctor": "doctor"}
+BRINGS_COMMANDS: Mapping[str, str] = {"bench": "bench", "doctor": "doctor"}
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {"drive": "driving"}
 """The same of actions of the console, by their ids in ``keys.yaml``."""
@@ -43,6 +44,7 @@ class SessionKey(Generic[T]):
         type: of its value, as msgspec knows it: a number, a text, a frozen Struct, or a tuple of such.
         default: without the key.
         live: whether a running bridge takes a new value (`rsb-console reload`); else it has to be started again.
+        of_peer: whether it is about the other side of a link: then a server has it for each client, in `clients`.
         own_topic: whether its value names a topic of the bridge itself, which patterns leave out.
         hidden_as: what logs call the value instead of showing it. Operators elsewhere do not see it at all. Or empty.
     """
@@ -51,12 +53,13 @@ class SessionKey(Generic[T]):
     type: Any
     default: T
     live: bool = False
+    of_peer: bool = False
     own_topic: bool = False
     hidden_as: str = ""
 
-    def of(self, session: msgspec.Struct) -> T:
-        """Return the key's value in a session."""
-        value: T = session.features.get(self.name, self.default)  # type: ignore[attr-defined]
+    def of(self, holder: Any) -> T:
+        """Return the key's value in a session; that of a peer also in a client's entry, or a peer's rights."""
+        value: T = holder.features.get(self.name, self.default)
         return value
 
 
@@ -243,3 +246,9 @@ def feature_names() -> tuple[str, ...]:
 def session_keys() -> Mapping[str, SessionKey[Any]]:
     """Return the features' keys of session files, by name."""
     return {key.name: key for feature in installed() for key in feature.session_keys()}
+
+
+@cache
+def peer_keys() -> Mapping[str, SessionKey[Any]]:
+    """Return those of the keys that are about the other side of a link."""
+    return {name: key for name, key in session_keys().items() if key.of_peer}

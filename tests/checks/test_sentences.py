@@ -10,11 +10,11 @@ ROOT = Path(__file__).parents[2]
 OF_OTHERS = {
     "bridge/rsb_bridge/ros/native/rclpy_extension.py": (", at ",),
     "bridge/rsb_bridge/transport/zenoh/network.py": ("Unable to connect", " at /"),
-    "console/rsb_console/bench/loopback.py": ("model name",),
+    "extras/rsb_extras/bench/loopback.py": ("model name",),
 }
 """Words of other programs, which have no codes, by the module that looks for them."""
 OF_FILES = {
-    "console/rsb_console/bench/simulated_fleet.py": ("listening on",),
+    "console/rsb_console/simulated/simulated_fleet.py": ("listening on",),
     "console/rsb_console/command/service.py": ("# Written by",),
     "console/rsb_console/command/call_command.py": ("# goal_id: ",),
 }

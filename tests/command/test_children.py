@@ -33,7 +33,7 @@ MAY_START = {
     ".ci/core.py", ".ci/install.py", "extras/rsb_extras/doctor/machine.py", "extras/rsb_extras/doctor/ros_setup.py",
     "extras/rsb_extras/doctor/session_needs.py", "extras/rsb_extras/exporters/fault_hook.py",
     "bridge/rsb_bridge/view/renderer.py",
-    "console/rsb_console/bench/loopback.py",
+    "extras/rsb_extras/bench/loopback.py",
     "console/rsb_console/child.py", "console/rsb_console/terminal/driver.py", "deb/build.py",
 }  # fmt: skip
 """Modules that start children. A new one belongs here once its child does not look into its working folder."""

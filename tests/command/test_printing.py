@@ -22,7 +22,6 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RefusedClient, State
 from rsb_bridge.model.text import escape_json, is_clean, one_line, several_lines
 from rsb_console.cli import main
-from rsb_console.command.bench_command import Progress
 from rsb_console.command.headless import LogWriter
 from rsb_console.command.shell import CleanErrors, print_error, print_line, print_lines
 
@@ -33,14 +32,16 @@ if TYPE_CHECKING:
 
 EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r\U000e0041"
 CONSOLE = Path(__file__).parents[2] / "console" / "rsb_console"
+EXTRAS = Path(__file__).parents[2] / "extras" / "rsb_extras"
 PRINTS = {
     "command/shell.py": "print_line, print_lines, print_error and CleanErrors",
     "command/headless.py": "lines of the log, each cleaned by `LogWriter.write`",
-    "command/bench_command.py": "one line of progress, cleaned",
     "command/look_command.py": "rows of pictures, cleaned by `decode_picture` and `clean`",
     "terminal/driver.py": "the app's own terminal",
-    "bench/router.py": "a child's pipe",
-    "bench/robots.py": "a child's pipe",
+    "bench/bench_command.py": "one line of progress, cleaned",
+    "bench/measured_stream.py": "a child's pipe",
+    "simulated/router.py": "a child's pipe",
+    "simulated/robots.py": "a child's pipe",
 }
 
 
@@ -60,11 +61,14 @@ def writes(tree: ast.AST) -> Iterator[str]:
             yield name
 
 
-def test_no_module_of_the_console_prints_but_by_the_functions_that_clean() -> None:
+def test_no_module_of_console_or_feature_prints_but_by_the_functions_that_clean() -> None:
     found = {
-        path.relative_to(CONSOLE).as_posix(): calls
-        for path in CONSOLE.rglob("*.py")
-        if re.search("print|write", text := path.read_text()) and (calls := list(writes(ast.parse(text))))
+        path.relative_to(part).as_posix(): calls
+        for part in (CONSOLE, EXTRAS)
+        for path in part.rglob("*.py")
+        if "tests" not in path.relative_to(part).parts
+        and re.search("print|write", text := path.read_text())
+        and (calls := list(writes(ast.parse(text))))
     }
     allowed_in_cli = ["traceback.print_exception"]  # to standard error, which is a `CleanErrors`
     assert found.pop("cli.py") == allowed_in_cli
@@ -107,16 +111,6 @@ def test_a_log_line_is_one_line(tmp_path: Path) -> None:
     text = path.read_text()
     assert text.count("\n") == 1
     assert clean_lines(text)
-
-
-def test_a_line_of_progress_is_clean() -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    stream = Terminal()
-    Progress(stream).show(f"a {EVIL}")
-    assert is_clean(stream.getvalue().removeprefix("\r\x1b[K"))
 
 
 def evil_engine() -> ScriptedEngine:

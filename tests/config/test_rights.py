@@ -29,8 +29,6 @@ from rsb_bridge.config.session_file import dump, parse
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import validate
 from rsb_bridge.link.proposals import use_of
-from rsb_bridge.model.benchmark import BenchmarkLimits
-from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import Client, Grant, Session, Topic
 from rsb_bridge.wire.messages import Propose
 
@@ -237,19 +235,13 @@ def test_what_is_typed_in_one_line() -> None:
     ],
 )
 def test_a_view_needs_the_right_to_look_at_something(rights: dict[str, Any], remedy: Wording | None) -> None:
-    refusal = on_server(**rights).purpose_refusal(VIEW, sends=False)
+    refusal = on_server(**rights).no_look()
     if remedy is None:
         assert refusal is None
     else:
         assert refusal is not None
         assert says(refusal.remedy, remedy)
         assert "look" in str(refusal)
-
-
-def test_nobody_sends_pictures_unasked() -> None:
-    refusal = on_server(bench=BenchmarkLimits()).purpose_refusal(VIEW, sends=True)
-    assert refusal is not None
-    assert says(refusal.reason, DeniedText.NO_SENDING, right="look", peer="robot1")
 
 
 @pytest.mark.parametrize(

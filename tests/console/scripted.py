@@ -354,8 +354,6 @@ class ScriptedEngine(EngineApi):
                 if self.described is None:
                     return refused("neither side knows it")
                 return self._done(self.described, "describe", key)
-            case commands.Bench():
-                raise NotImplementedError
             case commands.Save():
                 self.in_file.session = self.session
                 return self._done(None, "save")

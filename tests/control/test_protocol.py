@@ -20,7 +20,6 @@ from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import AnyCommand, ControlProtocolError, StateChange
 from rsb_bridge.control.states import EncodedRoutes, Sender, StateReceiver
 from rsb_bridge.model import commands
-from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.protocol_error import Broken
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 COMMANDS: tuple[AnyCommand, ...] = (
     *CHANGES,
     commands.Publish("/t", "{x: 1}", "T", 5, "{}", 0.25),
-    commands.Bench(BenchmarkStep()),
     commands.KeepArmed(pressed=True),
     commands.ReleaseArmed(),
     commands.Topics("robot1"),
@@ -53,7 +51,8 @@ def fed(data: bytes, *, to_bridge: bool, at_once: int = 1 << 20) -> list[Any]:
 @pytest.mark.parametrize("at_once", [1, 7, 1000])
 def test_every_command_comes_through_whole(at_once: int) -> None:
     messages = [protocol.CommandRequest(number, command, undo=True) for number, command in enumerate(COMMANDS)]
-    assert {type(command) for command in COMMANDS} == set(get_args(AnyCommand))
+    of_core = {each for each in get_args(AnyCommand) if each.__module__ == commands.__name__}
+    assert {type(command) for command in COMMANDS} == of_core
     assert fed(b"".join(map(protocol.encode, messages)), to_bridge=True, at_once=at_once) == messages
 
 

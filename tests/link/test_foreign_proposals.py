@@ -8,23 +8,20 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.support.bridge import happened, linked, now
-from tests.support.frames import write_frame
 from tests.support.inside import inside
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.model.benchmark import BenchmarkLimits
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import ARMED
-from rsb_bridge.model.purposes import BENCH, VIEW
+from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Grant, Kind, Topic
 from rsb_bridge.wire.messages import Accept, Amend, Propose, Refuse
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
-    from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.link.link import Link
@@ -100,7 +97,6 @@ def test_what_has_to_be_armed_has_a_max_age(bridge: Bridge) -> None:
 
 REFUSED: tuple[tuple[Purpose, dict[str, Any], str], ...] = (
     (VIEW, {}, "look"),
-    (BENCH, {}, "add bench: {}"),
     (VIEW, {"from_client": False, "topic": "/scan", "remote_topic": "/scan"}, "/scan"),
     (VIEW, {"from_client": False, "remote_topic": "view/2"}, "view/2"),
     (VIEW, {"from_client": False, "topic": "bench/1", "remote_topic": "bench/1"}, "bench/1"),
@@ -150,22 +146,3 @@ def test_a_view_needs_a_right_to_look(bridge: Bridge) -> None:
         refused = client.wait_for(Refuse, Accept)
         assert isinstance(refused, Refuse)
         assert "may: look" in refused.reason
-
-
-def test_nothing_that_a_peer_sends_to_measure_reaches_ros(bridge: Bridge, pc: Domain) -> None:
-    """A description of another type than the route's ends it."""
-    server = bridge.server(
-        key_file=None, clients=(Client("robot1", key_file=bridge.key_file, bench=BenchmarkLimits()),)
-    )
-    with rogue(bridge) as client:
-        string = ("std_msgs/msg/String", "RIHS01_" + "0" * 64)
-        proposed = {"purpose": BENCH.name, "type": BENCH.type_name}
-        _, answer = client.describe(BENCH.route_name("tcp", "transmit"), "tcp", Qos(), string, **proposed)
-        assert isinstance(answer, Refuse)
-        assert answer.code == "type_differs"
-        stream, frames = client.stream(client.internal(BENCH, ("tcp", "transmit"), "tcp"))
-        for _ in range(10):
-            stream.sendall(write_frame(frames, b"\0\1\0\0" + bytes(100), 0, 0))
-        drains = inside(server).context.internal[BENCH.name].drains
-        eventually(lambda: sum(each.messages for each in drains.values()) == 10)
-        assert not [name for name, _ in pc.node.get_topic_names_and_types() if "bench" in name]

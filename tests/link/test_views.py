@@ -6,11 +6,11 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.wording import pattern
+from tests.support.wording import pattern, says
 
 from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.extension import Denied, LinkError
-from rsb_bridge.link.link_views import PeerView
+from rsb_bridge.link.link_views import PeerView, ViewRefused
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.purposes import VIEW
@@ -22,6 +22,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.context import Context
+
+
+async def test_nobody_sends_pictures_unasked(make_context: Callable[..., Context]) -> None:
+    (link,) = ClientRole(make_context(), {"robot1": ()}).links()
+    refusal = link.views.denial(link.rights, sends=True)
+    assert refusal is not None
+    assert says(refusal.reason, ViewRefused.NO_SENDING, peer="the server", owner="robot1")
 
 
 async def test_a_look_without_an_answer_is_asked_again(

@@ -7,8 +7,6 @@ from tests.support.places import Place
 CONSOLE_ANSWERED_WITHIN = Place("rsb_bridge.control.attached_console", "_ANSWERED_WITHIN")
 CONSOLE_HELLO_WITHIN = Place("rsb_bridge.control.attached_console", "_HELLO_WITHIN")
 CONSOLE_STALLED_FOR = Place("rsb_bridge.control.attached_console", "_STALLED_FOR")
-BENCH_LATE = Place("rsb_bridge.ros.internal_ends", "_LATE_SECONDS")
-BENCH_QUIET = Place("rsb_bridge.link.link_bench", "_QUIET")
 BRIDGES_ASKED_FOR = Place("rsb_bridge.control.bridges", "_ASKED_FOR")
 SERVICES_SOCKETS = Place("rsb_bridge.control.control_sockets", "SERVICES")
 SUMMARY_EVERY = Place("rsb_bridge.control.protocol", "SUMMARY_EVERY")

@@ -6,20 +6,17 @@ import ast
 from pathlib import Path
 from typing import get_args
 
-import msgspec
 import pytest
 
 import rsb_bridge
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model import transports
-from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.udp import Udp
-from rsb_console.bench.suite import ways_of
 
 _ROOT = Path(rsb_bridge.__file__).parent
 _ABOVE = [file for layer in ("engine", "link", "route", "channel") for file in (_ROOT / layer).rglob("*.py")]
@@ -45,7 +42,7 @@ def test_the_servers_address_says_what_carries_the_link(server_ip: str, name: st
 
 
 def test_the_facts_of_a_transport_are_all_that_a_session_needs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its addresses, the topics that may cross it, and what a benchmark measures follow from one declaration."""
+    """Its addresses and the topics that may cross it follow from one declaration."""
 
     class Serial(transports.TransportTraits):
         name = "serial"  # type: ignore[assignment]
@@ -64,13 +61,12 @@ def test_the_facts_of_a_transport_are_all_that_a_session_needs(monkeypatch: pyte
     assert problem.message == TopicMistake.NOT_CROSSING(
         protocol="tcp", needed="IP", chosen_by="server_ip is a host", medium="RS-485", crossing="serial"
     )
-    assert [way.transport for way in ways_of(session, (), ("transmit",))] == ["serial"]
+    assert session.crossing == ("serial",)
 
 
 @pytest.mark.parametrize("name", get_args(transports.Protocol))
-def test_each_name_has_facts_and_can_be_measured(name: str) -> None:
+def test_each_name_has_facts(name: str) -> None:
     assert transports.named(name).name == name
-    assert msgspec.convert({"transport": name}, BenchmarkStep).transport == name
 
 
 def test_addresses_read_as_their_transport_writes_them() -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import FieldInfo, fields
 
-from rsb_bridge.feature import BRINGS, session_keys
+from rsb_bridge.feature import BRINGS, SessionKey, peer_keys, session_keys
 from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
 
@@ -114,6 +114,7 @@ _ENTRIES: dict[Kind, type[msgspec.Struct]] = {kind: _entry(kind) for kind in LIS
 
 
 _FEATURE_KEYS = session_keys()
+_KEYS_OF: dict[type, Mapping[str, SessionKey[Any]]] = {Session: _FEATURE_KEYS, Client: peer_keys()}
 
 
 def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
@@ -123,11 +124,11 @@ def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
         if field.name == "topics":
             own += [(name, tuple[_ENTRIES[kind], ...], ()) for kind, name in LISTS.items()]  # type: ignore[valid-type]
         elif field.name == "features":
-            own += [(key.name, key.type, key.default) for key in _FEATURE_KEYS.values()]
+            own += [(key.name, key.type, key.default) for key in _KEYS_OF[model].values()]
         else:
             own.append(_field(field.name, others.get(field.name, field.type), field))
     absent = {key: ForeignKey.OF_FEATURE(feature=name) for key, name in BRINGS.items() if key not in _FEATURE_KEYS}
-    return _struct(model.__name__, own, absent if model is Session else {})
+    return _struct(model.__name__, own, absent)
 
 
 _CLIENT = _holder(Client)
@@ -187,8 +188,7 @@ def as_written(value: msgspec.Struct) -> msgspec.Struct:
     }
     if isinstance(value, Session):
         given["clients"] = None if value.clients is None else tuple(map(as_written, value.clients))
-        given |= {name: key.of(value) for name, key in _FEATURE_KEYS.items()}
-    return model(**given)
+    return model(**given | {name: key.of(value) for name, key in _KEYS_OF[type(value)].items()})
 
 
 def _written(topic: Topic, key: str, field: str) -> Any:
@@ -198,11 +198,10 @@ def _written(topic: Topic, key: str, field: str) -> Any:
 
 def as_session(written: msgspec.Struct) -> Session:
     """Return the session that a file says, given as `SESSION_FILE`."""
-    given = _given(written)
+    given = _given(written, Session)
     listed = given["clients"]
-    clients = None if listed is None else tuple(Client(**_given(client)) for client in listed)
-    features = {name: given.pop(name) for name in _FEATURE_KEYS}
-    return Session(**given | {"clients": clients, "features": as_said(features)})
+    clients = None if listed is None else tuple(Client(**_given(client, Client)) for client in listed)
+    return Session(**given | {"clients": clients})
 
 
 def with_types(session: Session) -> Session:
@@ -211,9 +210,15 @@ def with_types(session: Session) -> Session:
     Raises:
         msgspec.ValidationError: a value has another one.
     """
-    known = ((_FEATURE_KEYS[name], value) for name, value in session.features.items() if name in _FEATURE_KEYS)
-    features = {key.name: msgspec.convert(value, key.type) for key, value in known}
-    return msgspec.structs.replace(session, features=features)
+
+    def typed(holder: Session | Client) -> dict[str, Any]:
+        known, given = _KEYS_OF[type(holder)], holder.features.items()
+        return {name: msgspec.convert(value, known[name].type) for name, value in given if name in known}
+
+    clients = session.clients
+    if clients is not None:
+        clients = tuple(msgspec.structs.replace(each, features=typed(each)) for each in clients)
+    return msgspec.structs.replace(session, features=typed(session), clients=clients)
 
 
 def as_said(features: Mapping[str, Any]) -> dict[str, Any]:
@@ -228,9 +233,10 @@ def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
     return Topic(**given | {"direction": DIRECTIONS.get(given["direction"], given["direction"])}, kind=kind)
 
 
-def _given(written: msgspec.Struct) -> dict[str, Any]:
+def _given(written: msgspec.Struct, model: type[Session | Client]) -> dict[str, Any]:
     """Return the fields of a session or a client, with the entries of all lists in one."""
     lists = LISTS.values()
     given = {name: getattr(written, name) for name in written.__struct_fields__ if name not in lists}
     topics = (as_topic(kind, entry) for kind, name in LISTS.items() for entry in getattr(written, name))
-    return given | {"topics": tuple(topics)}
+    features = as_said({name: given.pop(name) for name in _KEYS_OF[model]})
+    return given | {"topics": tuple(topics), "features": features}

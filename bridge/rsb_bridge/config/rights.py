@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence, Set
 
     from rsb_bridge.config.keys import Key
-    from rsb_bridge.model.benchmark import BenchmarkLimits
-    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Client, Direction, Identity, Kind, Operator, Session
 
 TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
@@ -38,8 +36,6 @@ CALL_USES: Final[tuple[May, May]] = ("call", "serve")
 """The two rights of a peer: to send messages or requests here, and to take them."""
 _TOPIC_ENTRIES: Final[tuple[May, ...]] = (*TOPIC_USES, "look")
 """The rights that an entry about topics may name. The right to read includes the right to look."""
-_MOST_BENCHMARKED = 1e6
-"""s and MB in an hour; a round figure: an hour has 3,600 s, and so many MB are 278 MB/s."""
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 """A mapping, or a word: entries have blanks or commas between them. Without its last brace, YAML refuses it."""
 _NAMED = 6
@@ -74,7 +70,7 @@ _KINDS: dict[Kind, str] = {"action": " (action)", "parameters": " (parameters)"}
 
 
 class RightsMistake(Wording):
-    """A mistake in an entry of `allow` or `deny`, or in the limits of a benchmark."""
+    """A mistake in an entry of `allow` or `deny`."""
 
     NO_PROTOCOLS = "the list is empty: leave protocol out, or name one"
     RATE_OF_DENIED = "belongs under allow: what is denied has no rate"
@@ -84,7 +80,6 @@ class RightsMistake(Wording):
     OTHER_USE = "{may} is for {others}: a {noun} takes {uses}, or leave may out for all"
     NO_MATCH = "{pattern} matches no {noun}: a pattern begins with / or * (/robot1/*)"
     SLASHES = "{pattern} matches no {noun}: names have one / before each part, and none at the end"
-    LIMIT = "{value} is out of range: above 0, at most {limit}"
 
 
 class OperatorMistake(Wording):
@@ -110,7 +105,6 @@ class DeniedText(Wording):
     DENIED = "{owner} denies {use} to {peer}"
     OTHER_PROTOCOL = "{owner} allows {use} to {peer} over {protocols} only"
     NOT_ALLOWED = "{owner} does not let {peer} {may} {use}"
-    NO_SENDING = "{owner} takes no {purpose} from {peer}: the right {right} lets it receive only"
 
 
 class DeniedRemedy(Wording):
@@ -212,16 +206,6 @@ def _pattern_problems(pattern: str, noun: str, location: str) -> Iterator[Proble
         yield Problem(location, RightsMistake.SLASHES(pattern=show(pattern), noun=noun))
 
 
-def benchmark_limit_problems(leave: BenchmarkLimits | None, location: str) -> Iterator[Problem]:
-    """Mistakes in what a benchmark may cause."""
-    if leave is None:
-        return
-    yield from range_problems(leave, location)
-    for key, value in (("seconds", leave.seconds), ("megabytes", leave.megabytes)):
-        if not 0 < value <= _MOST_BENCHMARKED:
-            yield Problem(join(location, key), RightsMistake.LIMIT(value=f"{value:g}", limit=f"{_MOST_BENCHMARKED:g}"))
-
-
 class Use(NamedTuple):
     """A peer's use of a topic, a service, an action or a node's parameters.
 
@@ -274,7 +258,7 @@ class Rights:
         prefix: a client's name, which the names of its topics may have before them here.
         listed: on a client, the identities of its own topics (`Topic.identity`), which say what the server may publish,
             call and serve.
-        bench: the limits within which the peer may measure the link, or None if it may not.
+        features: what features permit the peer, by key of session files (`SessionKey.of`).
     """
 
     peer: str
@@ -284,7 +268,7 @@ class Rights:
     deny: tuple[Grant, ...]
     prefix: str = ""
     listed: Set[Identity] | None = None
-    bench: BenchmarkLimits | None = None
+    features: Mapping[str, Any] = field(default_factory=dict)
 
     def refusal(self, use: Use) -> DeniedUse | None:
         """Return the reason why the peer may not do something, or None if it may."""
@@ -306,20 +290,7 @@ class Rights:
         reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
         return DeniedUse(reason, self._remedy(use))
 
-    def purpose_refusal(self, purpose: Purpose, *, sends: bool) -> DeniedUse | None:
-        """Return the reason why the peer may not have an internal route, or None if it may.
-
-        Args:
-            sends: whether the peer is to send on it.
-        """
-        if sends and not purpose.peer_sends:
-            text = DeniedText.NO_SENDING(owner=self.owner, peer=self.peer, purpose=purpose.name, right=purpose.right)
-            return DeniedUse(text, "propose it from the side that receives")
-        if purpose.right == "bench":
-            return None if self.bench is not None else self._no_benchmark()
-        return self._no_look()
-
-    def _no_look(self) -> DeniedUse | None:
+    def no_look(self) -> DeniedUse | None:
         """Return the reason why the peer may look at no topic at all, or None. Each topic is checked when it looks."""
         reason = f"{self.owner} does not let {self.peer} look at any topic"
         for grant in self.deny:
@@ -330,11 +301,6 @@ class Rights:
         if self.allow and not any(grant.topics and _covers(grant, "look") for grant in self.allow):
             return DeniedUse(reason, DeniedRemedy.ADD_LOOK(place=self.place))
         return None
-
-    def _no_benchmark(self) -> DeniedUse:
-        reason = f"{self.owner} does not let {self.peer} measure this link"
-        where = f"to {self.place.removeprefix('of ')}" if self.place.startswith("of ") else self.place
-        return DeniedUse(reason, f"add bench: {{}} {where}")
 
     def max_rate(self, use: Use) -> float:
         """Return the limit of messages or calls in Hz, or 0 for none. Requests of either side share it."""
@@ -384,7 +350,7 @@ def rights_of_client(client: Client, server: str) -> Rights:
         tuple(map(allowing, client.allow)),
         tuple(map(denying, client.deny)),
         prefix=client.name,
-        bench=client.bench,
+        features=client.features,
     )
 
 
@@ -403,7 +369,7 @@ def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> R
         tuple(map(allowing, session.allow)),
         tuple(map(denying, session.deny)),
         listed=listed,
-        bench=session.bench,
+        features=session.features,
     )
 
 

@@ -128,8 +128,7 @@ def with_client(session: Session, client: Client) -> Session:
     clients = _clients(session)
     if any(each.name == client.name for each in clients):
         raise ClientError(ClientProblem.EXISTS(name=client.name))
-    # Without a list of clients, `bench` is of the only one, whose entry has it now (`Session.accepted_clients`).
-    return msgspec.structs.replace(session, clients=(*clients, client), bench=None)
+    return session.with_clients((*clients, client))
 
 
 def with_changed_client(session: Session, client: Client) -> Session:
@@ -140,7 +139,7 @@ def with_changed_client(session: Session, client: Client) -> Session:
     """
     old = client_named(session, client.name)
     clients = tuple(client if each == old else each for each in _clients(session))
-    return msgspec.structs.replace(session, clients=clients, bench=None)
+    return session.with_clients(clients)
 
 
 def without_client(session: Session, name: str) -> Session:
@@ -151,7 +150,7 @@ def without_client(session: Session, name: str) -> Session:
     """
     old = client_named(session, name)
     clients = tuple(each for each in _clients(session) if each != old)
-    return msgspec.structs.replace(session, clients=clients, bench=None)
+    return session.with_clients(clients)
 
 
 def client_named(session: Session, name: str) -> Client:

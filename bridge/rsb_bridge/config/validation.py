@@ -23,7 +23,7 @@ from rsb_bridge.config.file_form import (
     locations,
 )
 from rsb_bridge.config.keys import conceal
-from rsb_bridge.config.rights import benchmark_limit_problems, grant_problems, operator_problems
+from rsb_bridge.config.rights import grant_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
     armed_name_problems,
     entry_problems,
@@ -39,7 +39,7 @@ from rsb_bridge.config.topic_rules import (
     transport_of,
     unreported,
 )
-from rsb_bridge.feature import installed
+from rsb_bridge.feature import installed, peer_keys
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.demands import local_name
@@ -390,13 +390,12 @@ def _clients(session: Session) -> Iterator[Problem]:
     yield from grant_problems(session, "")
     if session.role == "server" and (session.allow or session.deny):
         yield Problem("allow" if session.allow else "deny", SessionMistake.KEY_OF_ITS_CLIENT())
-    yield from benchmark_limit_problems(session.bench, "bench")
-    if session.bench is not None and session.clients is not None:
-        yield Problem("bench", SessionMistake.KEY_OF_ITS_CLIENT())
+    for key in session.features if session.clients is not None else ():
+        if key in peer_keys():
+            yield Problem(key, SessionMistake.KEY_OF_ITS_CLIENT())
     names: dict[str, int] = {}
     for at, client in enumerate(session.listed_clients):
         location = join("clients", at)
-        yield from benchmark_limit_problems(client.bench, join(location, "bench"))
         yield from _group(client.group, join(location, "group"))
         use_name = client.is_prefixed(session)
         yield from _name(client.name, join(location, "name"), use_name=use_name)

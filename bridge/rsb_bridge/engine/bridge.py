@@ -32,7 +32,6 @@ from rsb_bridge.link.link import link_named, topics_of_peer
 from rsb_bridge.link.reloading import ReloadStep
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.model import commands
-from rsb_bridge.model.benchmark import Outcome, Usage
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.calls import FieldError
@@ -41,7 +40,6 @@ from rsb_bridge.model.commands import operator
 from rsb_bridge.model.demands import DemandText, as_armed, sources_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
-from rsb_bridge.ros.internal_ends import resources
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
@@ -117,7 +115,6 @@ class Bridge:
             **self._publishing.handlers,
             **self._viewing.handlers,
             commands.Acknowledge: self._acknowledge,
-            commands.Bench: self._bench,
             commands.Retry: self._retry,
             commands.ShutDownLinks: self._shut_down,
             commands.Topics: self._topics,
@@ -478,20 +475,6 @@ class Bridge:
         for link in self.links():
             yield link.patterns
             yield link.patterns.followed
-
-    async def _bench(self, command: commands.Bench) -> Outcome:
-        order, links = command.order, self.links()
-        if order.what == "measure":
-            cpu, memory = resources()
-            # (0, 0), as there may be no link.
-            counts = zip((0, 0), *(link.bench.wire_bytes() for link in links), strict=True)
-            sent, received = (sum(each) for each in counts)
-            return Outcome(Usage(cpu, memory, sent, received))
-        link = link_named(order.link, links)
-        if order.what == "run":
-            return await link.bench.run(order)
-        link.bench.end()
-        return Outcome(link.bench.usage())
 
     async def _topics(self, command: commands.Topics) -> tuple[TopicInfo, ...]:
         if command.link is None:

@@ -171,7 +171,7 @@ class FileCommands(EnginePart):
         # Another change of the file is somebody else's, which a save must not overwrite.
         if now is not None and same(_without(before.session, name), _without(now.session, name)):
             file.opened = now
-            file.contents.session = msgspec.structs.replace(held, clients=now.session.clients, bench=now.session.bench)
+            file.contents.session = held.with_clients(now.session.accepted_clients)
 
     # --- the session
 
@@ -232,7 +232,7 @@ class FileCommands(EnginePart):
 
 def _without(session: Session, client: str) -> Session:
     others = tuple(each for each in session.accepted_clients if each.name != client)
-    return msgspec.structs.replace(session, clients=others, bench=None)
+    return session.with_clients(others)
 
 
 def _saved(session: Session, path: Path, known: SessionFile | None) -> SessionFile:

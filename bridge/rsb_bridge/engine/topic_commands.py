@@ -230,7 +230,7 @@ class TopicCommands(EnginePart):
                 raise LinkError(problem)
             name = route.local_topic
             self._drop_demands(link, topic, name, route, wanted=drop_arm)
-            link.bench.removed(route)
+            link.extensions.removed(route)
             link.table.remove(route, "removed by an operator")
             link.patterns.leave_out(route)
         self._log.add(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))

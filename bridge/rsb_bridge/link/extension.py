@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
     from rsb_bridge.channel.data_keys import Meter
+    from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.route.route import Route
@@ -50,6 +51,17 @@ class Extension:
     def route_fields(self, route: Route) -> Mapping[str, Any]:
         """Return the same of one of its routes."""
         return {}
+
+    def removed(self, route: Route) -> None:
+        """End what a route was for: an operator of this side removes it."""
+
+    def denial(self, rights: Rights, *, sends: bool) -> DeniedUse | None:
+        """Return why a peer with these rights may have no internal route of its purpose, or None if it may.
+
+        Args:
+            sends: whether the peer is to send on it.
+        """
+        return None
 
     def refusal(self, name: str) -> str:
         """Return why the peer may not have an internal route by that name now, or an empty string."""
@@ -93,9 +105,14 @@ class Extensions:
         for each in self._all:
             each.tick()
 
-    def refusal(self, name: str, purpose: Purpose) -> str:
-        """Return why the peer may not have an internal route by that name now, or an empty string."""
-        return next((each.refusal(name) for each in self._all if each.purpose is purpose), "")
+    def removed(self, route: Route) -> None:
+        """End what a route was for: an operator of this side removes it."""
+        for each in self._all:
+            each.removed(route)
+
+    def serving(self, purpose: Purpose) -> Extension:
+        """Return the one that serves the internal routes of a purpose."""
+        return next(each for each in self._all if each.purpose is purpose)
 
     def meter_of(self, route_id: int) -> Meter | None:
         """Return what counts the bytes that arrive for a route, or None."""

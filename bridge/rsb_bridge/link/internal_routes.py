@@ -1,4 +1,4 @@
-"""The internal routes of a link's features: of a view or a benchmark, which join no topic of ROS."""
+"""The internal routes of a link's features, which join no topic of ROS."""
 
 from __future__ import annotations
 

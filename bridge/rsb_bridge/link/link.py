@@ -14,7 +14,6 @@ from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.fullness import LinkFullness
-from rsb_bridge.link.link_bench import LinkBench
 from rsb_bridge.link.link_fault import LinkFault
 from rsb_bridge.link.link_patterns import LinkPatterns
 from rsb_bridge.link.link_views import LinkViews
@@ -277,7 +276,6 @@ class Link(BaseLink):
         self.topic_lists = self.extend(TopicLists(self))
         self.type_questions = self.extend(TypeQuestions(self))
         self.table.compare_types = self.type_questions.compare
-        self.bench = self.extend(LinkBench(self, self.table))
         self.views = self.extend(LinkViews(self, self.table))
         for feature in installed():
             for extension in feature.extensions(self):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.rights import Use
+from rsb_bridge.config.rights import DeniedUse, Use
 from rsb_bridge.link.extension import Extension, LinkError
 from rsb_bridge.link.internal_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
@@ -35,6 +35,7 @@ from rsb_bridge.ros.internal_ends import PictureSink, PictureSource
 from rsb_bridge.wire.messages import Look, LookAnswer
 
 if TYPE_CHECKING:
+    from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.route_table import RouteTable
@@ -55,6 +56,7 @@ class ViewRefused(Wording):
     """The reason why the peer gets no picture, or this side none from the peer."""
 
     TOO_MANY = "{limit} views of this link are open already: close one of them"
+    NO_SENDING = "{owner} takes no view from {peer}: the right look lets it receive only"
     NO_VIEW = "this route carries no pictures"
     NOT_OPENED = "the view was not opened: {reason}"
 
@@ -98,6 +100,12 @@ class LinkViews(Extension):
         """Views that are drawn for the peer, by the id of their route's opening."""
 
     # --- for the peer
+
+    def denial(self, rights: Rights, *, sends: bool) -> DeniedUse | None:
+        if not sends:
+            return rights.no_look()
+        text = ViewRefused.NO_SENDING(owner=rights.owner, peer=rights.peer)
+        return DeniedUse(text, "propose it from the side that receives")
 
     def refusal(self, name: str) -> str:
         # The same view, proposed again, takes its own place.

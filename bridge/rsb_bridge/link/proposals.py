@@ -269,19 +269,17 @@ def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, se
         raise LinkError(str(problem))
     if proposal.qos is not None and proposal.qos.latched:
         raise LinkError(f"a route for {purpose.name} needs a QoS that keeps nothing for late joiners")
-    if refusal := _refusal(proposal, link.rights, is_client=link.is_client):
+    if refusal := _refusal(proposal, link, link.rights) or link.extensions.serving(purpose).refusal(proposal.topic):
         raise LinkError(str(refusal))
-    if refused := link.extensions.refusal(proposal.topic, purpose):
-        raise LinkError(refused)
     return proposal
 
 
-def _refusal(proposal: Propose, rights: Rights, *, is_client: bool) -> DeniedUse | None:
+def _refusal(proposal: Propose, link: BaseLink, rights: Rights) -> DeniedUse | None:
     """Return why the peer may not have what it proposed, by this side's names, or None if it may."""
     purpose = purposes()[proposal.purpose]
     if purpose.in_graph:
-        return rights.refusal(use_of(proposal, is_client=is_client))
-    return rights.purpose_refusal(purpose, sends=proposal.from_client != is_client)
+        return rights.refusal(use_of(proposal, is_client=link.is_client))
+    return link.extensions.serving(purpose).denial(rights, sends=proposal.from_client != link.is_client)
 
 
 def check_features(use: Use, session: Session) -> None:
@@ -329,11 +327,11 @@ def check_overlap(topic: Topic, routes: Iterable[Route]) -> None:
         raise LinkError(clash)
 
 
-def denied(routes: Collection[Route], rights: Rights, *, is_client: bool) -> dict[Route, str]:
+def denied(link: BaseLink, rights: Rights) -> dict[Route, str]:
     """Return the routes that the peer proposed and may not have by these rights, each with the reason."""
     found = {
-        route: _refusal(route.proposal, rights, is_client=is_client)
-        for route in routes
+        route: _refusal(route.proposal, link, rights)
+        for route in link.routes.values()
         if not (route.proposed_here or route.listed)
     }
     return {route: str(refusal) for route, refusal in found.items() if refusal}

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.config.session_changes import changes, described, named
+from rsb_bridge.feature import peer_keys
 from rsb_bridge.link.proposals import denied
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.wording import Wording
@@ -69,7 +70,7 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
         kind, name, direction = identity
         text = f"{named(Topic(name, direction, kind=kind))}: no longer listed"
         yield ReloadStep(text, partial(link.table.listed.discard, identity))
-    differs = changes(link.context.session, session, only=("allow", "deny", "bench"))
+    differs = changes(link.context.session, session, only=("allow", "deny", *peer_keys()))
     effect = _denial_effect(link, rights_of_server(session, listed))
     if differs or effect:
         yield ReloadStep(": ".join(filter(None, (", ".join(differs), effect))), partial(link.change_listed, listed))
@@ -121,7 +122,7 @@ def _client_effect(link: ServerLink, new: ClientEntry) -> str:
 
 def _denial_effect(link: Link, rights: Rights) -> str:
     """Return the text on the peer's topics that end under other rights, or an empty string."""
-    ended = denied(link.routes.values(), rights, is_client=link.is_client)
+    ended = denied(link, rights)
     return f"{', '.join(route.local_topic for route in ended)} may not cross any more" if ended else ""
 
 

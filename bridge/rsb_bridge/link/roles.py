@@ -191,7 +191,7 @@ class ServerRole:
         # The form of a session for one client has no place for topics that the server proposes; without any, it stays.
         if session.clients is None and not any(client.topics for client in clients):
             return session
-        return msgspec.structs.replace(session, clients=clients, bench=None)
+        return session.with_clients(clients)
 
     @property
     def unsaved(self) -> bool:

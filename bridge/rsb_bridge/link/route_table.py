@@ -207,8 +207,7 @@ class RouteTable(Extension):
 
     def rights_changed(self) -> None:
         """Apply changed rights of the peer to the open routes."""
-        routes = tuple(self._link.routes.values())
-        for route, reason in denied(routes, self._link.rights, is_client=self._link.is_client).items():
+        for route, reason in denied(self._link, self._link.rights).items():
             self.deny(route, reason)
         for route in self._link.routes.values():
             if allow_rate(route, self._link):

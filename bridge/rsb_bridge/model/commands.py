@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Generic, TypeVar
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
 from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER, Draft, Held, Published
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import TOPICS_AT_ONCE, Viewed, Wish
@@ -483,17 +482,6 @@ class History(Command[HistoryReport], frozen=True, tag="history"):
     right = Right.LOOK
     refreshes = False
     seconds: float
-
-
-class Bench(Command[Outcome], frozen=True, tag="bench"):
-    """Send messages over a link on an internal route, and measure them.
-
-    The peer has to allow it (`rsb_bridge.model.benchmark.BenchmarkLimits`). The route is removed some seconds after the
-    last step.
-    """
-
-    right = Right.MEASURE
-    order: BenchmarkStep
 
 
 class Stop(Command[None], frozen=True, tag="stop"):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from rsb_bridge.feature import installed
 
@@ -28,8 +28,6 @@ class Purpose:
         name: the purpose in proposals, and the first part of its routes' names.
         in_graph: whether ROS nodes have its names. Only then, the rules of topics hold: of their names, prefixes and
             types, of rights by pattern, of demands to arm, of loops, and of sessions.
-        right: the peer's right that a proposal needs, as a session calls it, or an empty string for topics.
-        peer_sends: whether the peer may propose to send.
         is_shown: whether operators see its routes as rows, in the history and in the log.
         fills_link: whether it fills the link on purpose, which then does not count as full.
         type_name: the type of its messages, which is installed nowhere, or an empty string for topics.
@@ -37,8 +35,6 @@ class Purpose:
 
     name: str
     in_graph: bool = False
-    right: Literal["", "look", "bench"] = ""
-    peer_sends: bool = True
     is_shown: bool = True
     fills_link: bool = False
     type_name: str = ""
@@ -57,21 +53,15 @@ TOPIC = Purpose("topic", in_graph=True)
 """Messages and calls of ROS nodes."""
 VIEW = Purpose(
     "view",
-    right="look",
-    peer_sends=False,
     is_shown=False,
     type_name="rsb_bridge/msg/Picture",
     type_hash="RIHS01_" + "1" * 64,
 )
 """Pictures of messages, for a viewer on the side that proposes it."""
-BENCH = Purpose(
-    "bench", right="bench", fills_link=True, type_name="rsb_bridge/msg/Bench", type_hash="RIHS01_" + "0" * 64
-)
-"""Messages that measure the link."""
 
 
 @cache
 def purposes() -> Mapping[str, Purpose]:
     """Return all purposes by name, those of features last."""
     added = (each for feature in installed() for each in feature.purposes())
-    return {each.name: each for each in (TOPIC, VIEW, BENCH, *added)}
+    return {each.name: each for each in (TOPIC, VIEW, *added)}

@@ -11,8 +11,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 
-from rsb_bridge.feature import session_keys
-from rsb_bridge.model.benchmark import BenchmarkLimits
+from rsb_bridge.feature import peer_keys, session_keys
 from rsb_bridge.model.by_hand import VelocityLimits, end_text
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import Qos, parse_qos
@@ -218,8 +217,8 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
             `allow`.
         topics: the topics that the server proposes whenever it links, as the client sees them.
         profile: of its link, or None for the server's `Session.profile`.
-        bench: the limits within which it may measure the link, or None if it may not.
         group: its group of the fleet, or None.
+        features: values of the features' keys that are about a peer, as in `Session`.
     """
 
     name: str
@@ -230,8 +229,8 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     deny: tuple[str | Grant, ...] = ()
     topics: tuple[Topic, ...] = ()
     profile: ProfileName | None = None
-    bench: BenchmarkLimits | None = None
     group: str | None = None
+    features: dict[str, Any] = {}
 
     def is_prefixed(self, session: Session) -> bool:
         """Whether its topics have its name before them on the server of a session."""
@@ -337,8 +336,6 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         deny: on a client, names that the server may not bridge; stronger than `allow`.
         profile: the kind of the link's network, for settings that nothing else sets (`transports.PROFILES`).
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
-        bench: on a client, the limits within which the server may measure the link, or None if it may not. On a server
-            without a list of clients, the limits of its client.
         zenoh: the Zenoh network, for links over it, and to be seen in its fleet even if links use another transport; or
             None.
         operators: the operators who may attach over a network.
@@ -369,7 +366,6 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     ports: tuple[int, ...] | Literal["none"] | None = None
     shared_keys: bool = False
     profile: ProfileName | None = None
-    bench: BenchmarkLimits | None = None
     zenoh: ZenohSettings | None = None
     operators: tuple[Operator, ...] = ()
     group: str | None = None
@@ -399,7 +395,15 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     @property
     def accepted_clients(self) -> tuple[Client, ...]:
         """The clients of a server."""
-        return (Client(self.name, bench=self.bench, group=self.group),) if self.clients is None else self.clients
+        if self.clients is not None:
+            return self.clients
+        of_peer = {name: value for name, value in self.features.items() if name in peer_keys()}
+        return (Client(self.name, group=self.group, features=of_peer),)
+
+    def with_clients(self, clients: tuple[Client, ...]) -> Session:
+        """Return a server's session with a list of clients, whose entries have what was of the only one."""
+        features = {name: value for name, value in self.features.items() if name not in peer_keys()}
+        return msgspec.structs.replace(self, clients=clients, features=features)
 
     @property
     def listed_clients(self) -> tuple[Client, ...]:

@@ -414,7 +414,7 @@ class Route:
         self._verdict = None
         verdict = self.verdict()
         said = self.judged.announce(verdict, now, self.peer.path.fault)
-        if said and self.purpose.in_graph:  # of an internal route, its viewer or benchmark tells the operator
+        if said and self.purpose.in_graph:  # of an internal route, what has proposed it tells the operator
             shown, from_peer = self.judged.shown(verdict)
             since = self.context.wall() - (now - self.judged.since(shown, now))
             about: About = {"cause": said.cause, "state": shown.state, "since": since, "from_peer": from_peer}

@@ -7,7 +7,6 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.benchmark import MOST_SIZE
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.names import MOST_SOURCES
@@ -543,58 +542,6 @@ class AskEnded(ControlMessageBase, frozen=True):
 HolderMessage: TypeAlias = AskForArming | AskEnded
 
 
-Size: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_SIZE)]
-Difference: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
-
-
-class BenchAsk(ControlMessageBase, frozen=True):
-    """The measuring side asks for the other side's counts. Answered by a `BenchAnswer` of the same number.
-
-    Attributes:
-        route: id of the route that measures.
-        reset: whether to count arrivals from 0 again.
-        size: bytes of each message to be sent by the other side.
-        count: their number; may be 0.
-    """
-
-    request: Count
-    route: RouteId
-    reset: bool = False
-    size: Size = 0
-    rate: Hertz = 0.0
-    count: Count = 0
-
-
-class BenchAnswer(ControlMessageBase, frozen=True):
-    """The answer to `BenchAsk`.
-
-    Attributes:
-        problem: the reason for a refusal, for an operator, or empty.
-        sent: messages that the last run has sent.
-        rate: Hz that it has reached, or 0 while it runs.
-        received: messages since the last reset.
-        p50: s on the two wall clocks, a percentile of these messages' latencies.
-        cpu: s of processor time that the process has used.
-        sent_bytes: handed to the sockets of its links.
-        received_bytes: read from the sockets of its links.
-        max_rate: Hz that the asker may cause, or 0 for no limit.
-    """
-
-    request: Count
-    problem: Reason = ""
-    sent: Count = 0
-    rate: Hertz = 0.0
-    received: Count = 0
-    p50: Difference = 0.0
-    p99: Difference = 0.0
-    p999: Difference = 0.0
-    cpu: Seconds = 0.0
-    memory: Count = 0
-    sent_bytes: Count = 0
-    received_bytes: Count = 0
-    max_rate: Hertz = 0.0
-
-
 class ByHand(ControlMessageBase, frozen=True):
     """Either side: an operator there makes a call by hand. The message only reports it.
 
@@ -763,8 +710,6 @@ ControlMessage: TypeAlias = (
     | TypeText
     | Follow
     | Followed
-    | BenchAsk
-    | BenchAnswer
     | Look
     | LookAnswer
     | Duplicate

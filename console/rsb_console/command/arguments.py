@@ -10,7 +10,7 @@ from rsb_bridge.config.keys import DEFAULT_KEY_FILE
 from rsb_bridge.feature import installed
 from rsb_bridge.model.text import is_clean
 from rsb_console.command import local_commands
-from rsb_console.command.argument_values import TRANSPORTS, count, domains, seconds, sizes, topics, transports
+from rsb_console.command.argument_values import count, seconds
 from rsb_console.command.check import check_session
 from rsb_console.command.remote_arguments import (
     CommandParser,
@@ -19,14 +19,12 @@ from rsb_console.command.remote_arguments import (
     add_fleet_commands,
     add_remote_commands,
     lazily,
-    place_options,
 )
 from rsb_console.command.shell import print_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_console.command.remote_arguments import AddCommand, Complete
 
 EPILOG = """\
 Without a command: `rsb-console SESSION` bridges that session, `rsb-console` alone opens the console to choose one.
@@ -108,7 +106,6 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     add_remote_commands(command, _complete, _console_options)
     add_call_commands(command, _complete)
     add_client_commands(command, _complete)
-    add_bench_command(command, _complete)
     add_fleet_commands(command, _complete, _console_options)
     for feature in installed():
         feature.subcommands(command, _complete)
@@ -230,49 +227,3 @@ class _Version(argparse.Action):
 
         print_line(f"rsb-console {version('rsb-console')}")
         parser.exit()
-
-
-_BENCH = """\
-Without NAME: two bridges between two ROS domains on this machine, over loopback.
-With the name or the session file of a bridge that runs here: its link to the peer.
-The peer's session file has to permit it (bench: {}).
-
-for example:
-  rsb-console bench --quick
-  rsb-console bench robot1 --sizes 2500,1M --plot link.svg
-  rsb-console bench control --link robot1 --direction both --json
-
-exit codes:
-  0  measured, if only in part because time or the peer's limits ran out
-  1  nothing could be measured; the message has the reason
-  2  wrong usage: bad arguments, or several bridges or clients to choose from
-  3  no such bridge runs, or it cannot be reached
-  130, 143  interrupted; the results so far are printed"""
-
-
-def add_bench_command(command: AddCommand, complete: Complete) -> None:
-    """Add `bench`; for the arguments see `rsb_console.command.remote_arguments.add_remote_commands`."""
-    parser = command("bench", lazily("bench", "bench_command"), "measure what this machine, or a link, carries", _BENCH)
-    which = "a running bridge, or its session file"
-    # Without SUPPRESS, the default of the missing word would overwrite --bridge.
-    name = parser.add_argument("bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help=which)
-    complete(name, "bridges_and_files")
-    complete(parser.add_argument("--bridge", metavar="NAME", help="the same"), "bridges_and_files")
-    place_options(parser, complete)
-    which = "the client, on a server with several clients"
-    complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
-    parser.add_argument("--quick", action="store_true", help="take at most a minute, not six")
-    parser.add_argument(
-        "--seconds", type=seconds, metavar="N", help="take at most N s; default: 50 with --quick, else 360"
-    )
-    parser.add_argument("--sizes", type=sizes, metavar="N,...", help="message sizes: 256,10k,1M; default: 256 to 6M")
-    which = f"any of {', '.join(TRANSPORTS)}; default: all available ones"
-    parser.add_argument("--transports", type=transports, default=(), metavar="NAME,...", help=which)
-    way = "to the server, from it, or both (%(default)s)"
-    parser.add_argument("--direction", choices=("transmit", "receive", "both"), default="transmit", help=way)
-    numbers = "numbers of topics to open at once on this machine: 1,50,500; 0 skips this part"
-    parser.add_argument("--topics", type=topics, metavar="N,...", help=numbers)
-    own = "two unused ROS domains on this machine (92,93)"
-    parser.add_argument("--domains", type=domains, metavar="A,B", help=own)
-    parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="also draw a plot")
-    parser.add_argument("--json", action="store_true", help="print JSON, for programs")

@@ -71,10 +71,6 @@ class SessionCheckText(Wording):
     ENDS_WITH_NOTHING = "; when that ends, the robot gets nothing"
     ENDS_AS_THERE = "; when that ends, the robot gets what its own session says"
     ENDS_AS_THERE_OR_ZERO = "; when that ends, the robot gets zero, or what its own session says"
-    MAY_MEASURE = (
-        "{peer} may measure the link (rsb-console bench): {seconds:g} s, {rate:g} messages/s, {megabytes:g} MB in an "
-        "hour"
-    )
     PREFIX_IF_USED = "prefix /{name} if the server has use_name on"
     OWN_PORTS = "ports of its own"
     KEY_MISSING = "{problem}; without it the bridge does not start"
@@ -193,7 +189,6 @@ def rights(session: Session) -> Iterator[str]:
         if listing.acts:
             acts = join_first(listing.acts, _NAMED)
             yield f"  {SessionCheckText.MAY_ACT(peer=listing.peer, names=acts)}"
-    yield from _leaves(session)
     if session.role == "client":
         yield f"  {SessionCheckText.SERVER_MAY_STOP()}"
     if session.shutdown_topic is not None:
@@ -207,16 +202,6 @@ def hints(session: Session) -> Iterator[str]:
     if old := tuple(dict.fromkeys(without_max_age(session))):
         names = join_first(old, _NAMED)
         yield f"  hint: a late command may move a robot when the network recovers: set max_age: 0.5 on {names}"
-
-
-def _leaves(session: Session) -> Iterator[str]:
-    """Yield the peers that may measure the link, with their limits."""
-    clients = session.accepted_clients if session.role == "server" else ()
-    holders = [(client.name, client.bench) for client in clients] or [("the server", session.bench)]
-    for name, leave in holders:
-        if leave is not None:
-            limits = {"seconds": leave.seconds, "rate": leave.max_rate, "megabytes": leave.megabytes}
-            yield f"  {SessionCheckText.MAY_MEASURE(peer=name, **limits)}"
 
 
 def _domain(session: Session) -> str:

@@ -19,21 +19,21 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import keep_output_clean
-from rsb_console.bench.results import BenchError
-from rsb_console.bench.simulated_fleet import WITH_BATTERY, fleet, listening
 from rsb_console.command.headless import Signals, bridge_until_told
 from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_error, print_line
 from rsb_console.fleet.fleet import Memory, RobotFleet
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet.zenoh_source import ZenohFleet
 from rsb_console.session.demo_session import SimulatedPart, need_ros, own_domain, running_demo
+from rsb_console.simulated.processes import ProcessError
+from rsb_console.simulated.simulated_fleet import WITH_BATTERY, fleet, listening
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from rsb_console.bench.simulated_fleet import SimulatedFleet as Simulated
     from rsb_console.fleet.fleet import FleetSource, Robot
     from rsb_console.session.demo_session import Demo
+    from rsb_console.simulated.simulated_fleet import SimulatedFleet as Simulated
 
 GROUPS = ("hall", "yard")
 # Seconds, for a busy machine. On a quiet one, the topics of ten robots flow after 3.6 s (bench/README.md, A fleet).
@@ -127,7 +127,7 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
             if ui:
                 return _on_screen(running, signals)
             return _fleet_headless(running, signals, seconds)
-    except (BenchError, EngineError) as error:
+    except (EngineError, ProcessError) as error:
         print_error(str(error))
         return FAILURE
 

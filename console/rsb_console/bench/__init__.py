@@ -1,1 +1,0 @@
-"""Benchmarks and simulated fleets: what ``rsb-console bench`` and ``demo --fleet`` run, and bench/ builds on."""

@@ -1,0 +1,1 @@
+"""Simulated fleets: what ``rsb-console demo --fleet`` runs, and bench/ builds on."""

@@ -1,0 +1,8 @@
+"""Names of the benchmark that its tests read or replace (`tests.support.places`)."""
+
+from __future__ import annotations
+
+from tests.support.places import Place
+
+BENCH_LATE = Place("rsb_extras.bench.bench_ends", "_LATE_SECONDS")
+BENCH_QUIET = Place("rsb_extras.bench.link_bench", "_QUIET")

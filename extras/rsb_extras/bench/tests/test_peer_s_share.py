@@ -1,0 +1,164 @@
+"""Limits of a peer that measures, and of one with arbitrary answers."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
+
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.internal_ends import InternalEnds
+from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_extras.bench import LIMITS, BenchmarkLimits
+from rsb_extras.bench.benchmark import BENCH, BenchmarkStep
+from rsb_extras.bench.link_bench import BenchAnswer, BenchAsk, LinkBench
+
+if TYPE_CHECKING:
+    import pytest
+
+    from rsb_bridge.link.base_link import BaseLink
+    from rsb_bridge.link.route_table import RouteTable
+    from rsb_bridge.route.route import Route
+
+UP, DOWN = BENCH.route_name("tcp", "transmit"), BENCH.route_name("tcp", "receive")
+PEER = "robot1"
+
+
+class Here:
+    """This side of a link to a peer that may send 100 messages a second, for 10 s and 1 MB."""
+
+    def __init__(self) -> None:
+        self.time = 0.0
+        self.ends = InternalEnds[Any, Any](BENCH)
+        self.denied: list[str] = []
+        self.answers: list[BenchAnswer] = []
+        loop = SimpleNamespace(call_soon=lambda work: work())
+        self.routes: dict[str, Any] = {}
+        ids = SimpleNamespace(open_route=lambda number: list(self.routes.values())[number])
+        table = SimpleNamespace(deny=lambda _, reason: self.denied.append(reason))
+        context = SimpleNamespace(internal={BENCH.name: self.ends}, clock=Clock(), now=lambda: self.time, loop=loop)
+        link = SimpleNamespace(
+            context=context,
+            routes=self.routes,
+            ids=ids,
+            linked=True,
+            carriers=set,
+            name=PEER,
+            send=self.answers.append,
+            spawn=asyncio.run,
+            rights=SimpleNamespace(
+                features={LIMITS.name: BenchmarkLimits(seconds=10.0, max_rate=100.0, megabytes=1.0)}
+            ),
+        )
+        self.bench = LinkBench(cast("BaseLink", link), cast("RouteTable", table))
+
+    def open(self, topic: str) -> Any:
+        """The peer opens a route, which takes the place of another of its name."""
+        route = SimpleNamespace(key=topic, local_topic=topic, purpose=BENCH, proposed_here=False, id=1, refusal="")
+        self.routes[topic] = route
+        return self.ends.advertise(TopicSpec(topic, "", "", Qos()), PEER)
+
+    @property
+    def own(self) -> set[Any]:
+        """The messages that the peer was asked for."""
+        return self.bench._own
+
+    def ask(self, **wanted: Any) -> BenchAnswer:
+        self.bench.messages[BenchAsk](BenchAsk(1, 0, **wanted))
+        return self.answers.pop()
+
+    def second(self) -> None:
+        self.time += 1.0
+        self.bench.tick()
+
+
+def publish(drain: Any, messages: int, size: int = 100) -> None:
+    for _ in range(messages):
+        drain.publish(bytes(size))
+
+
+def test_a_peer_that_has_it_counted_from_0_again_is_held_to_its_leave() -> None:
+    here = Here()
+    drain = here.open(UP)
+    publish(drain, 500)
+    here.ask(reset=True)
+    here.second()
+    assert "100 messages a second" in here.denied[0]
+
+
+def test_a_peer_that_opens_its_topic_again_and_again_is_held_to_its_leave() -> None:
+    here = Here()
+    for _ in range(6):
+        drain = here.open(UP)
+        publish(drain, 10, 20_000)
+        drain.close()
+        del here.routes[UP]
+        here.open(UP)
+        here.second()
+    assert "1 MB" in here.denied[0]
+
+
+def test_the_rate_is_of_all_topics_together() -> None:
+    here = Here()
+    for drain in [here.open(BENCH.route_name("tcp", str(number))) for number in range(5)]:
+        publish(drain, 90)
+    here.second()
+    assert "100 messages a second" in here.denied[0]
+
+
+def test_what_the_peer_was_asked_to_send_is_not_charged_to_it() -> None:
+    here = Here()
+    drain = here.open(DOWN)
+    here.own.add(drain)
+    publish(drain, 500, 20_000)
+    here.second()
+    assert not here.denied
+    drain.close()
+    here.second()
+    assert not here.own
+
+
+def test_one_run_at_a_time_whatever_the_topics() -> None:
+    here = Here()
+    sources = []
+    for topic in (DOWN, BENCH.route_name("udp", "receive")):
+        here.routes[topic] = SimpleNamespace(local_topic=topic, purpose=BENCH, proposed_here=False)
+        sources.append(here.ends.subscribe(TopicSpec(topic, "", "", Qos()), lambda _: None, PEER))
+    try:
+        cast("Any", sources[1]).start(100, 10.0, 50)
+        assert "still being sent" in here.ask(size=100, rate=10.0, count=5).problem
+    finally:
+        for source in sources:
+            source.close()
+
+
+def test_a_peer_whose_count_goes_on_growing_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, received = Here(), 0
+
+    async def sleep(seconds: float) -> None:
+        here.time += seconds
+
+    async def ask(*_: object, **__: Any) -> BenchAnswer:
+        nonlocal received
+        received += 1
+        assert here.time < 60.0
+        return BenchAnswer(1, received=received)
+
+    monkeypatch.setattr(asyncio, "sleep", sleep)
+    monkeypatch.setattr(here.bench, "_ask", ask)
+    order = BenchmarkStep("run", PEER, "tcp", "transmit", 100, 100_000.0, 1_000_000)
+    assert asyncio.run(here.bench._settled_there(cast("Route", None), 1, order)).received == received
+
+
+def test_no_message_of_any_size_beyond_the_limit_is_taken() -> None:
+    here = Here()
+    drain = here.open(UP)
+    publish(drain, 10, 100_000)
+    assert not here.denied
+    publish(drain, 1, 1)
+    assert here.denied
+    assert (drain.messages, drain.bytes) == (10, 1_000_000)
+    here.time += 3600.0
+    publish(here.open(UP), 1, 900_000)
+    assert not here.bench.refusal(UP)

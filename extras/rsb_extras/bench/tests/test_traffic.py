@@ -1,0 +1,47 @@
+"""The messages of a benchmark on this machine."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support import surroundings
+
+from rsb_bridge.cdr.known_types import made_at, stamped_string
+from rsb_extras.bench import measured_stream
+from rsb_extras.bench.measured_stream import Arrivals
+
+
+def test_what_an_earlier_run_has_left_does_not_count_for_the_next() -> None:
+    arrivals, late = Arrivals(), stamped_string(100)
+    arrivals.add(late)
+    assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
+    arrivals.reset()
+    arrivals.add(late)
+    arrivals.add(stamped_string(100))
+    assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
+
+
+class _Publishing:
+    """A node whose publishers keep what they publish."""
+
+    def __init__(self) -> None:
+        self.published: list[bytes] = []
+
+    def create_publisher(self, *_: object) -> _Publishing:
+        return self
+
+    @property
+    def handle(self) -> _Publishing:
+        return self
+
+    def publish_raw(self, message: bytes) -> None:
+        self.published.append(message)
+
+
+@pytest.mark.parametrize("rate", [100_000, 1_000_000])
+def test_each_message_has_a_stamp_of_its_own_at_every_rate(rate: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    surroundings.set_stdin(monkeypatch, f"send {rate} 1000 2500\n")
+    node = _Publishing()
+    measured_stream.talk(node, ["/topic"])
+    stamps = [made_at(message) for message in node.published]
+    assert len(set(stamps)) == len(stamps) == 1000
+    assert stamps == sorted(stamps)
