@@ -161,7 +161,7 @@ def attached_to(server: ControlServer) -> set[AttachedConsole]:
 
 def bytes_for(console: AttachedConsole) -> int:
     """Return how many bytes wait until a console takes them."""
-    return console._buffered
+    return console._connection.buffered
 
 
 def is_sending(console: AttachedConsole) -> bool:

@@ -54,7 +54,10 @@ class _DatagramChannel:
 
 
 class DatagramSender(_DatagramChannel, SendingEnd):
-    """The sending end. A message that has begun is sent whole, unless its beginning was written off."""
+    """The sending end, a `DatagramSource`.
+
+    A message that has begun is sent whole, unless its beginning was written off.
+    """
 
     via: DatagramCarrier
 
@@ -175,7 +178,6 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         super().close(reason)
 
     def receipt(self, arrived: Arrived, buffer: int) -> None:
-        """See `DatagramSource.receipt`."""
         # A peer may claim more than was sent.
         newest = min(arrived.newest, self._codec.sequence - 1)
         opened = min(arrived.opened, newest + 1)
@@ -194,11 +196,9 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         self._counted, self._missing = counted, missing
 
     def written_off(self) -> None:
-        """See `DatagramSource.written_off`."""
         self._count(self._codec.sequence, self._missing)
 
     def given_up(self) -> None:
-        """See `DatagramSource.given_up`."""
         self._cut, self._at = None, 0
 
     @property
@@ -212,7 +212,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
 
 
 class DatagramReceiver(_DatagramChannel):
-    """The receiving end."""
+    """The receiving end, a `DatagramSink`."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramReader) -> None:
         super().__init__(udp_channel, route)
@@ -228,7 +228,6 @@ class DatagramReceiver(_DatagramChannel):
         super().close(reason)
 
     def received(self, datagrams: Sequence[Buffer], now: float) -> bool:
-        """See `DatagramSink.received`."""
         receive = self._codec.receive
         whole: list[Message] = []
         for datagram in datagrams:
@@ -249,7 +248,6 @@ class DatagramReceiver(_DatagramChannel):
         return True
 
     def news(self) -> Arrived | None:
-        """See `DatagramSink.news`."""
         codec = self._codec
         if codec.opened == self._told:
             return None

@@ -193,7 +193,6 @@ class UdpChannel:
         return self._carrier
 
     def written_off(self) -> None:
-        """See `rsb_bridge.channel.datagram_carrier.Datagrams`, and so for `given_up`."""
         for sender in self.senders.values():
             sender.written_off()
 

@@ -140,7 +140,6 @@ class TicketClock:
         self._first = secrets.randbits(40) - int(steady() * 1e3)
 
     def issue(self) -> int:
-        """Return a ticket."""
         return self._first + int(self._steady() * 1e3)
 
     def age(self, ticket: int) -> float:
@@ -186,9 +185,6 @@ class AttachedConsole:
         """The engine's answers to these commands that are still to come, by the requests' ids."""
         self._tickets = TicketClock()
         self._has_armed = False
-        self._born = self._taken_at = self._loop.time()
-        self._waiting = 0
-
         self._tasks.spawn(self._tick())
 
     def received(self, data: bytes) -> None:
@@ -218,11 +214,10 @@ class AttachedConsole:
         if self._connection.closing:
             return
         self._connection.write(protocol.encode(message))
-        if self._buffered > _WAITING_BYTES + protocol.TO_CONSOLE_LIMIT:
+        if self._connection.buffered > _WAITING_BYTES + protocol.TO_CONSOLE_LIMIT:
             self.abort()
 
     def abort(self) -> None:
-        """Close the connection, and forget what waits for it."""
         self._connection.abort()
 
     def end(self, reason: str) -> None:
@@ -231,10 +226,6 @@ class AttachedConsole:
             pass
         self.send(protocol.Goodbye(reason))
         self._connection.close()
-
-    @property
-    def _buffered(self) -> int:
-        return self._connection.buffered
 
     # --- messages from it
 
@@ -330,7 +321,7 @@ class AttachedConsole:
         if (
             request.command.right in (Right.CHANGE, Right.TAKE)
             and self._sender.sent is not None
-            and self._buffered == 0
+            and self._connection.buffered == 0
         ):
             await self._send_state()  # before the reply: the operator wants to see the effect
         self.send(msgspec.structs.replace(reply, ticket=self._tickets.issue()))
@@ -343,28 +334,25 @@ class AttachedConsole:
     # --- messages to it
 
     async def _tick(self) -> None:
-        """Send what is new, four times a second, for ever."""
+        """Send what is new, four times a second, for ever; give up on a console that is silent or takes nothing."""
+        born = taken_at = self._loop.time()
+        before = 0
         while True:
             await asyncio.sleep(_TICK)
-            await self._send_news()
-
-    async def _send_news(self) -> None:
-        """Unless something still waits to be taken; give up on a console that takes nothing."""
-        now = self._loop.time()
-        if not self._welcomed:
-            if now - self._born > _HELLO_WITHIN:
+            now, waiting = self._loop.time(), self._connection.buffered
+            if not self._welcomed:
+                if now - born > _HELLO_WITHIN:
+                    self.abort()
+                continue
+            if waiting == 0 or waiting != before:
+                taken_at = now
+            before = waiting
+            if now - taken_at > _STALLED_FOR:
                 self.abort()
-            return
-        waiting = self._buffered
-        if waiting == 0 or waiting != self._waiting:
-            self._taken_at = now
-        self._waiting = waiting
-        if now - self._taken_at > _STALLED_FOR:
-            self.abort()
-        elif waiting == 0:
-            self._follow()
-            self._send_summary()
-            await self._show()
+            elif waiting == 0:
+                self._follow()
+                self._send_summary()
+                await self._show()
 
     def _follow(self) -> None:
         """Send the next events, as many as take `_EVENTS_TAKE`, once the console has the last ones."""
@@ -375,7 +363,7 @@ class AttachedConsole:
 
     def _send_events(self, most: int) -> bool:
         """Send the next events; return whether there were any."""
-        events = [] if self._after is None or self._buffered else self._engine.events(self._after)[:most]
+        events = [] if self._after is None or self._connection.buffered else self._engine.events(self._after)[:most]
         if events:
             self._after, self._has_events = events[-1].number, False
             self._events_sent, self._events_sent_at = len(events), self._loop.time()
@@ -394,7 +382,7 @@ class AttachedConsole:
 
     async def _show(self) -> None:
         """Send the state if it is a new one; or if it has been looked for long enough to wonder what is wrong."""
-        if not self._looking or self._buffered:
+        if not self._looking or self._connection.buffered:
             return
         is_new = self._engine.snapshot() is not self._sender.sent
         if is_new or self._loop.time() - self._looked_at > _ANSWERED_WITHIN:

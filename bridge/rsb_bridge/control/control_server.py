@@ -70,7 +70,6 @@ class ControlServer:
         self._thread = threading.Thread(target=self._run, name="rsb-control", daemon=True)
 
     def start(self) -> None:
-        """Begin to serve."""
         ready = threading.Event()
         self._ready = ready
         self._thread.start()
@@ -167,7 +166,11 @@ class ControlServer:
             writer.transport.abort()
             return
         _, uid, _ = peer_of(writer.get_extra_info("socket"))
-        console = AttachedConsole(self, _OfThisMachine(writer), self.full() if may_control(uid) else _not_yours())
+        refusal = self.full()
+        if not may_control(uid):
+            own = os.geteuid()
+            refusal = f"this bridge runs as {user_name(own)}; only that user and root may control it: {run_as(own)}"
+        console = AttachedConsole(self, _OfThisMachine(writer), refusal)
         self.add(console)
         try:
             while data := await reader.read(_READ_SIZE):
@@ -177,12 +180,6 @@ class ControlServer:
         finally:
             self.remove(console)
             console.abort()
-
-
-def _not_yours() -> str:
-    """Return why a console of another user is refused."""
-    uid = os.geteuid()
-    return f"this bridge runs as {user_name(uid)}; only that user and root may control it: {run_as(uid)}"
 
 
 class _OfThisMachine:

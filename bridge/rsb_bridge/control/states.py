@@ -63,7 +63,6 @@ class EncodedRoutes:
         self._encoded: dict[str, tuple[RouteSnapshot, msgspec.Raw]] = {}
 
     def of(self, route: RouteSnapshot) -> msgspec.Raw:
-        """Return a route, encoded."""
         known = self._encoded.get(route.key)
         # Snapshots are immutable: the same object has not changed.
         if known is not None and known[0] is route:

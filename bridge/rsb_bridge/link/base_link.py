@@ -404,7 +404,6 @@ class BaseLink(ABC):
         self.destroy_routes()
 
     def destroy_routes(self) -> None:
-        """End all routes for good."""
         for route in self.routes.values():
             route.destroy()
         self.routes.clear()
@@ -472,7 +471,6 @@ class BaseLink(ABC):
         self.extensions.tick()
 
     def carriers(self) -> set[ChannelCarrier]:
-        """Return all carriers of the present connection's bytes."""
         return self.channels.carriers(self.control) if self.control is not None else set()
 
     def log_of_peer(self, level: Level, code: StrEnum, text: str, *, link_status: bool = False) -> None:

@@ -221,7 +221,6 @@ class ProvenServer:
         return established, more
 
     def give_up(self) -> None:
-        """Leave the server."""
         self.stream.abort("not accepted")
 
 

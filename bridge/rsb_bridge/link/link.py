@@ -321,7 +321,6 @@ class Link(BaseLink):
         return sources_of_entries(self.listed_topics(), self.name, on_server=not self.is_client, use_name=use_name)
 
     def apply_demands(self) -> None:
-        """Reopen the routes whose demands have changed."""
         self.table.apply_demands()
 
     def demand_dropped(self, source: DemandSource) -> None:
@@ -331,7 +330,6 @@ class Link(BaseLink):
     # --- snapshots
 
     def snapshot(self) -> LinkSnapshot:
-        """Return the link as it is now."""
         now = self.context.now()
         traffic, keys, peer = self.traffic, self.keys, self.peer
         clock = self.clock if self.linked else ClockOffset()  # figures of a dead connection are out of date

@@ -280,7 +280,6 @@ class LinkPatterns(Extension):
         return same and route.proposed_here and entry.matches_client(route.spec.topic)
 
     def has_made(self, route: Route, topic: Topic) -> bool:
-        """Whether a pattern has made a route."""
         return bool(route.pattern) and _identity_of(route) == topic.identity
 
     def key_of(self, topic: Topic) -> str:

@@ -140,14 +140,12 @@ class Server:
         self._pending.close()
 
     def tick(self) -> None:
-        """Do the regular work once a second."""
         self._pending.tick()
         self.refused_clients.tick()
 
     # --- other clients than before
 
     def add_client(self, entry: ClientEntry) -> None:
-        """Accept one more client."""
         self.entries[entry.client.name] = entry
         self.refused_clients.forget(entry.client.name)
         self._add_link(entry)
@@ -191,7 +189,6 @@ class Server:
     # --- inbound connections
 
     def connection(self) -> ServerConnection:
-        """Return the state machine for an inbound stream."""
         return ServerConnection(self.credential, self._welcome, self._aes, multiplexed=self._transport.multiplexed)
 
     def credential(self, name: str) -> Credential:

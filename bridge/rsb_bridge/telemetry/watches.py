@@ -116,8 +116,12 @@ class StopWatch:
             if publishers == self._publishers:  # else the publisher died, and was started again
                 self._longest_pause = max(self._longest_pause, min(last - self.since, _LONGEST_LEARNED))
             self.since = None
-        # Before `_publishers` is replaced: a new publisher is not in it.
-        self._take_new(last, now, publishers)
+        if last > self._came_at:
+            self.new = frozenset()
+        known = publishers if self._publishers is None else self._publishers | self.new
+        if publishers - known:
+            self.new |= publishers - known
+            self._came_at = now
         # While the topic has stopped, the publishers from before stay: the message that ends this tells by them whether
         # they have paused, or others have taken over.
         if self.since is None and publishers != self._publishers:
@@ -126,14 +130,6 @@ class StopWatch:
         self.quiet = waited > max(_STOPPED_AFTER, _STOPPED_PERIODS / expected)
         if self.quiet and self.since is None and (promised or waited > _PAUSES * self._longest_pause):
             self.since = last
-
-    def _take_new(self, last: float, now: float, publishers: frozenset[bytes]) -> None:
-        if last > self._came_at:
-            self.new = frozenset()
-        known = publishers if self._publishers is None else self._publishers | self.new
-        if publishers - known:
-            self.new |= publishers - known
-            self._came_at = now
 
     def reset(self) -> None:
         """Start over: messages cannot flow now."""
@@ -281,7 +277,6 @@ class LossWatch:
         return self._since_loss * max(loss.share, LOSSY_ABOVE) >= _EXPECTED_LOSSES
 
     def reset(self) -> None:
-        """Start over."""
         self.loss = None
         self._few = self._lossless = self._since_loss = 0
         self._row.clear()

@@ -66,12 +66,7 @@ Received: TypeAlias = Callable[[DatagramSocket, Datagrams], None]
 
 
 class UdpSocket:
-    """A bound or connected UDP socket.
-
-    Attributes:
-        when_writable: called when the socket was congested and takes more again.
-        congested: whether datagrams wait for the kernel.
-    """
+    """A `DatagramSocket` of the kernel's, bound or connected."""
 
     def __init__(self, sock: socket.socket, received: Received) -> None:
         sock.setblocking(False)
@@ -93,12 +88,11 @@ class UdpSocket:
 
     @property
     def port(self) -> int:
-        """The local port."""
         return int(self._sock.getsockname()[1])
 
     @property
     def receive_buffer(self) -> int:
-        """See `DatagramSocket.receive_buffer`; what the kernel has not granted is asked for again."""
+        """As granted now: what the kernel has not granted is asked for again."""
         granted = granted_receive_buffer(self._sock)
         if granted < RECEIVE_BUFFER:
             _enlarge(self._sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)
@@ -106,7 +100,6 @@ class UdpSocket:
         return granted
 
     def arrived_at(self) -> float:
-        """See `DatagramSocket.arrived_at`."""
         now = self._loop.time()
         try:
             seconds, nanoseconds = _TIMESPEC.unpack(fcntl.ioctl(self._sock, _SIOCGSTAMPNS, bytes(_TIMESPEC.size)))
@@ -116,7 +109,7 @@ class UdpSocket:
         return now - max(0.0, waited)
 
     def path(self, source: str, address: Address) -> SendPath:
-        """See `DatagramSocket.path`; the kernel alone might choose another source (IP_PKTINFO, IPV6_PKTINFO)."""
+        """Name the source (IP_PKTINFO, IPV6_PKTINFO): the kernel alone might choose another."""
         if len(address) == 4:
             content = struct.pack("=16sI", socket.inet_pton(socket.AF_INET6, source), 0)
             return SendPath(address, [(socket.IPPROTO_IPV6, socket.IPV6_PKTINFO, content)])
@@ -124,7 +117,6 @@ class UdpSocket:
         return SendPath(address, [(socket.IPPROTO_IP, _IP_PKTINFO, content)])
 
     def send(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
-        """See `DatagramSocket.send`."""
         if self.congested:
             if self.waiting_bytes < _BACKLOG_LIMIT:
                 self._wait(datagrams, path)
@@ -140,7 +132,7 @@ class UdpSocket:
         self.waiting_bytes += sum(map(len, datagrams))
 
     def datagram_size(self, address: Address) -> int:
-        """See `DatagramSocket.datagram_size`; without IP fragmentation, as far as the kernel knows."""
+        """Return what crosses without IP fragmentation, as far as the kernel knows."""
         now = self._loop.time()
         size, until = self._sizes.get(address, (0, 0.0))
         if now >= until:
@@ -151,7 +143,6 @@ class UdpSocket:
         return size
 
     def close(self) -> None:
-        """Close it; what waits is lost."""
         # Before the socket: its number may be another one's as soon as it is closed.
         self._loop.remove_reader(self._sock)
         self._loop.remove_writer(self._sock)
