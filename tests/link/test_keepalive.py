@@ -11,6 +11,7 @@ from tests.support.virtual_time import set_clock
 
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.link import LinkTraffic
+from rsb_bridge.model.transports import LinkProfile
 from rsb_bridge.wire.messages import Pong
 
 if TYPE_CHECKING:
@@ -33,30 +34,44 @@ class Carrier:
         self.received_bytes += size
 
 
+class Link:
+    """A link with these carriers, which notes when its connection is silent."""
+
+    def __init__(self, context: Context, *carriers: Any, patience: float | None = None) -> None:
+        self.context = context
+        self.profile = LinkProfile(patience=patience)
+        self.ended: list[float] = []
+        self._carriers = carriers
+
+    def carriers(self) -> tuple[Any, ...]:
+        return self._carriers
+
+    def silent(self) -> None:
+        self.ended.append(self.context.loop.time())
+
+
 def wait(loop: VirtualLoop, seconds: float) -> None:
     loop.run_until_complete(asyncio.sleep(seconds))
 
 
 def test_a_peer_is_given_up_five_seconds_after_its_last_byte(loop: VirtualLoop, context: Context) -> None:
-    carriers: list[Any] = [Carrier(loop), Carrier(loop)]
-    silent: list[float] = []
-    keepalive = Keepalive(context, lambda: carriers)
-    keepalive.watch(carriers[1], lambda: silent.append(loop.time()))
+    control: Any = Carrier(loop)
+    link = Link(context, Carrier(loop), control)
+    Keepalive(link, control)
     for _ in range(1000):
         wait(loop, 0.9)
-        carriers[1].receive(1)
+        control.receive(1)
     last = loop.time()
     wait(loop, 60.0)
-    assert silent == [pytest.approx(last + 5.0)]
+    assert link.ended == [pytest.approx(last + 5.0)]
 
 
 def test_silent_control_connection_ends_link(loop: VirtualLoop, context: Context) -> None:
     """Something holds it, while datagrams pass."""
     control: Any = Carrier(loop)
     datagrams: Any = Carrier(loop)
-    silent: list[float] = []
-    keepalive = Keepalive(context, lambda: [control, datagrams])
-    keepalive.watch(control, lambda: silent.append(loop.time()))
+    link = Link(context, control, datagrams)
+    keepalive = Keepalive(link, control)
     wait(loop, 3.0)
     control.receive(1)
     last = loop.time()
@@ -64,7 +79,7 @@ def test_silent_control_connection_ends_link(loop: VirtualLoop, context: Context
         assert keepalive.control_is_silent == (keepalive.control_quiet > 5.0)
         datagrams.receive(1)
         wait(loop, 0.7)
-    assert silent == [pytest.approx(last + 10.0)]
+    assert link.ended == [pytest.approx(last + 10.0)]
 
 
 def test_a_peer_is_given_up_with_any_rounding_of_the_clock(
@@ -73,23 +88,21 @@ def test_a_peer_is_given_up_with_any_rounding_of_the_clock(
     """The rest of five seconds can be too little to move the clock."""
     for number in range(300):
         wait(loop, 0.1 + number / 7)
-        silent: list[float] = []
         control: Any = Carrier(loop)
-        keepalive = Keepalive(make_context(), list)
-        keepalive.watch(control, lambda silent=silent: silent.append(loop.time()))  # type: ignore[misc]
+        link = Link(make_context())
+        Keepalive(link, control)
         wait(loop, 5.1)
-        assert len(silent) == 1
+        assert len(link.ended) == 1
 
 
 def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, context: Context) -> None:
-    silent: list[float] = []
     control: Any = Carrier(loop)
-    keepalive = Keepalive(context, list)
-    keepalive.watch(control, lambda: silent.append(loop.time()))
+    link = Link(context)
+    keepalive = Keepalive(link, control)
     wait(loop, 3.0)
     keepalive.stop()
     wait(loop, 60.0)
-    assert silent == []
+    assert link.ended == []
 
 
 @pytest.mark.parametrize("late", [0.0, 0.25, 2.4])
@@ -106,19 +119,18 @@ def test_a_tick_that_comes_late_makes_no_rate_high(late: float, loop: VirtualLoo
 
 
 def test_a_profile_s_patience(loop: VirtualLoop, context: Context) -> None:
-    silent: list[float] = []
-    keepalive = Keepalive(context, list, patience=15.0)
+    link = Link(context, patience=15.0)
     began = loop.time()
     control: Any = Carrier(loop)
-    keepalive.watch(control, lambda: silent.append(loop.time()))
+    Keepalive(link, control)
     wait(loop, 60.0)
-    assert silent == [pytest.approx(began + 15.0)]
+    assert link.ended == [pytest.approx(began + 15.0)]
 
 
 @pytest.mark.parametrize("step", [0, -5])
 def test_how_long_a_ping_takes(step: int, loop: VirtualLoop, context: Context) -> None:
     """The last answer's time, or how long the oldest ping has waited for one, though a clock is set meanwhile."""
-    keepalive = Keepalive(context, list)
+    keepalive = Keepalive(Link(context))
     assert keepalive.round_trip is None
     ping = keepalive.tick()
     wait(loop, 0.3)

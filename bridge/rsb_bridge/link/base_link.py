@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.link.data_channels import DataChannels
@@ -233,7 +232,7 @@ class BaseLink(ABC):
         self._tasks = Tasks(context.loop, self.fail)
         self.extensions = Extensions()
         self.route_fields, self.meter_of = self.extensions.route_fields, self.extensions.meter_of
-        self.keepalive = Keepalive(context, self.carriers)
+        self.keepalive = Keepalive(self)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self._channels: DataChannels | None = None
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
@@ -354,9 +353,8 @@ class BaseLink(ABC):
         self._is_silent = False
         self.connections += 1
         self.linked_at = self.context.now()
-        self.keepalive = Keepalive(self.context, self.carriers, self.profile.patience)
+        self.keepalive = Keepalive(self, control.stream)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
-        self.keepalive.watch(control.stream, partial(self._silent, control))
         self.status.up(self.context.clock.steady())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = (
@@ -366,7 +364,11 @@ class BaseLink(ABC):
         self.send(self.keepalive.ping())  # the age of messages is unknown until it is answered
         self.extensions.connected(peer.features)
 
-    def _silent(self, control: ControlChannel) -> None:
+    def silent(self) -> None:
+        """End the connection: nothing has come for as long as the patience lasts."""
+        control = self.control
+        if control is None:
+            return
         self._is_silent = True
         quiet, alone = self.keepalive.quiet, self.keepalive.control_quiet
         if alone < 2 * quiet:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.telemetry.meters import ClockOffset
@@ -11,10 +11,11 @@ from rsb_bridge.wire.messages import Ping, Pong
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Collection
+    from collections.abc import Collection
 
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.context import Context
+    from rsb_bridge.model.transports import LinkProfile
 
 ChannelCarrier: TypeAlias = "Stream | UdpChannel"
 """Carries bytes of a connection, and counts them."""
@@ -28,8 +29,27 @@ _UNANSWERED = 600  # pings that are remembered: ten minutes' worth. Later answer
 _ANSWERS, _ANSWERS_A_SECOND = 10, 4.0  # a peer pings once a second; after a pause of its process, several times at once
 
 
+class PingedLink(Protocol):
+    """The link whose connection is kept alive (`rsb_bridge.link.base_link.BaseLink`)."""
+
+    context: Context
+
+    @property
+    def profile(self) -> LinkProfile:
+        """The profile of its network, which says how patient it is."""
+
+    def carriers(self) -> Collection[ChannelCarrier]:
+        """Return the present carriers of the connection's bytes."""
+
+    def silent(self) -> None:
+        """End the connection: nothing has come for as long as the patience lasts."""
+
+
 class Keepalive:
-    """One connection's pings.
+    """One connection's pings, or the figures of none yet.
+
+    A connection is silent after `DEAD_AFTER` without a byte, or what its profile says instead. If only its control
+    connection is silent, it is after twice as long.
 
     Attributes:
         answered_pings: number of the newest answered ping.
@@ -38,30 +58,24 @@ class Keepalive:
         stamps: offset of the clock by which the peer stamps messages, and which nobody sets.
     """
 
-    def __init__(
-        self, context: Context, carriers: Callable[[], Collection[ChannelCarrier]], patience: float | None = None
-    ) -> None:
-        """Measure from now on.
-
-        Args:
-            carriers: gives the present carriers of the connection's bytes.
-            patience: seconds without a byte after which the connection is given up, or None for `DEAD_AFTER`. If only
-                its control connection is silent, it is given up after twice as long.
-        """
+    def __init__(self, link: PingedLink, control: ChannelCarrier | None = None) -> None:
+        """Measure from now on; with a control connection, also look for silence, until `stop`."""
+        context = link.context
         self.clock = ClockOffset()
         self.stamps = ClockOffset()
         self._sent_at: dict[int, int] = {}  # ns by the clock of stamps, by the ping's number
         self._context = context
-        self._carriers = carriers
-        self._patience = patience
+        self._link = link
+        self._patience = None if control is None else link.profile.patience
         self._began = context.now()
         self._pings = self.answered_pings = 0
         self._pinged_at = self._began
         self.ping_delay = 0.0
         self._answers = TokenBucket(_ANSWERS, _ANSWERS_A_SECOND, self._began)
-        self._on_silence: Callable[[], None] | None = None
-        self._control: ChannelCarrier | None = None
+        self._control = control
         self._watchdog: asyncio.TimerHandle | None = None
+        if control is not None:
+            self._watch_silence(control)
 
     @property
     def quiet(self) -> float:
@@ -80,7 +94,7 @@ class Keepalive:
 
     @property
     def _heard(self) -> float:
-        return max((each.received_at for each in self._carriers()), default=self._began)
+        return max((each.received_at for each in self._link.carriers()), default=self._began)
 
     @property
     def round_trip(self) -> float | None:
@@ -96,31 +110,23 @@ class Keepalive:
         unanswered = self._pings - self.answered_pings  # one a second
         return self._context.now() - self._pinged_at + unanswered - 1 if unanswered else 0.0
 
-    def watch(self, control: ChannelCarrier, on_silence: Callable[[], None]) -> None:
-        """Call a function once the peer has been silent for as long as the patience lasts, until `stop`."""
-        self._control, self._on_silence = control, on_silence
-        self._watch_silence()
-
     def stop(self) -> None:
-        self._on_silence = None
         if self._watchdog is not None:
             self._watchdog.cancel()
 
-    def _watch_silence(self) -> None:
-        if self._on_silence is None or self._control is None:
-            return
+    def _watch_silence(self, control: ChannelCarrier) -> None:
         # What acknowledges and passes nothing on may hold the connections, while datagrams pass.
         patience = DEAD_AFTER if self._patience is None else self._patience
         # The time of the silence, not the seconds until then: these could be too few for the clock to move.
-        silent_at = min(self._heard + patience, self._control.received_at + _ALONE * patience)
+        silent_at = min(self._heard + patience, control.received_at + _ALONE * patience)
         if self._context.now() < silent_at:
-            self._watchdog = self._context.loop.call_at(silent_at, self._watch_silence)
+            self._watchdog = self._context.loop.call_at(silent_at, self._watch_silence, control)
         else:
-            self._on_silence()
+            self._link.silent()
 
     def tick(self) -> Ping:
         """Tell the kernel what is known of the peer, once a second, and return the ping to send."""
-        for each in self._carriers():
+        for each in self._link.carriers():
             if isinstance(each, Stream):
                 if self._patience is not None:  # each second, as streams come and go; a repetition costs nothing
                     each.give_up_after(self._patience + _KERNELS)
