@@ -32,6 +32,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
+    from rsb_bridge.wire.messages import Amend
 
 TRANSPORTS = default_transports()
 SESSIONS = {
@@ -143,11 +144,21 @@ VALUES: dict[str, Any] = {
 
 @pytest.mark.parametrize("key", sorted(TOPIC_KEYS.keys() & set(Propose.__struct_fields__)))
 def test_the_peer_is_told_each_key_that_a_proposal_has(key: str) -> None:
-    """A key that is added to the session and to the message crosses without a line of its own."""
+    """A key that is added to the session and to the message needs a line in `proposal_of` and in `topic_of`."""
     value = VALUES.get(key, True if TOPIC_KEYS[key].value == "switch" else 7)
     topic = Topic(**{"topic": "/a", "direction": "transmit", "arm": True, key: value})
     received = topic_of(cast("Propose", decode(encode(proposed(topic)))))
     assert getattr(received, key) == value
+
+
+@pytest.mark.parametrize("key", sorted(name for name, key in TOPIC_KEYS.items() if key.live))
+def test_a_live_key_changes_while_the_route_is_open(key: str) -> None:
+    before = Topic("/a", "transmit")
+    after = msgspec.structs.replace(before, **{key: VALUES.get(key, 7)})
+    assert same_route(proposed(before), proposed(after))
+    change = decode(encode(amendment(proposed(after), 1)))
+    assert amended(proposed(before), cast("Amend", change)) == proposed(after)
+    assert amended_topic(before, proposed(after)) == after
 
 
 def test_a_newer_side_s_ranks_count_as_the_nearest_word() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
@@ -20,7 +20,6 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.purposes import TOPIC, Purpose, purposes
 from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import NO_PROFILE, compression_of
 from rsb_bridge.route.route import route_key
 from rsb_bridge.wire.messages import Amend, Propose
@@ -40,18 +39,6 @@ KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 """The kinds that this version knows, by their names on the wire."""
 
 
-_NONE = {field.name: field.default for field in msgspec.structs.fields(Propose) if field.name in TOPIC_KEYS}
-"""The values with which a proposal sets nothing."""
-_OTHERWISE = {"topic", "remote_topic", "type", "qos", "compression", "priority", "deadman", "on_end"}
-_DEFAULTS = {
-    field.name: field.default
-    for field in msgspec.structs.fields(Topic)
-    if field.name in _NONE and field.name not in _OTHERWISE
-}
-"""The keys whose values a proposal has as a session has them, with the values with which a session sets nothing."""
-_AMENDABLE = {name: _NONE[name] for name, key in TOPIC_KEYS.items() if key.live}
-
-
 def proposal_of(
     topic: Topic,
     transport: Transport,
@@ -61,7 +48,7 @@ def proposal_of(
     profile: LinkProfile = NO_PROFILE,
     purpose: Purpose = TOPIC,
 ) -> Propose:
-    """Return the proposal of a topic to the peer.
+    """Return the proposal of a topic to the peer; a value that sets nothing there is 0, or None if 0 is one of its own.
 
     Args:
         topic: the validated topic, with the client's names.
@@ -84,7 +71,16 @@ def proposal_of(
         kind=topic.kind,
         priority=RANKS[topic.priority],
         purpose=purpose.name,
-        **{name: _NONE[name] if (value := getattr(topic, name)) is None else value for name in _DEFAULTS},
+        port=topic.port or 0,
+        max_rate=topic.max_rate or 0.0,
+        expected_rate=topic.expected_rate or 0.0,
+        stale_after=topic.stale_after,
+        late_after=topic.late_after,
+        max_age=topic.max_age,
+        paused=topic.paused,
+        arm=topic.arm,
+        limits=topic.limits,
+        timeout=topic.timeout or 0.0,
     )
 
 
@@ -108,13 +104,17 @@ def topic_of(proposal: Propose) -> Topic:
         on_end=(proposal.on_end or None) if proposal.arm else None,
         kind=_known(KINDS, proposal.kind),
         priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",  # calls rank above topics
-        **_values_of(proposal),
+        port=proposal.port or None,
+        max_rate=proposal.max_rate or None,
+        expected_rate=proposal.expected_rate or None,
+        stale_after=proposal.stale_after,
+        late_after=proposal.late_after,
+        max_age=proposal.max_age,
+        paused=proposal.paused,
+        arm=proposal.arm,
+        limits=proposal.limits,
+        timeout=proposal.timeout or None,
     )
-
-
-def _values_of(proposal: Propose) -> dict[str, Any]:
-    values = {name: getattr(proposal, name) for name in _DEFAULTS}
-    return {name: _DEFAULTS[name] if value == _NONE[name] else value for name, value in values.items()}
 
 
 def _known(names: Mapping[str, T], name: str) -> T:
@@ -129,30 +129,51 @@ def _known(names: Mapping[str, T], name: str) -> T:
     return found
 
 
-_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "place": "", "by_pattern": False}
-
-
 def same_route(one: Propose, other: Propose) -> bool:
     """Whether two proposals differ in nothing but their ids, a pause, and what can change in an open route."""
-    nothing = _OF_AN_OPENING | _AMENDABLE
-    return msgspec.structs.replace(one, **nothing) == msgspec.structs.replace(other, **nothing)
+    of_an_opening = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "place": "", "by_pattern": False}
+    one, other = (msgspec.structs.replace(each, **of_an_opening) for each in (amended(one, other), other))
+    return one == other
 
 
 def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
     """Return a proposal with the limits of another one, or of a change."""
-    return msgspec.structs.replace(proposal, **{name: getattr(limits, name) for name in _AMENDABLE})
+    return msgspec.structs.replace(
+        proposal,
+        max_rate=limits.max_rate,
+        expected_rate=limits.expected_rate,
+        stale_after=limits.stale_after,
+        late_after=limits.late_after,
+        max_age=limits.max_age,
+        priority=limits.priority,
+    )
 
 
 def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
     """Return the message with a proposal's limits; `who` has changed them, or is empty."""
-    return Amend(route_id, who=who, **{name: getattr(proposal, name) for name in _AMENDABLE})
+    return Amend(
+        route_id,
+        max_rate=proposal.max_rate,
+        expected_rate=proposal.expected_rate,
+        stale_after=proposal.stale_after,
+        late_after=proposal.late_after,
+        max_age=proposal.max_age,
+        priority=proposal.priority,
+        who=who,
+    )
 
 
 def amended_topic(topic: Topic, limits: Propose) -> Topic:
     """Return a topic with a proposal's limits."""
-    values = {name: value for name, value in _values_of(limits).items() if name in _AMENDABLE}
-    priority = priority_of(limits.priority) if limits.kind == "topic" else "normal"
-    return msgspec.structs.replace(topic, **values, priority=priority)
+    return msgspec.structs.replace(
+        topic,
+        max_rate=limits.max_rate or None,
+        expected_rate=limits.expected_rate or None,
+        stale_after=limits.stale_after,
+        late_after=limits.late_after,
+        max_age=limits.max_age,
+        priority=priority_of(limits.priority) if limits.kind == "topic" else "normal",
+    )
 
 
 ARMING_KEYS = ("arm", "deadman", "on_end", "limits")
