@@ -100,6 +100,18 @@ def test_links_tick_one_at_a_time(loop: VirtualLoop, make_context: Callable[...,
     assert turns.most_in_one_go == 1
 
 
+def test_a_command_about_one_route_renews_no_other(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    turns = Turns(loop)
+    links = [Link(turns, routes=4) for _ in range(LINKS)]
+    snapshots = publisher(make_context())
+    snapshots.refresh_now(Many(links))
+    before, shown = turns.calls, snapshots.latest
+    snapshots.refresh_route(Many(links), links[1], links[1].routes["2"])
+    assert turns.calls == before + 2
+    assert snapshots.latest is not shown
+    assert len(snapshots.latest.routes) == 4 * LINKS
+
+
 def test_a_snapshot_of_many_links_is_made_a_slice_at_a_time(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:

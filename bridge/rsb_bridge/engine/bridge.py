@@ -73,6 +73,9 @@ _LISTENS_EVERY = 10
 """Ticks between two looks whether DDS hears all nodes here. It has this time to follow senders to a new port. Ticks, as
 a process that was stopped has had no time. A look costs 3 ms on a busy machine. A round figure."""
 
+_OF_ONE_ROUTE = commands.PauseTopics, commands.Call
+"""Commands whose effect shows on no other route than that of their key."""
+
 _logger = logging.getLogger(__name__)
 
 
@@ -321,7 +324,14 @@ class Bridge:
                 raise EngineError(str(error)) from None
             finally:
                 if command.refreshes and not self._stopping.is_set():  # the last snapshot shows the end, and stays
-                    self._snapshots.refresh_now(self.role)
+                    self._show_effect(command)
+
+    def _show_effect(self, command: Command[Any]) -> None:
+        if isinstance(command, _OF_ONE_ROUTE):
+            with contextlib.suppress(LinkError):  # its key is a pattern's, or of a route that is gone
+                self._snapshots.refresh_route(self.role, *self.find(command.key))
+                return
+        self._snapshots.refresh_now(self.role)
 
     async def _acknowledge(self, command: commands.Acknowledge) -> None:
         self._snapshots.refresh_now(self.role)

@@ -154,6 +154,12 @@ class SnapshotPublisher:
         self._links = {link: link.snapshot() for link in bridge.links()}
         self._publish(bridge, running=running)
 
+    def refresh_route(self, bridge: ShownBridge, link: ShownLink, route: ShownRoute) -> None:
+        """Renew one route and its link at once: a bridge with hundreds of routes stands still until all are renewed."""
+        self._renew(route)
+        self._renew_link(link)
+        self._publish(bridge, running=True)
+
     def _renew(self, route: ShownRoute) -> None:
         self._routes[route] = route.snapshot()
 
