@@ -149,8 +149,6 @@ def test_throughput() -> None:
         meter.measure(1e6, float(second), float(second), full=True)
     assert meter.capacity is not None
     assert (meter.capacity.bytes_per_second, meter.capacity.source) == (1e6, CapacitySource.FULL)
-    meter.measured(Capacity(3e6, CapacitySource.BENCH, 20.0))
-    assert meter.capacity.bytes_per_second == 3e6
 
 
 def test_what_crosses_now_has_been_seen_and_more_may_be_carried() -> None:

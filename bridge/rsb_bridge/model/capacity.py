@@ -13,8 +13,6 @@ from rsb_bridge.model.wording import Wording
 class CapacitySource(StrEnum):
     """Source of a capacity, the most reliable first."""
 
-    BENCH = "bench"
-    """A bench over this link measured it."""
     FULL = "full"
     """The rate that crossed while more messages waited to be sent."""
     SEEN = "seen"
@@ -44,7 +42,7 @@ LASTS = 600.0
 
 
 def newer(known: Capacity | None, found: Capacity) -> Capacity:
-    """Choose between two capacities: a recent one of a bench or a full link, otherwise the highest rate seen."""
+    """Choose between two capacities: a recent one of a full link, otherwise the highest rate seen."""
     if known is None or found.source != CapacitySource.SEEN:
         return found
     # After the clock was set back, the known one is from the future.

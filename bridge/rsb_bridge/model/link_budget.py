@@ -1,8 +1,8 @@
 """The cost of one more topic on a link and its effect on other topics, computed from a snapshot before it is added.
 
-A `Capacity` has a source and an age: the rate that crossed while more waited, the highest rate seen, or the result of
-a bench. A topic's load is measured if some link of this engine already bridges it; otherwise it is the usual load of
-its type, and marked as such.
+A `Capacity` has a source and an age: the rate that crossed while more waited, or the highest rate seen. A topic's load
+is measured if some link of this engine already bridges it; otherwise it is the usual load of its type, and marked as
+such.
 """
 
 from __future__ import annotations
@@ -286,7 +286,6 @@ class CostText(Wording):
     TYPICAL = "usual for its type, not measured"
     CARRIED = "has carried {rate} at most"
     CARRIES = "carries {rate} (measured {age} ago)"
-    CARRIES_BY_BENCH = "carries {rate} (measured by a bench {age} ago)"
     CROWDS = "slows {topics}: set priority: high where it matters"
     CROSSES = "{share:.0%} of its own messages would cross"
     TOO_MUCH = "{amount} too much: {effects}"
@@ -325,14 +324,9 @@ def _source(load: LinkLoad) -> str:
 
 def _carries(capacity: Capacity, now: float) -> str:
     rate = amount(capacity.bytes_per_second)
-    match capacity.source:
-        case CapacitySource.SEEN:
-            return CostText.CARRIED(rate=rate)
-        case CapacitySource.BENCH:
-            text = CostText.CARRIES_BY_BENCH
-        case _:
-            text = CostText.CARRIES
-    return text(rate=rate, age=about(capacity.age(now)))
+    if capacity.source == CapacitySource.SEEN:
+        return CostText.CARRIED(rate=rate)
+    return CostText.CARRIES(rate=rate, age=about(capacity.age(now)))
 
 
 def _size(size: float) -> str:

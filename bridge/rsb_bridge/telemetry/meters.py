@@ -510,7 +510,3 @@ class Throughput:
         """Start over: later bytes arrive over another connection."""
         self._looked, self._full = None, False
         self._window.clear()
-
-    def measured(self, capacity: Capacity) -> None:
-        """Take the capacity that a benchmark has measured."""
-        self.capacity = newer(self.capacity, capacity)
