@@ -28,7 +28,6 @@ from rsb_console.app import ConsoleApp
 from rsb_console.command.demo import seen, simulated, trouble
 from rsb_console.fleet_app import FleetApp
 from rsb_console.look.glyphs import STATE_SIGN
-from rsb_console.screens.view_screen import ViewScreen
 from rsb_console.session.demo_session import running_demo
 from rsb_console.widgets.fleet_table import FleetView
 
@@ -165,7 +164,7 @@ async def of_pictures(album: Album) -> None:
 
 def drawn(app: ConsoleApp) -> bool:
     """Whether a picture of a message is on the screen."""
-    return isinstance(app.screen, ViewScreen) and app.screen.content is not None
+    return getattr(app.screen, "content", None) is not None
 
 
 async def of_a_fleet(album: Album) -> None:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.by_hand import Draft, Held, Published
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.history import HistoryReport
-    from rsb_bridge.model.pictures import Viewed, Wish
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, State, TopicInfo
 
@@ -191,9 +190,6 @@ class EngineApi(ABC):
 
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
         return self.do(commands.Peek(key, kept))
-
-    def next_picture(self, viewer: str, topics: tuple[str, ...], wish: Wish, link: str = "") -> Future[Viewed | None]:
-        return self.do(commands.LookAtTopics(viewer, topics, wish, link))
 
     def draft_message(self, topic: str, type_name: str = "") -> Future[Draft]:
         return self.do(commands.DraftMessage(topic, type_name))

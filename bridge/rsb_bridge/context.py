@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field
 from random import Random
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
 import msgspec
 
@@ -24,7 +24,6 @@ from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.telemetry.event_log import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
-from rsb_bridge.view.renderer import Renderer
 
 if TYPE_CHECKING:
     import asyncio
@@ -37,6 +36,9 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RosInterface, RouteEnds
     from rsb_bridge.ros.ros_thread import RosToLoopQueue
     from rsb_bridge.telemetry.event_log import About, EventLog
+
+
+T = TypeVar("T")
 
 
 @dataclass(slots=True)
@@ -59,7 +61,6 @@ class Context:
         parameter_events: of the nodes whose parameters are bridged.
         similar_topics: suggests topics for a misspelt name.
         suggester: suggests services, actions and nodes for a misspelt name.
-        renderer: draws pictures of messages for viewers.
         demands: the names that have to be armed, as the running session demands it.
         moved_by: the rest messages of the routes that have moved a topic last, by the topic's name.
         rests: tasks that publish rests after an arming, to be awaited before the ROS side stops.
@@ -86,11 +87,11 @@ class Context:
     parameter_events: ParameterEvents = field(init=False)
     similar_topics: SimilarTopics = field(init=False)
     suggester: NameSuggester = field(init=False)
-    renderer: Renderer = field(init=False)
     demands: RunningDemands = field(init=False)
     moved_by: dict[str, object] = field(default_factory=dict)
     rests: set[asyncio.Task[None]] = field(default_factory=set)
     names_changed: Callable[[], None] = lambda: None
+    _shared: dict[Callable[[Context], Any], Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.internal = {each.name: InternalEnds(each) for each in purposes().values() if not each.in_graph}
@@ -103,7 +104,6 @@ class Context:
         self.parameter_events = ParameterEvents(self.ros, self.call)
         self.similar_topics = SimilarTopics(self.ros, self.now)
         self.suggester = NameSuggester(self.ros, self.now)
-        self.renderer = Renderer(self.now)
         self.demands = RunningDemands(self)
 
     @property
@@ -143,6 +143,13 @@ class Context:
     def ends(self, purpose: Purpose) -> RouteEnds:
         """Return where the routes of a purpose have their endpoints."""
         return self.ros if purpose.in_graph else self.internal[purpose.name]
+
+    def shared(self, make: Callable[[Context], T]) -> T:
+        """Return what `make` makes once in an engine: what a feature's links and its part of the engine share."""
+        if make not in self._shared:
+            self._shared[make] = make(self)
+        shared: T = self._shared[make]
+        return shared
 
     def call(self, work: Callable[[], None]) -> None:
         """Do something on the I/O thread, from another; nothing happens once the engine has stopped."""

@@ -27,9 +27,9 @@ BRINGS: Mapping[str, str] = {
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
 }
 """Keys of session files, and the feature of this project that brings each: an installation without it says so."""
-BRINGS_COMMANDS: Mapping[str, str] = {"bench": "bench", "doctor": "doctor"}
+BRINGS_COMMANDS: Mapping[str, str] = {"bench": "bench", "doctor": "doctor", "look": "pictures"}
 """The same of subcommands."""
-BRINGS_ACTIONS: Mapping[str, str] = {"drive": "driving"}
+BRINGS_ACTIONS: Mapping[str, str] = {"drive": "driving", "look": "pictures"}
 """The same of actions of the console, by their ids in ``keys.yaml``."""
 
 T = TypeVar("T")
@@ -192,8 +192,16 @@ class Feature:
         """Examine this machine for ``rsb-console report``, in lines of at most so many columns."""
         return ()
 
+    def checks(self) -> Iterable[Any]:
+        """Return checks of a machine for ``rsb-console doctor``, each a `rsb_bridge.model.finding.Check`."""
+        return ()
+
     def actions(self) -> Iterable[Any]:
         """Return actions with their keys, each a `rsb_console.actions.Action` with `run`."""
+        return ()
+
+    def message_views(self) -> Iterable[Any]:
+        """Return ways to show a topic's messages, each a `rsb_console.screens.message_screen.MessageView`."""
         return ()
 
     def columns(self) -> Iterable[Any]:

@@ -139,8 +139,6 @@ _OF_CORE: tuple[Action, ...] = (
     Action("detail", "enter", "detail", "Open the details, then a topic's message; or the full log line",
            Group.VIEW, needs_topic=True, in_footer=True),
     Action("message", "v", "message", "View a topic's messages, as a picture or as text", Group.VIEW, needs_topic=True),
-    Action("look", "V", "look", "Look at any topic of either side: images, maps, scans, plots", Group.VIEW,
-           also="camera, picture, view, tf, diagnostics"),
     Action("back", "escape", "back", "Close what is open, or drop the filter", Group.VIEW),
     Action("filter", "slash", "filter", "Filter: terms, !terms; state: kind: robot: type: via: why:",
            Group.VIEW, in_footer=True),
@@ -204,32 +202,6 @@ ACTIONS = _with_features()
 
 
 KEYS_ON_SCREENS: tuple[KeyChapter, ...] = (
-    KeyChapter(
-        "On a picture (v, V)",
-        "ViewScreen",
-        (
-            ("esc q v", "Close it"),
-            ("t", "Show the messages as text, or as a picture again"),
-            ("space", "Hold the picture; the topic goes on"),
-            ("+ - 0", "Zoom in, zoom out, show all"),
-            ("← → ↑ ↓", "Move the view; on a plot, the cursor"),
-            ("[ ] c", "Of points: tilt the view, change what their colours mean"),
-            ("h", "Draw it in another way: usual, plot, tree"),
-            ("l", "Of a map: lay the other topics over it, or show it alone"),
-            ("< >", "Fewer or more pictures a second"),
-            ("p", "Write the picture to a file, an image in its own resolution"),
-        ),
-    ),
-    KeyChapter(
-        "Goal on a map",
-        "ViewScreen",
-        (
-            ("g", "Begin to set a goal"),
-            ("← → ↑ ↓", "Move it; after ⏎, turn it"),
-            ("⏎", "Go on to its heading, then to the form that publishes it"),
-            ("esc", "Leave it"),
-        ),
-    ),
     *(chapter for action in ACTIONS for chapter in action.chapters),
     KeyChapter(
         "In a form",

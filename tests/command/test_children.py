@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import ast
-import asyncio
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from geometry_msgs.msg import Vector3
-from tests.support.waiting import eventually
-from tests.view.samples import task
 
-from rsb_bridge.model.pictures import Wish
-from rsb_bridge.view.renderer import Renderer
 from rsb_console.child import ChildProcess
 from rsb_console.command.service import _program
 
@@ -32,8 +26,8 @@ IN_PYTHON = ("fork", "forkpty", "system", "popen", "startfile", "exec", "spawn",
 MAY_START = {
     ".ci/core.py", ".ci/install.py", "extras/rsb_extras/doctor/machine.py", "extras/rsb_extras/doctor/ros_setup.py",
     "extras/rsb_extras/doctor/session_needs.py", "extras/rsb_extras/exporters/fault_hook.py",
-    "bridge/rsb_bridge/view/renderer.py",
-    "extras/rsb_extras/bench/loopback.py",
+    "extras/rsb_extras/bench/loopback.py", "extras/rsb_extras/pictures/confinement_check.py",
+    "extras/rsb_extras/pictures/renderer.py",
     "console/rsb_console/child.py", "console/rsb_console/terminal/driver.py", "deb/build.py",
 }  # fmt: skip
 """Modules that start children. A new one belongs here once its child does not look into its working folder."""
@@ -102,17 +96,6 @@ def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (folder / f"{name}.py").write_text(PLANTED.format(marker=str(marker)))
     monkeypatch.chdir(folder)
     return marker
-
-
-def test_the_drawing_process_runs_nothing_of_its_folder(planted: Path) -> None:
-    renderer = Renderer()
-    try:
-        picture = asyncio.run(renderer.draw(task(Wish(how="tree"), Vector3(x=1.0))))
-    finally:
-        renderer.close()
-        eventually(lambda: renderer.pid is None)
-    assert not picture.problem
-    assert not planted.exists()
 
 
 def test_a_module_in_a_child_runs_nothing_of_its_folder(planted: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import re
 import shlex
@@ -28,8 +29,7 @@ from rsb_bridge.config.session_file import save
 from rsb_bridge.feature import BRINGS_COMMANDS
 from rsb_bridge.model.audience import Audience
 from rsb_bridge.model.by_hand import Draft, Published
-from rsb_bridge.model.commands import Call, DraftMessage, LookAtTopics, Publish
-from rsb_bridge.model.pictures import Cells, Curve, Picture, Pixels, Series, Viewed
+from rsb_bridge.model.commands import Call, DraftMessage, Publish
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, PeekedMessage, State
 from rsb_console.command.shell import INTERRUPTED, OK
@@ -103,6 +103,10 @@ def commands(text: str) -> Iterator[list[str]]:
         words = []
 
 
+OF_FEATURES: dict[type[Command[Any]], Callable[[Any], object]] = {}
+"""By a command's type: what makes the answer that is shown for it, as a feature's tests have it."""
+for path in _ROOT.glob("extras/rsb_extras/*/tests/shown_answers.py"):
+    OF_FEATURES |= importlib.import_module(f"rsb_extras.{path.parts[-3]}.tests.shown_answers").ANSWERS
 MISSING = BRINGS_COMMANDS.keys() - parser_and_commands()[1]
 FOUND = [line for line in lines() if line.words[0] not in MISSING]
 
@@ -180,8 +184,6 @@ _ANSWERS = {
 }
 """Responses, by the service of an action or a node."""
 _MESSAGE = PeekedMessage(b"\0\1\0\0\7\0\0\0", 8, "std_msgs/msg/Int32", "", NOW, outgoing=False)
-_IMAGE, _MAP = Pixels(1, 2, b"\xff\0\0\0\xff\0"), Cells(("▲",))
-_CURVES = Series(NOW, 0.1, (Curve("x", (1.0, None), (2.0, None), 2.0, 1.5),))
 _TOPICS = ("/scan", "/camera", "bench/tcp/transmit", "/cmd_vel", "/map", "/odom")
 
 
@@ -203,10 +205,8 @@ class Robot(Running):
         self.peeked = [_MESSAGE] * 20
 
     def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
-        if isinstance(command, LookAtTopics):
-            content: Pixels | Cells | Series = _CURVES if "plot" in command.wish.how or command.wish.fields else _MAP
-            content = _IMAGE if "image" in command.topics[0] else content
-            return self._done(Viewed(Picture(content=content)), "look", *command.topics)
+        if type(command) in OF_FEATURES:
+            return self._done(OF_FEATURES[type(command)](command), "of a feature")
         if isinstance(command, DraftMessage):
             return self._done(Draft("geometry_msgs/msg/PoseStamped", "pose: {}\n"), "draft", command.topic)
         if isinstance(command, Publish):

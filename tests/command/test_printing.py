@@ -36,10 +36,12 @@ EXTRAS = Path(__file__).parents[2] / "extras" / "rsb_extras"
 PRINTS = {
     "command/shell.py": "print_line, print_lines, print_error and CleanErrors",
     "command/headless.py": "lines of the log, each cleaned by `LogWriter.write`",
-    "command/look_command.py": "rows of pictures, cleaned by `decode_picture` and `clean`",
     "terminal/driver.py": "the app's own terminal",
     "bench/bench_command.py": "one line of progress, cleaned",
     "bench/measured_stream.py": "a child's pipe",
+    "pictures/confinement.py": "a trial's pipe",
+    "pictures/look_command.py": "rows of pictures, cleaned by `decode_picture` and `clean`",
+    "pictures/worker.py": "a child's pipe",
     "simulated/router.py": "a child's pipe",
     "simulated/robots.py": "a child's pipe",
 }

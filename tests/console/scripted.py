@@ -31,7 +31,6 @@ from rsb_bridge.model.snapshot import (
 
 if TYPE_CHECKING:
     from rsb_bridge.model.by_hand import Draft, Published
-    from rsb_bridge.model.pictures import Viewed
     from rsb_bridge.model.snapshot import PeekedMessage
 
 T = TypeVar("T")
@@ -246,9 +245,6 @@ class ScriptedEngine(EngineApi):
         self.reloads = Reloaded(("/scan (transmit): max_rate none → 5.0",))
         self.looking: Future[PeekedMessage | None] = Future()
         self.looking.cancel()  # nobody looks yet
-        self.viewed: list[Viewed] = []
-        self.viewing: Future[Viewed | None] = Future()
-        self.viewing.cancel()
         self.drafts: dict[str, Draft] = {}
         self.published: list[Published | EngineError] = []
         self.publishing: Future[Published] = Future()
@@ -324,14 +320,6 @@ class ScriptedEngine(EngineApi):
                     return self._done(self.peeked.pop(0), "peek", key, kept)
                 self.looking = Future()  # until a message comes
                 return self.looking
-            case commands.LookAtTopics(_, topics, wish, link):
-                self.commands.append(("look", topics, wish, link))
-                self.viewing = Future()  # until a picture comes
-                if self.viewed:
-                    self.viewing.set_result(self.viewed.pop(0))
-                return self.viewing
-            case commands.EndLook():
-                return self._done(None, "end_look")
             case commands.DraftMessage(topic, type_name):
                 self.commands.append(("draft", topic, type_name))
                 draft = self.drafts.get(topic)

@@ -33,11 +33,10 @@ from rsb_console.preferences import PreferenceError, PreferenceProblem, load_key
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.help import HelpScreen
 from rsb_console.screens.links_screen import LinksScreen
-from rsb_console.screens.look_screen import Subject
 from rsb_console.screens.main import MainText
+from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.screens.session_files import WelcomeScreen
 from rsb_console.screens.topic_form import TopicScreen
-from rsb_console.screens.view_screen import ViewScreen
 from rsb_console.widgets.form import FormScreen
 
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
@@ -140,7 +139,7 @@ def test_help_lists_every_action_with_its_keys_and_id(width: int) -> None:
 
 def screens(app: ConsoleApp) -> dict[str, Callable[[], Screen[Any]]]:
     return {
-        "pictures": lambda: ViewScreen(app, Subject(("/map",), "", "nav_msgs/msg/OccupancyGrid", ())),
+        "messages": lambda: MessageScreen(app, route("/map")),
         "welcome": lambda: WelcomeScreen((), readonly=False),
         "question": lambda: ConfirmScreen("Remove?", "", "Remove", Effect.LOSES),
         "links": lambda: LinksScreen(app),
@@ -161,7 +160,7 @@ async def test_every_screen_shows_the_keys(app: ConsoleApp, pilot: Pilot[None]) 
         app.pop_screen()
 
 
-@pytest.mark.parametrize("name", ["pictures", "welcome"])
+@pytest.mark.parametrize("name", ["messages", "welcome"])
 @on_main()
 async def test_a_new_session_from_other_screens(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
     if name == "welcome":
@@ -175,12 +174,12 @@ async def test_a_new_session_from_other_screens(app: ConsoleApp, pilot: Pilot[No
     await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
 
 
-def test_the_keys_of_pictures_and_forms_are_listed() -> None:
+def test_the_keys_of_forms_are_listed() -> None:
     listed = " ".join(keys for chapter in KEYS_ON_SCREENS for keys, _ in chapter.keys).split()
     labels = {"plus": "+", "minus": "-", "space": "space", "escape": "esc", "enter": "⏎", "less_than_sign": "<",
               "greater_than_sign": ">", "left_square_bracket": "[", "right_square_bracket": "]", "left": "←",
               "right": "→", "up": "↑", "down": "↓", "equals_sign": "+", "f7": "F7", "f8": "F8"}  # fmt: skip
-    for screen in (ViewScreen, TopicScreen):
+    for screen in (TopicScreen,):
         for binding in screen.BINDINGS:
             assert isinstance(binding, Binding)
             for each in binding.key.split(","):

@@ -13,7 +13,6 @@ from tests.support import replaced
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.by_hand import OLD_AFTER, Published
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.pictures import Scale
 from rsb_console.command import pub_command
 from rsb_console.session import manual_messages
 
@@ -52,9 +51,3 @@ def test_an_old_message_gets_no_further_ticket(
     with pytest.raises(EngineError):
         publish(engine)
     assert not engine.published
-
-
-def test_a_goal_on_a_map_of_any_scale_has_a_cell() -> None:
-    goal = manual_messages.Goal("map", 1e302, -1e302)
-    for size in (1e-300, 1.0, 1e300):
-        assert all(abs(each) < 1e5 for each in goal.cell(Scale("map", -1e300, 1e300, size, size)))

@@ -20,7 +20,6 @@ from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import AnyCommand, ControlProtocolError, StateChange
 from rsb_bridge.control.states import EncodedRoutes, Sender, StateReceiver
 from rsb_bridge.model import commands
-from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.protocol_error import Broken
 
@@ -34,8 +33,6 @@ COMMANDS: tuple[AnyCommand, ...] = (
     commands.ReleaseArmed(),
     commands.Topics("robot1"),
     commands.Peek("k", kept=True),
-    commands.LookAtTopics("v", ("/map", "/tf"), Wish(width=100, how="map"), "r1"),
-    commands.EndLook("v"),
     commands.DraftMessage("/t", "T"),
     commands.DescribeType("k"),
     commands.Template("k", "send_goal"),

@@ -38,7 +38,6 @@ from rsb_bridge.model.commands import (
     acting,
     on_console,
 )
-from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import ArmedName, Client, Topic
 from rsb_console.session.manual_messages import Landing, LandingText
 
@@ -185,7 +184,7 @@ def test_what_is_refused(bridge: Bridge, robot: Domain, monkeypatch: pytest.Monk
     refused: tuple[tuple[str, str, str, Wording], ...] = (
         ("/nobody", "", "", PublishProblem.NO_TYPE),
         ("/text", "", TWIST, PublishProblem.OTHER_TYPE),
-        (VIEW.route_name("1"), "", STRING, TopicMistake.NOT_ABSOLUTE),
+        ("view/1", "", STRING, TopicMistake.NOT_ABSOLUTE),
         ("/cmd", "data: x", "", PublishProblem.NO_ROUTE_TO_ARM),  # wherever it comes from
     )
     for topic, fields, type_name, problem in refused:

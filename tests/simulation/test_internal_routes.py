@@ -10,8 +10,8 @@ import pytest
 from tests.simulation.loop import PROGRAM
 
 from rsb_bridge.link.internal_routes import OPENED_WITHIN, InternalRoutes
-from rsb_bridge.model.purposes import VIEW
-from rsb_bridge.ros.internal_ends import PictureSink, PictureSource
+from rsb_bridge.model.purposes import purposes
+from rsb_bridge.ros.internal_ends import BytesDrain, BytesSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.transports import Protocol
     from rsb_bridge.route.route import Route
 
+pytestmark = pytest.mark.skipif("view" not in purposes(), reason="the core alone")
 SOON = 0.001
 PAUSED_FOR = 0.5
 every_way = pytest.mark.parametrize(("viewer_is_server", "transport"), [(False, "tcp"), (True, "tcp"), (False, "udp")])
@@ -30,7 +31,7 @@ every_way = pytest.mark.parametrize(("viewer_is_server", "transport"), [(False, 
 class Half:
     """One half of an internal route, and the wait until it is open."""
 
-    def __init__(self, yard: Yard, internal: InternalRoutes[PictureSource, PictureSink], route: Route) -> None:
+    def __init__(self, yard: Yard, internal: InternalRoutes[BytesSource, BytesDrain], route: Route) -> None:
         self.link = link = yard.link(on_server=not route.peer.is_client)
         self.route = route
         run = (yard.robot if link.is_client else yard.server).run
@@ -68,18 +69,19 @@ class Opening:
 
     def __init__(self, yard: Yard, transport: Protocol = "tcp", *, viewer_is_server: bool = False) -> None:
         self._yard = yard
+        self._purpose = purpose = purposes()["view"]
         self._links = [yard.link(on_server=on_server) for on_server in (viewer_is_server, not viewer_is_server)]
-        self._internal = [InternalRoutes(each, each.table, VIEW, PictureSource, PictureSink) for each in self._links]
+        self._internal = [InternalRoutes(each, each.table, purpose, BytesSource, BytesDrain) for each in self._links]
         direction: Direction = "transmit" if viewer_is_server else "receive"
         route = self._internal[0].open(
-            VIEW.route_name("1"), direction, depth=1, compression="none", transport=transport
+            purpose.route_name("1"), direction, depth=1, compression="none", transport=transport
         )
         self.viewer = Half(yard, self._internal[0], route)
 
     async def sender(self) -> Half:
         """Wait until the proposal has come, and return the half that it makes."""
         link = self._links[1]
-        while not (found := [each for each in link.routes.values() if each.purpose is VIEW]):  # noqa: ASYNC110 — as above
+        while not (found := [each for each in link.routes.values() if each.purpose is self._purpose]):  # noqa: ASYNC110 — as above
             await asyncio.sleep(SOON)
         return Half(self._yard, self._internal[1], found[0])
 

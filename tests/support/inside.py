@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.engine import Engine
     from rsb_bridge.engine.bridge import Bridge
-    from rsb_bridge.link.link import Link
     from rsb_bridge.model.calls import Refused
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_bridge.ros.node import RosNode
@@ -101,10 +100,6 @@ def ledger_of(route: OutgoingRoute) -> RouteLedger:
 
 def outputs_of(route: IncomingRoute) -> SourcePublishers:
     return route.outputs
-
-
-def views_drawn_by(link: Link) -> dict[Any, Any]:
-    return link.views._drawing
 
 
 def pending_calls(route: CallsRoute) -> Any:

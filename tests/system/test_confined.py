@@ -126,6 +126,6 @@ def test_what_a_bridge_does_not_need_is_refused() -> None:
 
 def test_the_process_that_draws_confines_itself_further() -> None:
     """The unit's filter lets Landlock and another filter through, where the kernel has them."""
-    trial = (sys.executable, "-P", "-m", "rsb_bridge.view.confinement")
+    trial = (sys.executable, "-P", "-m", "rsb_extras.pictures.confinement")
     free = subprocess.run(trial, cwd=ROOT, capture_output=True, text=True, timeout=120, check=True).stdout
     assert json.loads(confined(*trial).stdout) == json.loads(free)

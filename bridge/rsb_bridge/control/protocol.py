@@ -18,7 +18,6 @@ from rsb_bridge import __version__
 from rsb_bridge.api import EngineError
 from rsb_bridge.feature import installed
 from rsb_bridge.model.commands import Command
-from rsb_bridge.model.pictures import PictureError, Viewed, check_picture
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import (
     Event,
@@ -77,7 +76,6 @@ class RequestProblem(Wording):
 
     NOT_UNICODE = "this command has bytes that are no Unicode text: write it in UTF-8"
     TOO_LATE = "not done: the bridge answers too slowly, or this program stood still; give the command again"
-    INVALID_PICTURE = "the bridge sent no valid picture: {error}"
 
 
 class UnexpectedMessage(Wording):
@@ -338,12 +336,10 @@ def result_of(command: Command[R], reply: Reply) -> R:
         value = msgspec.convert(reply.value, kind)
     except msgspec.ValidationError:  # a bridge on another machine may answer anything
         raise EngineError("unexpected reply to this command") from None
-    if isinstance(value, Viewed):
-        try:
-            value = msgspec.structs.replace(value, picture=check_picture(value.picture))
-        except PictureError as error:
-            raise EngineError(RequestProblem.INVALID_PICTURE(error=error)) from None
-    return cast("R", value)
+    try:
+        return cast("R", command.checked(value))
+    except ValueError as error:
+        raise EngineError(str(error)) from None
 
 
 def encode_route(route: RouteSnapshot) -> msgspec.Raw:

@@ -24,7 +24,6 @@ from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, find_route, undo_mark
-from rsb_bridge.engine.viewing import Viewing
 from rsb_bridge.feature import installed
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.graph_watch import Follower, GraphWatch, NameWatch
@@ -110,13 +109,11 @@ class Bridge:
         self.graph_watch = GraphWatch(context, self.role.links, self._names.changed)
         self.log = CommandLog(context.events)
         self._tasks = Tasks(context.loop, lambda: None)
-        self._viewing = Viewing(context, self.links, self._tasks.spawn)
         inspector = RouteInspector(self)
         self._publishing = Publishing(context, self.links, self.log, inspector.peeking)
         self._arming = ArmingCommands(self)
         self.handlers: Handlers = {
             **self._publishing.handlers,
-            **self._viewing.handlers,
             commands.Acknowledge: self._acknowledge,
             commands.Retry: self._retry,
             commands.ShutDownLinks: self._shut_down,
@@ -208,7 +205,6 @@ class Bridge:
                 await link.table.tick_routes()
                 link.guarded(link.tick)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
-            self._viewing.tick()
             self._publishing.tick()
             for part in self._parts:
                 with self._guarded(part):
@@ -235,7 +231,6 @@ class Bridge:
     async def _close(self) -> None:
         if self._shutdown_watch is not None:
             self._shutdown_watch.close()
-        self._viewing.close()
         # Before the links end: the message that ends a motion has to cross them.
         await self._publishing.close()
         for part in self._parts:

@@ -14,10 +14,9 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.cdr.known_types import reduced, speeds_of, stamped
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
-from rsb_bridge.link.extension import LinkError
+from rsb_bridge.link.extension import LinkError, check_names
 from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.peer_operators import acting_operator
-from rsb_bridge.link.topic_view import check_names
 from rsb_bridge.model.by_hand import TICKET_LIFE, TWISTS, Draft, Published, smallest_limits
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from rsb_bridge.config.topic_rules import name_problems
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.config.rights import DeniedUse, Rights
@@ -166,6 +167,17 @@ class Denied(Wording):
 
 class LinkError(Exception):
     """A link denies or fails a command; the message gives the reason."""
+
+
+def check_names(topics: Iterable[str]) -> None:
+    """Check that names are absolute: rights and the graph know a topic by one name only, which ROS would expand.
+
+    Raises:
+        LinkError: one is no topic's.
+    """
+    for topic in topics:
+        for problem in name_problems(topic, "topic"):
+            raise LinkError(str(problem))
 
 
 class RefusedError(LinkError):

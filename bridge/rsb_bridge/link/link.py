@@ -16,7 +16,6 @@ from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.fullness import LinkFullness
 from rsb_bridge.link.link_fault import LinkFault
 from rsb_bridge.link.link_patterns import LinkPatterns
-from rsb_bridge.link.link_views import LinkViews
 from rsb_bridge.link.path_watch import PathWatch
 from rsb_bridge.link.proposed_routes import ProposedTopics
 from rsb_bridge.link.questions import TopicLists, TypeQuestions
@@ -252,7 +251,6 @@ class Link(BaseLink):
         proposed: the topics of this side's session, by name.
         patterns: the same for patterns of names, and the names that the peer follows here.
         topic_lists: questions of the two sides about their graphs.
-        views: pictures of topics, for viewers of both sides.
     """
 
     path: PathWatch
@@ -276,7 +274,6 @@ class Link(BaseLink):
         self.topic_lists = self.extend(TopicLists(self))
         self.type_questions = self.extend(TypeQuestions(self))
         self.table.compare_types = self.type_questions.compare
-        self.views = self.extend(LinkViews(self, self.table))
         for feature in installed():
             for extension in feature.extensions(self):
                 extension.feature = feature.name

@@ -11,14 +11,13 @@ import contextlib
 import enum
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeVar
 
 import msgspec
 from msgspec import Meta
 
 from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER, Draft, Held, Published
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.pictures import TOPICS_AT_ONCE, Viewed, Wish
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, State, TopicInfo
 
@@ -75,6 +74,14 @@ class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_d
     @property
     def effect(self) -> Effect:
         return self.always
+
+    def checked(self, result: Any) -> Any:
+        """Return the command's result, which may come from a bridge that is not trusted, safe for terminals.
+
+        Raises:
+            ValueError: it is no result of this command.
+        """
+        return result
 
     @property
     def expires(self) -> bool:
@@ -356,41 +363,6 @@ class Peek(Command[PeekedMessage | None], frozen=True, tag="peek"):
     cancellable = True
     key: str
     kept: bool = False
-
-
-class LookAtTopics(Command[Viewed | None], frozen=True, tag="look"):
-    """Wait for the next picture of topics, drawn by the side that publishes them.
-
-    The result is None if there is no new one within some seconds: ask again. The view ends some seconds after the last
-    question.
-
-    Attributes:
-        viewer: identifies the view; a random text.
-        topics: their names on this side, or on the other side if they are not bridged. The first one gives the kind of
-            picture; a map has the others over it.
-        wish: the size and the way to draw; it may change with each question.
-        link: the link to the side that publishes them, or an empty string if the engine is to find that out.
-    """
-
-    right = Right.LOOK
-    refreshes = False
-    cancellable = True
-    viewer: Annotated[str, Meta(min_length=1, max_length=64)]
-    topics: Annotated[tuple[str, ...], Meta(min_length=1, max_length=TOPICS_AT_ONCE)]
-    wish: Wish
-    link: str = ""
-
-
-class EndLook(Command[None], frozen=True, tag="end_look"):
-    """End a view at once, which makes room for another one.
-
-    Attributes:
-        viewer: identifies the view, which may have ended.
-    """
-
-    right = Right.LOOK
-    refreshes = False
-    viewer: Annotated[str, Meta(min_length=1, max_length=64)]
 
 
 class DraftMessage(Command[Draft], frozen=True, tag="draft"):

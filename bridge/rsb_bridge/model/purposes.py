@@ -51,17 +51,10 @@ class Purpose:
 
 TOPIC = Purpose("topic", in_graph=True)
 """Messages and calls of ROS nodes."""
-VIEW = Purpose(
-    "view",
-    is_shown=False,
-    type_name="rsb_bridge/msg/Picture",
-    type_hash="RIHS01_" + "1" * 64,
-)
-"""Pictures of messages, for a viewer on the side that proposes it."""
 
 
 @cache
 def purposes() -> Mapping[str, Purpose]:
     """Return all purposes by name, those of features last."""
     added = (each for feature in installed() for each in feature.purposes())
-    return {each.name: each for each in (TOPIC, VIEW, *added)}
+    return {each.name: each for each in (TOPIC, *added)}

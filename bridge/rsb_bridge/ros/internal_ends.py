@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 _NODE = "/rsb_internal"
 GID = b"rsb_internal".ljust(16, b"\0")
 HEADER = b"\x00\x01\x00\x00"
-"""The encapsulation header of CDR, little endian, with which each message of a route begins (PROTOCOL.md, 13)."""
+"""The encapsulation header of CDR, little endian, with which each message of a route begins (PROTOCOL.md, 3)."""
 
 SourceT = TypeVar("SourceT", bound=Subscription)
 DrainT = TypeVar("DrainT", bound=Publisher)
 
 
-class PictureSource:
-    """Sends the pictures of one view."""
+class BytesSource:
+    """Sends bytes of its user's making on one internal route."""
 
     def __init__(self, sink: Sink, closed: Callable[[], None]) -> None:
         self._sink = sink
@@ -38,15 +38,15 @@ class PictureSource:
         self.matched = 1
         self.closed = False
 
-    def send(self, encoded: bytes, stamp: int) -> None:
-        """Send a picture. This may block, so not on the I/O thread.
+    def send(self, content: bytes, stamp: int) -> None:
+        """Send a message. This may block, so not on the I/O thread.
 
         Args:
             stamp: ns since the epoch, when it came to the link.
         """
         if not self.closed:
             self._number += 1
-            self._sink([RawMessage(HEADER + encoded, stamp, GID, self._number)])
+            self._sink([RawMessage(HEADER + content, stamp, GID, self._number)])
 
     def close(self) -> None:
         """Send nothing more."""
@@ -54,11 +54,11 @@ class PictureSource:
         self._closed()
 
 
-class PictureSink:
-    """Takes the pictures of one view where they arrive.
+class BytesDrain:
+    """Takes the bytes of a `BytesSource` where they arrive.
 
     Attributes:
-        taken: called with each picture; set by the user.
+        taken: called with each message, maybe on the ROS thread; set by the user.
     """
 
     subscriber_count = 1
@@ -73,7 +73,7 @@ class PictureSink:
         """Do nothing: its messages have no lease."""
 
     def publish(self, payload: bytes) -> None:
-        """Take a picture."""
+        """Take one message."""
         self.taken(payload[len(HEADER) :])
 
     def close(self) -> None:

@@ -11,7 +11,6 @@ from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.names import MOST_SOURCES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
-from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.transports import Compression, Protocol
@@ -44,7 +43,6 @@ from rsb_bridge.wire.records import (
     SentReport,
     Shift,
     Source,
-    ViewedTopics,
     check_limits,
     check_qos,
 )
@@ -631,31 +629,6 @@ class Followed(ControlMessageBase, frozen=True):
     more: Count = 0
 
 
-class Look(ControlMessageBase, frozen=True):
-    """A viewer wants pictures of topics of the other side. Answered by a `LookAnswer` of the same number.
-
-    Attributes:
-        route: id of the route that carries the pictures.
-        topics: names on the receiving side.
-    """
-
-    request: Count
-    route: RouteId
-    topics: ViewedTopics
-    wish: Wish
-
-
-class LookAnswer(ControlMessageBase, frozen=True):
-    """The answer to `Look`.
-
-    Attributes:
-        problem: the reason for a refusal, for an operator, or empty.
-    """
-
-    request: Count
-    problem: Reason = ""
-
-
 class Lease(ControlMessageBase, frozen=True):
     """A number from either side, sent several times a second while a route is armed or an operator asks for that.
 
@@ -710,8 +683,6 @@ ControlMessage: TypeAlias = (
     | TypeText
     | Follow
     | Followed
-    | Look
-    | LookAnswer
     | Duplicate
     | Shutdown
 )

@@ -14,7 +14,6 @@ from msgspec import Meta
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.model.limits import LATCHED_DEPTH, PORT, RATE, REASON_LENGTH, TEXT_LENGTH
 from rsb_bridge.model.names import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
-from rsb_bridge.model.pictures import TOPICS_AT_ONCE
 from rsb_bridge.model.qos import Qos, qos_problem
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.text import UNPRINTABLE
@@ -47,7 +46,6 @@ MaybeHops: TypeAlias = Annotated[tuple[Hop, ...], Meta(max_length=MOST_HOPS)]
 Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_BRIDGES)]
 FeatureNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=64)]
 NodeNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
-ViewedTopics: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=TOPICS_AT_ONCE)]
 
 MOST_PUBLISHERS = 4096
 """Of one latched topic, in one message."""

@@ -85,21 +85,6 @@ exit codes:
   0  the messages are printed
   1  the messages did not come in time
 {NO_BRIDGE}"""
-_LOOK = f"""\
-The side that publishes the topic draws it, so that only the picture crosses the
-link, also of a topic that is not bridged. Ctrl-C ends.
-
-for example:
-  rsb-console look /camera/image_raw
-  rsb-console look /map /scan /tf --as map
-  rsb-console look /odom --as plot --field twist.twist.linear.x
-  rsb-console look /camera/image_raw --output picture.png
-
-exit codes:
-  0  drawn
-  1  no picture came, or the other side refused
-{NO_BRIDGE}
-  130  interrupted by Ctrl-C"""
 _PUB = f"""\
 The bridge publishes on its side, as a node would, and its routes take the message to
 the other side. The type has to be installed where this bridge runs. A topic that has
@@ -259,9 +244,6 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
     _echo_arguments(echo, complete)
-    _look_arguments(
-        remote("look", "draw a topic's messages as pictures, images included", _LOOK, about_topic=True), complete
-    )
     _pub_arguments(remote("pub", "publish messages by hand", _PUB, about_topic=True), complete)
     for name, summary, more in (
         ("hz", "print a topic's rate, once a second", _EXIT_HZ),
@@ -282,41 +264,6 @@ def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
     echo.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo.add_argument("--no-arr", dest="arrays", action="store_false", help="leave out the elements of arrays")
     echo.add_argument("--full-length", action="store_true", help="print all elements of arrays, not only the first 128")
-
-
-def _look_arguments(look: argparse.ArgumentParser, complete: Complete) -> None:
-    topics = "name on this side, or on the other one; the further ones are laid over a map"
-    complete(look.add_argument("topics", nargs="+", metavar="TOPIC", help=topics), "available")
-    link = "the link to the side that publishes it, if several do"
-    complete(look.add_argument("--link", default="", metavar="CLIENT", help=link), "links")
-    look.add_argument("--once", action="store_true", help="print one picture, as without a terminal")
-    look.add_argument("--timeout", type=timeout, metavar="N", help="with --once: give up after N s; default: 60")
-    look.add_argument("--output", type=Path, metavar="FILE", help="write one picture to FILE: .png, .svg, .txt or .csv")
-    look.add_argument("--as", dest="how", choices=("plot", "tree", "map"), default="", help="default: by the type")
-    look.add_argument("--field", action="append", default=[], metavar="PATH", help="number to plot: pose.position.x")
-    look.add_argument(
-        "--seconds", type=within(1, 3600), default=30.0, metavar="N", help="length of a plot (%(default)g)"
-    )
-    look.add_argument(
-        "--rate", type=within(0.05, 10), default=2.0, metavar="HZ", help="pictures a second, at most 10 (%(default)g)"
-    )
-    look.add_argument(
-        "--zoom", type=within(0.01, 1000), default=1.0, metavar="N", help="show less, larger (%(default)g)"
-    )
-    look.add_argument(
-        "--tilt", type=within(0, 90), default=0.0, metavar="DEGREES", help="see points from the side, up to 90"
-    )
-    look.add_argument("--colour", choices=("height", "intensity"), default="height", help="colour of points")
-    look.add_argument("--frame", default="", metavar="FRAME", help="frame of a map")
-    look.add_argument("--match", default="", metavar="TEXT", help="show only lines that contain TEXT")
-    look.add_argument("--width", type=count, metavar="N", help="cells; default: the terminal's")
-    look.add_argument("--height", type=count, metavar="N", help="cells; default: the terminal's")
-    way = "how to show images: kitty or sixel (terminals that show pixels), or blocks; default: ask the terminal"
-    look.add_argument("--graphics", choices=("auto", "kitty", "sixel", "blocks"), default="auto", help=way)
-    finer = "pixels of an image across a character, 1 to 16; default: 6, and with --output the image's own"
-    look.add_argument("--detail", type=int, choices=range(1, 17), metavar="N", help=finer)
-    look.add_argument("--ascii", action="store_true", help="use neither colours nor block characters")
-    look.set_defaults(command=lazily("look", "look_command"), kind="topic")
 
 
 def _pub_arguments(pub: argparse.ArgumentParser, complete: Complete) -> None:

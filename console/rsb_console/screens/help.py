@@ -63,8 +63,8 @@ class HelpScreen(ModalScreen[None]):
         room = max(20, width - KEYS_WIDTH - ID_WIDTH)
         shown = [action for action in self._actions if not (action.changes and self.console.readonly)]
         order = list(Group)
-        # The fleet's screen has no pictures, and nothing to drive.
-        chapters = KEYS_ON_SCREENS if any(action.id == "look" for action in shown) else ()
+        # The fleet's screen opens none of these screens.
+        chapters = () if any(action.group is Group.FLEET for action in shown) else KEYS_ON_SCREENS
         yield from self._chapters([each for each in chapters if each.screen in self._classes_below], room)
         for group, actions in groupby(sorted(shown, key=lambda a: order.index(a.group)), key=lambda a: a.group):
             yield ((group.value, "head"),)

@@ -14,6 +14,7 @@ from textual.screen import ModalScreen, Screen
 from textual.widgets import Static
 
 from rsb_bridge.config.files import why_not_written
+from rsb_bridge.feature import installed
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
@@ -368,47 +369,32 @@ class MainScreen(Screen[None]):
             self._mode("-detail")
 
     def action_message(self) -> None:
-        from rsb_console.screens.look_screen import has_picture  # noqa: PLC0415 -- keeps the start short
-
         route = self.topics.selected
         if route is None or self.console.engine is None:
             return
         if isinstance(route, PatternRow):
             self.notify(MainText.IS_PATTERN(topic=route.topic), markup=False, timeout=4)
         elif route.calls is None:
-            self._show_messages(route, as_picture=has_picture(route.type_name))
+            self._show_messages(route)
         else:
             text = MainText.NO_MESSAGES if self.console.readonly else MainText.NO_MESSAGES_BUT_CALLS
             self.notify(text(topic=route.topic, key=self._explanations.key("call")), markup=False, timeout=4)
 
-    def _show_messages(self, route: RouteSnapshot, *, as_picture: bool) -> None:
-        """Show a topic's messages as pictures or as text, until the screen is closed."""
-        from rsb_console.screens.look_screen import Subject, is_layer  # noqa: PLC0415 -- keeps the start short
-        from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415
-        from rsb_console.screens.view_screen import ViewScreen  # noqa: PLC0415
+    def _show_messages(self, route: RouteSnapshot) -> None:
+        """Show a topic's messages in the usual way of their type, then in the others, until the screen is closed."""
+        from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415 -- keeps the start short
 
-        def closed(other: bool | None) -> None:
-            if other:
-                self._show_messages(route, as_picture=not as_picture)
+        views = [view for feature in installed() for view in feature.message_views()]
+        as_text = partial(MessageScreen, other=views[0].name if views else "")
+        ways = [*(view.screen for view in views), as_text]
+        usual = next((at for at, view in enumerate(views) if view.suits(route.type_name)), len(views))
 
-        if as_picture:
-            routes = self.console.snapshot().routes
-            layers = tuple(each.topic for each in routes if is_layer(each.type_name) and each.topic != route.topic)
-            self.app.push_screen(ViewScreen(self.console, Subject((route.topic,), "", route.type_name, layers)), closed)
-        else:
-            self.app.push_screen(MessageScreen(self.console, route), closed)
+        def show(at: int) -> None:
+            self.app.push_screen(
+                ways[at % len(ways)](self.console, route), lambda other: show(at + 1) if other else None
+            )
 
-    def action_look(self) -> None:
-        """Look at a topic of either side, bridged or not."""
-        from rsb_console.screens.look_screen import LookScreen, Subject  # noqa: PLC0415
-        from rsb_console.screens.view_screen import ViewScreen  # noqa: PLC0415
-
-        def chosen(subject: Subject | None) -> None:
-            if subject is not None:
-                self.app.push_screen(ViewScreen(self.console, subject))
-
-        if self.console.engine is not None:
-            self.app.push_screen(LookScreen(self.console), chosen)
+        show(usual)
 
     def action_zoom(self) -> None:
         """Maximize the focused pane, or restore the layout."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, ClassVar
 
@@ -22,9 +23,10 @@ from rsb_console.terminal.driver import copy
 from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from textual.app import ComposeResult
+    from textual.screen import Screen
 
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.model.snapshot import PeekedMessage, RouteSnapshot
@@ -40,7 +42,22 @@ _MOST_LINES = 2_000
 """Lines of a message that are shown. A round figure: the event loop, for which keys wait, cuts each of them at every
 drawing."""
 _TRIED_AGAIN_AFTER = 1.0  # s, a round figure: the reason on the screen is at most so old
-_KEYS = " esc back · space hold · t picture · y copy "
+_KEYS = " esc back · space hold · {other}y copy "
+
+
+@dataclass(frozen=True)
+class MessageView:
+    """A way to show a topic's messages other than as text.
+
+    Attributes:
+        name: of what it shows, after the key that goes on to it.
+        suits: whether it is the usual way for messages of a type.
+        screen: makes a screen for a console and a topic. Its result is true if they are to be shown in the next way.
+    """
+
+    name: str
+    suits: Callable[[str], bool]
+    screen: Callable[[Console, RouteSnapshot], Screen[bool]]
 
 
 class MessageText(Wording):
@@ -52,23 +69,25 @@ class MessageText(Wording):
 class MessageScreen(FullScreen[bool]):
     """Shows the messages of one topic, each new one in place of the one before.
 
-    The result is true if they are to be shown as pictures instead.
+    The result is true if they are to be shown in another way instead.
 
     Args:
         route: the topic's, as it was when this was opened.
+        other: name of the other way, or an empty string if there is none.
     """
 
     BINDINGS: ClassVar = [
         Binding("escape,q,enter,v", "dismiss", show=False),
         Binding("space", "hold", show=False),
         Binding("y", "copy", show=False),
-        Binding("t", "dismiss(True)", show=False),
+        Binding("t", "other", show=False),
     ]
 
-    def __init__(self, console: Console, route: RouteSnapshot) -> None:
+    def __init__(self, console: Console, route: RouteSnapshot, other: str = "") -> None:
         super().__init__()
         self.console = console
         self._route = route
+        self._other = other
         self._types = KnownTypes(time.monotonic)
         self._read: ReadMessage | None = None
         self._goes_on = asyncio.Event()  # cleared: the message that is shown is held
@@ -79,9 +98,9 @@ class MessageScreen(FullScreen[bool]):
         self._waits_since = time.monotonic()
 
     def compose(self) -> ComposeResult:
-        self._pane = ScrolledLines(id="message", classes="dialog")
+        self._pane = ScrolledLines(classes="dialog -whole")
         self._pane.border_title = f" {escape_text(self._route.topic)} "
-        self._pane.border_subtitle = _KEYS
+        self._pane.border_subtitle = _KEYS.format(other=f"t {self._other} · " if self._other else "")
         yield self._pane
 
     def on_mount(self) -> None:
@@ -185,6 +204,11 @@ class MessageScreen(FullScreen[bool]):
             yield ((MessageText.WAITING(waited=formats.age(waited)), "waiting"), *state)
 
     # -- keys ---------------------------------------------------------------------------------------------------------
+
+    def action_other(self) -> None:
+        """Show the messages in the other way, if there is one."""
+        if self._other:
+            self.dismiss(True)
 
     def action_hold(self) -> None:
         """Hold the shown message, or continue."""

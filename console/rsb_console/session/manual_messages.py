@@ -1,13 +1,11 @@
-"""Messages and calls by hand: publishing with tickets, reports of where they went, and goals on maps."""
+"""Messages and calls by hand: publishing with tickets, and reports of where they went."""
 
 from __future__ import annotations
 
 import asyncio
-import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.audience import NOBODY, Audience
 from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.clock import Clock
@@ -21,17 +19,13 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.by_hand import Published
-    from rsb_bridge.model.pictures import Scale
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Snapshot
 
-POSE = "geometry_msgs/msg/PoseStamped"
 TRIES = 3
 """Tickets for one message: a slow way to the bridge may make one too old."""
 REPORTED_WITHIN = 3.0
 """s in which the other side reports a message, unless the link hangs: it reports once a second."""
 _NODES_NAMED = 3  # nodes in a report; the others are counted. A round figure
-_FAR = 1e4
-"""Cells, beyond any picture."""
 
 
 class ByHandText(Wording):
@@ -170,54 +164,6 @@ def _dropped_since(before: Ledger | None, now: Ledger) -> str:
     if not causes and now.expired > (0 if before is None else before.expired):
         return "too old"
     return causes[0] if causes else ""
-
-
-class Goal(NamedTuple):
-    """A pose on a map.
-
-    Attributes:
-        heading: rad, counterclockwise from the x axis.
-    """
-
-    frame: str
-    x: float
-    y: float
-    heading: float = 0.0
-
-    @classmethod
-    def at(cls, scale: Scale, column: float, row: float) -> Goal:
-        """Return the pose at a place on a map, in cells from its upper left corner."""
-        return cls(scale.frame, scale.left + column * scale.column, scale.top - row * scale.row)
-
-    def cell(self, scale: Scale) -> tuple[int, int]:
-        """Return the column and the row of its cell on a map, which may lie outside."""
-        cells = (self.x - scale.left) / scale.column, (scale.top - self.y) / scale.row
-        # A peer may send a map whose cells have hardly any size, and `floor` refuses infinity.
-        column, row = (math.floor(max(-_FAR, min(_FAR, each))) for each in cells)
-        return column, row
-
-    def moved(self, scale: Scale, columns: int, rows: int) -> Goal:
-        """Return it some cells further to the right and down."""
-        return self._replace(x=self.x + columns * scale.column, y=self.y - rows * scale.row)
-
-    def turned(self, degrees: float) -> Goal:
-        """Return it turned counterclockwise."""
-        return self._replace(heading=math.remainder(self.heading + math.radians(degrees), math.tau))
-
-    @property
-    def arrow(self) -> str:
-        """The character that points to its heading."""
-        return "→↗↑↖←↙↓↘"[round(self.heading / math.tau * 8) % 8]
-
-    def fields(self) -> str:
-        """Return it as the fields of a ``geometry_msgs/msg/PoseStamped``, in YAML."""
-        frame = inline(self.frame, '"')
-        z, w = math.sin(self.heading / 2), math.cos(self.heading / 2)
-        return (
-            f"header: {{stamp: now, frame_id: {frame}}}\n"
-            f"pose:\n  position: {{x: {self.x:.3f}, y: {self.y:.3f}}}\n"
-            f"  orientation: {{z: {z:.6f}, w: {w:.6f}}}\n"
-        )
 
 
 def full_type(route: RouteSnapshot) -> str:

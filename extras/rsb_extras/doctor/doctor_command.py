@@ -10,12 +10,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.session_file import SessionError, load
+from rsb_bridge.model.finding import Check, Finding, Grade, examine, worst
 from rsb_bridge.model.text import plural
 from rsb_console.command.check import print_mistakes
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, prefers_ascii, print_line
 from rsb_extras.doctor import machine, ros_setup, session_needs
-from rsb_extras.doctor.finding import Check, Finding, Grade, examine, worst
 
 if TYPE_CHECKING:
     from argparse import Namespace

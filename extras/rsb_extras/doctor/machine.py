@@ -30,12 +30,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from rsb_bridge.config.files import why_not_written
 from rsb_bridge.feature import installed
 from rsb_bridge.history.state_folder import state_folder
+from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.tcp import BBR, congestion_control, prefer_bbr
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers, granted_receive_buffer
-from rsb_extras.doctor.finding import Check, Finding, Grade
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -54,7 +54,6 @@ _GROUP = "224.0.0.1"
 _IFF_UP, _IFF_LOOPBACK, _IFF_MULTICAST = 0x1, 0x8, 0x1000
 _SIOCGIFFLAGS = 0x8913
 _ANSWERS_WITHIN = 2.0  # s
-_CONFINED_WITHIN = 20.0  # s; a slow computer starts Python for seconds
 _LOCKED_WITHIN = 5.0
 """s until Fast DDS has locked a new file. Trying the lock earlier could steal it from a starting program."""
 _Chain: TypeAlias = tuple[str, str, str]
@@ -67,11 +66,6 @@ _EXTRAS = {"zenoh": "zenoh"}
 class MachineText(Wording):
     """Findings about a machine, and remedies."""
 
-    CONFINED = "the process that draws reads only the program's files, and reaches nothing else"
-    DRAWS_WITH_FILES = "the process that draws can read its user's files: this kernel has no Landlock"
-    DRAWS_WITH_NETWORK = "the process that draws has a network, so it could drive robots: no seccomp filter here"
-    LANDLOCK_REMEDY = "Linux 5.13 or newer with Landlock (boot parameter lsm=landlock,...)"
-    FILTER_REMEDY = "a kernel with seccomp (CONFIG_SECCOMP_FILTER), on x86-64 or aarch64"
     BLUETOOTH_REMEDY = "for Bluetooth links, run it with the distribution's own Python (/usr/bin/python3)"
     EXTRAS_REMEDY = "pip install 'rsb-console[{missing}]'"
     SHARED_MEMORY = "{free} of {size} MB are free in {folder}"
@@ -119,7 +113,7 @@ def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, .
     return (
         Check("program", "program", _program),
         Check("extras", "extras", _extras),
-        Check("pictures", "pictures", _pictures),
+        *(check for feature in installed() for check in feature.checks()),
         Check("shared_memory", "shared memory", partial(_shared_memory, root / "dev/shm")),
         Check("udp_buffers", "UDP buffers", _udp_buffers),
         Check("congestion_control", "TCP", _congestion_control),
@@ -153,28 +147,6 @@ def _extras() -> Iterator[Finding]:
         yield Finding("extras", Grade.NOTE, "extras", text, remedy, found)
     else:
         yield Finding("extras", Grade.OK, "extras", f"{' and '.join(found)} installed", facts=found)
-
-
-def _pictures() -> Iterator[Finding]:
-    """Have a process confine itself as the one that draws does."""
-    # A process of its own, because no measure can be undone.
-    trial = (sys.executable, "-P", "-m", "rsb_bridge.view.confinement")
-    try:
-        ran = subprocess.run(trial, capture_output=True, timeout=_CONFINED_WITHIN, check=True)  # noqa: S603 -- own program
-    except subprocess.SubprocessError as error:
-        raise OSError(str(error)) from error
-    facts = json.loads(ran.stdout)
-    remedy = ""
-    if not (facts["no_new_privileges"] and facts["no_capabilities"]):
-        text = "the process that draws keeps root's rights, or can gain some"
-        remedy = "run the bridge as a user of its own, not as root"
-    elif not facts["filtered"]:
-        text, remedy = MachineText.DRAWS_WITH_NETWORK(), MachineText.FILTER_REMEDY()
-    elif not facts["landlock"]:
-        text, remedy = MachineText.DRAWS_WITH_FILES(), MachineText.LANDLOCK_REMEDY()
-    else:
-        text = MachineText.CONFINED()
-    yield Finding("pictures", Grade.NOTE if remedy else Grade.OK, "pictures", text, remedy, facts)
 
 
 def _shared_memory(folder: Path) -> Iterator[Finding]:

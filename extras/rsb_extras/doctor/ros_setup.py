@@ -12,12 +12,12 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.distribution import check_middleware, described, distribution, rclpy_version
 from rsb_bridge.ros.memory import PROFILE_VARIABLES
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_extras.doctor.finding import Check, Finding, Grade
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

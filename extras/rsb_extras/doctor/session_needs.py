@@ -22,12 +22,12 @@ from rsb_bridge.config.validation import domain_of
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model import transports
+from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.names import other_side
 from rsb_bridge.model.verdict import clocks_differ
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import first_open_port
 from rsb_bridge.transport.listening import EVERY_ADDRESS
-from rsb_extras.doctor.finding import Check, Finding, Grade
 from rsb_extras.doctor.machine import MachineText, bluetooth_adapters
 
 if TYPE_CHECKING:

@@ -1,8 +1,9 @@
-"""The parsers, a module for each family. A module's `PARSERS` are what is fuzzed."""
+"""The parsers, a module for each family, and those of features. A module's `PARSERS` are what is fuzzed."""
 
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -20,12 +21,14 @@ FAMILIES = (
     "control_socket",
     "operators",
     "announcements",
-    "pictures",
     "bluetooth",
 )
 
 
 def load_parsers() -> dict[str, Parser]:
     """All parsers by their names. What they read with is imported only now, so that it can be instrumented."""
-    modules = [importlib.import_module(f"tests.fuzz.parsers.{family}") for family in FAMILIES]
+    features = Path(__file__).parents[3].glob("extras/rsb_extras/*/tests/fuzzed_parsers.py")
+    names = [f"tests.fuzz.parsers.{family}" for family in FAMILIES]
+    names += [f"rsb_extras.{path.parts[-3]}.tests.{path.stem}" for path in sorted(features)]
+    modules = [importlib.import_module(name) for name in names]
     return {parser.name: parser for module in modules for parser in module.PARSERS}

@@ -17,9 +17,9 @@ from tests.support.captured import captured
 from tests.support.commands import parser_and_commands
 
 from rsb_bridge.config.keys import write_key
+from rsb_bridge.model.finding import Finding, Grade
 from rsb_console.command.remote import RemoteProblem
 from rsb_extras.doctor.doctor_command import lines, terminal_check
-from rsb_extras.doctor.finding import Finding, Grade
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,17 +10,16 @@ import resource
 import shlex
 import shutil
 import socket
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 from unittest.mock import Mock
 
 import pytest
 from tests.support import surroundings
 
+from rsb_bridge.model.finding import Check, Finding, Grade, examine, worst
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers
 from rsb_extras.doctor import machine
-from rsb_extras.doctor.finding import Check, Finding, Grade, examine, worst
 from rsb_extras.doctor.tests import doctor_places
 
 if TYPE_CHECKING:
@@ -43,29 +42,6 @@ def test_what_a_udp_socket_may_hold(given: int, grade: Grade, tmp_path: Path, mo
     assert finding.grade == grade
     assert finding.facts["given"] == given
     assert (str(RECEIVE_BUFFER) in finding.remedy) == (grade == Grade.WARNING)
-
-
-@pytest.mark.parametrize(
-    ("rights", "landlock", "filtered", "grade"),
-    [
-        (False, 7, True, Grade.OK), (False, 1, True, Grade.OK), (False, 7, False, Grade.NOTE),
-        (False, 0, True, Grade.NOTE), (False, 0, False, Grade.NOTE), (True, 0, True, Grade.NOTE),
-    ],
-)  # fmt: skip
-def test_how_the_process_that_draws_is_confined(
-    rights: bool, landlock: int, filtered: bool, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    facts = {"no_new_privileges": True, "no_capabilities": not rights, "landlock": landlock, "filtered": filtered}
-    ran = SimpleNamespace(stdout=json.dumps(facts))
-    doctor_places.RUN.set(monkeypatch, lambda *_, **__: ran)
-    (finding,) = found("pictures", tmp_path)
-    assert (finding.grade, bool(finding.remedy), finding.facts) == (grade, grade != Grade.OK, facts)
-
-
-def test_the_confinement_is_tried_on_this_machine(tmp_path: Path) -> None:
-    (finding,) = found("pictures", tmp_path)
-    assert finding.facts["no_new_privileges"]
-    assert finding.facts["no_capabilities"]
 
 
 def test_a_udp_socket_is_asked_as_the_bridge_asks_it(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import pytest
 from tests.support import surroundings
 from tests.support.wording import says
 
+from rsb_bridge.model.finding import Finding, Grade, examine
 from rsb_extras.doctor import ros_setup
-from rsb_extras.doctor.finding import Finding, Grade, examine
 from rsb_extras.doctor.tests import doctor_places
 
 

@@ -14,9 +14,9 @@ from tests.support.ports import free_port
 from tests.support.wording import says
 
 from rsb_bridge.config.keys import write_key
+from rsb_bridge.model.finding import Finding, Grade, examine
 from rsb_bridge.model.session import Operator, Session, Topic, ZenohSettings
 from rsb_extras.doctor import session_needs
-from rsb_extras.doctor.finding import Finding, Grade, examine
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -1,1 +1,0 @@
-"""Draws pictures of messages, in a process of its own."""

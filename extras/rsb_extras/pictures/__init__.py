@@ -1,0 +1,78 @@
+"""Pictures: images, maps, scans, plots and lists of a topic's messages, drawn by the side that publishes it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from rsb_bridge.feature import Feature
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from rsb_bridge.engine.bridge import Bridge
+    from rsb_bridge.engine.part import EnginePart
+    from rsb_bridge.link.extension import Extension
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.model.commands import Command
+    from rsb_bridge.model.finding import Check
+    from rsb_bridge.model.purposes import Purpose
+    from rsb_bridge.wire.messages import ControlMessageBase
+    from rsb_console.actions import Action
+    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.screens.message_screen import MessageView
+
+
+class Pictures(Feature):
+    name = "pictures"
+    libraries: ClassVar[Mapping[str, str]] = {"look": "PIL"}
+
+    def messages(self) -> Iterable[type[ControlMessageBase]]:
+        from rsb_extras.pictures.link_views import Look, LookAnswer  # noqa: PLC0415 -- `Feature` says why, here and below
+
+        return Look, LookAnswer
+
+    def purposes(self) -> Iterable[Purpose]:
+        from rsb_extras.pictures.link_views import VIEW  # noqa: PLC0415
+
+        return (VIEW,)
+
+    def extensions(self, link: Link) -> Iterable[Extension]:
+        from rsb_extras.pictures.link_views import LinkViews  # noqa: PLC0415
+
+        return (LinkViews(link),)
+
+    def commands(self) -> Iterable[type[Command[object]]]:
+        from rsb_extras.pictures.look_requests import EndLook, LookAtTopics  # noqa: PLC0415
+
+        return LookAtTopics, EndLook
+
+    def parts(self, bridge: Bridge) -> Iterable[EnginePart]:
+        from rsb_extras.pictures.viewing import Viewing  # noqa: PLC0415
+
+        return (Viewing(bridge),)
+
+    def subcommands(self, add: AddCommand, complete: Complete) -> None:
+        from rsb_extras.pictures.look_arguments import add_look  # noqa: PLC0415
+
+        add_look(add, complete)
+
+    def checks(self) -> Iterable[Check]:
+        from rsb_bridge.model.finding import Check  # noqa: PLC0415
+        from rsb_extras.pictures.confinement_check import confined  # noqa: PLC0415
+
+        return (Check("pictures", "pictures", confined),)
+
+    def actions(self) -> Iterable[Action]:
+        from rsb_extras.pictures.picture_keys import LOOK  # noqa: PLC0415
+
+        return (LOOK,)
+
+    def message_views(self) -> Iterable[MessageView]:
+        from rsb_console.actions import late  # noqa: PLC0415
+        from rsb_console.screens.message_screen import MessageView  # noqa: PLC0415
+
+        place = "rsb_extras.pictures"
+        return (MessageView("picture", late(f"{place}.drawing:has_picture"), late(f"{place}.view_screen:view")),)
+
+
+FEATURE = Pictures()

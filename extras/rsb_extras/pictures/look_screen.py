@@ -1,0 +1,141 @@
+"""Chooses a topic of either side, bridged or not, to look at."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from textual import on, work
+from textual.binding import Binding
+from textual.screen import ModalScreen
+from textual.widgets import Input
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.names import other_side
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import escape_text
+from rsb_console.screens.dialog import Dialog
+from rsb_console.widgets.filter import RowFilter
+from rsb_console.widgets.picker import Suggestion, SuggestionList
+from rsb_extras.pictures.drawing import has_picture, is_layer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.snapshot import TopicInfo
+    from rsb_console.console_api import Console
+    from rsb_console.widgets.lines import Line
+
+_KEYS = " type to search · ↑↓ choose · ⏎ look · esc close"
+_SIDE, _TOPIC = 14, 34
+_ASKED_EVERY = 3.0
+"""s between two questions to all sides. A round figure: each asks for the whole graph, over the link."""
+
+
+class Subject(NamedTuple):
+    """The topics of a view.
+
+    Attributes:
+        topics: the topics; the first one gives the kind of picture.
+        link: the link to the side that publishes them, or an empty string if the engine is to find the side.
+        type_name: of the first topic.
+        layers: further topics of that side that can be laid over a map.
+    """
+
+    topics: tuple[str, ...]
+    link: str = ""
+    type_name: str = ""
+    layers: tuple[str, ...] = ()
+
+
+class LookScreen(ModalScreen[Subject]):
+    """Lists the topics of all sides; those with a picture of their own come first."""
+
+    BINDINGS: ClassVar = [
+        Binding("escape", "dismiss", show=False),
+        Binding("up", "move(-1)", show=False),
+        Binding("down", "move(1)", show=False),
+        Binding("pageup", "page(-1)", show=False),
+        Binding("pagedown", "page(1)", show=False),
+    ]
+    AUTO_FOCUS = "Input"
+
+    def __init__(self, console: Console) -> None:
+        super().__init__()
+        self.console = console
+        self._found: dict[str, tuple[TopicInfo, ...]] = {}
+        self._subjects: dict[str, Subject] = {}
+        self._problems: list[str] = []
+        self._asking = True
+
+    def compose(self) -> ComposeResult:
+        self.text, self.list = Input(id="look-search"), SuggestionList()
+        yield Dialog("Look at a topic", self.text, self.list, keys=_KEYS, shape="-history")
+
+    def on_mount(self) -> None:
+        self._list()
+        self._ask()
+
+    @work
+    async def _ask(self) -> None:
+        """Ask all sides for their topics, again and again: a side may be linked later."""
+        while (engine := self.console.engine) is not None:
+            linked = [link.name for link in self.console.snapshot().links if link.state is State.OK]
+            found: dict[str, tuple[TopicInfo, ...]] = {}
+            problems = []
+            for side in ("", *linked):
+                try:
+                    found[side] = await asyncio.wrap_future(engine.topics(side or None))
+                except EngineError as error:
+                    problems.append(str(error))
+                # The first time, each side is shown as it answers: a slow one must not hold up the others.
+                if self._asking:
+                    self._found = {**found}
+                    self._list()
+            if (found, problems) != (self._found, self._problems) or self._asking:
+                self._found, self._problems, self._asking = found, problems, False
+                self._list()
+            await asyncio.sleep(_ASKED_EVERY)
+
+    @on(Input.Changed)
+    def _list(self) -> None:
+        problems = "".join(f"; {problem}" for problem in self._problems)
+        empty = "asking both sides …" if self._asking else f"no topic that matches has a publisher{problems}"
+        self.list.show(list(self._suggestions()), RowFilter.or_plain(self.text.value), escape_text(empty))
+
+    def _suggestions(self) -> Iterator[Suggestion]:
+        found = [
+            (side, info)
+            for side, infos in self._found.items()
+            for info in infos
+            if info.kind == "topic" and info.publishers
+        ]
+        role = self.console.snapshot().role
+        for side, info in sorted(found, key=lambda each: (not has_picture(each[1].type_name), each[1].topic, each[0])):
+            key = f"{side}\n{info.topic}"
+            layers = (each.topic for each in self._found[side] if is_layer(each.type_name) and each.publishers)
+            others = tuple(topic for topic in layers if topic != info.topic)
+            self._subjects[key] = Subject((info.topic,), side, info.type_name, others)
+            shown = escape_text(other_side(role, side) if side else "here")[: _SIDE - 1]
+            line: Line = (
+                (f"{escape_text(info.topic):<{_TOPIC}} ", ""),
+                (f"{shown:<{_SIDE}}", "dim"),
+                (escape_text(info.type_name), "strong" if has_picture(info.type_name) else "dim"),
+            )
+            yield Suggestion(key, info.topic, lambda _width, line=line: line)  # type: ignore[misc]
+
+    @on(Input.Submitted)
+    def _choose(self) -> None:
+        if (current := self.list.current) is not None:
+            self.dismiss(self._subjects[current.key])
+
+    def on_selectable_list_chosen(self) -> None:
+        self._choose()
+
+    def action_move(self, step: int) -> None:
+        self.list.move_to(self.list.position + step)
+
+    def action_page(self, step: int) -> None:
+        self.list.move_to(self.list.position + step * self.list.page)

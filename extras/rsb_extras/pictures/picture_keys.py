@@ -1,0 +1,45 @@
+"""The key that looks at any topic, and the keys on pictures."""
+
+from __future__ import annotations
+
+from rsb_console.actions import Action, Group, KeyChapter, late
+
+_KEYS = (
+    KeyChapter(
+        "On a picture (v, V)",
+        "ViewScreen",
+        (
+            ("esc q v", "Close it"),
+            ("t", "Show the messages as text, or as a picture again"),
+            ("space", "Hold the picture; the topic goes on"),
+            ("+ - 0", "Zoom in, zoom out, show all"),
+            ("← → ↑ ↓", "Move the view; on a plot, the cursor"),
+            ("[ ] c", "Of points: tilt the view, change what their colours mean"),
+            ("h", "Draw it in another way: usual, plot, tree"),
+            ("l", "Of a map: lay the other topics over it, or show it alone"),
+            ("< >", "Fewer or more pictures a second"),
+            ("p", "Write the picture to a file, an image in its own resolution"),
+        ),
+    ),
+    KeyChapter(
+        "Goal on a map",
+        "ViewScreen",
+        (
+            ("g", "Begin to set a goal"),
+            ("← → ↑ ↓", "Move it; after ⏎, turn it"),
+            ("⏎", "Go on to its heading, then to the form that publishes it"),
+            ("esc", "Leave it"),
+        ),
+    ),
+)
+LOOK = Action(
+    "look",
+    "V",
+    "look",
+    "Look at any topic of either side: images, maps, scans, plots",
+    Group.VIEW,
+    also="camera, picture, view, tf, diagnostics",
+    run=late("rsb_extras.pictures.view_screen:look"),
+    after="message",
+    chapters=_KEYS,
+)

@@ -1,0 +1,322 @@
+"""Pictures of messages as rows of a terminal: half blocks, styled characters, ASCII, or plots in braille."""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+from importlib.util import find_spec
+from itertools import cycle, groupby
+from typing import NamedTuple
+
+from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS, Cells, Curve, Pixels, Series
+
+RAMP = " .:-=+*#%@"
+"""Characters for an image on a terminal without colours, from dark to light."""
+_UPPER_HALF = "▀"
+COLOURS = {None: 0, "standard": 16, "windows": 16, "256": 256, "truecolor": 1 << 24}
+"""The number of a terminal's colours, by rich's name of its colour system."""
+_FEW = 16
+_GREYS = ("#000000", "#555555", "#aaaaaa", "#ffffff")
+"""The greys of a terminal with 16 colours. Its other colours would make blotches of an image."""
+_BAYER = ((0, 8, 2, 10), (12, 4, 14, 6), (3, 11, 1, 9), (15, 7, 13, 5))
+"""Thresholds of ordered dithering, in sixteenths of a step: unlike diffused errors they do not flicker from picture to
+picture."""
+_SIDE = len(_BAYER)
+_CURVE_STYLES = ("scan", "path", "goal", "ok", "warning", "error", "robot", "strong")
+_DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+_BRAILLE = 0x2800
+_DOTS_ACROSS, _DOTS_DOWN = 2, 4
+AXIS = 10
+"""Cells of a plot's labels of values, with the axis: a label such as -1.23e-05 has nine."""
+_TICK_ROWS, _TICK_COLUMNS = 4, 16
+"""Least rows and columns from one label to the next. A label of time takes up to eleven columns."""
+_TICK_STEPS = (1, 2, 5)
+
+
+def _shades(threshold: int) -> bytes:
+    """Return the index of the grey for each brightness, where a pixel has a threshold."""
+    steps = len(_GREYS) - 1
+    return bytes(min(steps, (grey * steps * 16 // 255 + threshold) // 16) for grey in range(256))
+
+
+_SHADES = tuple(tuple(map(_shades, row)) for row in _BAYER)
+
+
+class Part(NamedTuple):
+    """Some cells of one row.
+
+    Attributes:
+        style: a style of `rsb_extras.pictures.picture.STYLES`, or the characters' colour as ``#rrggbb``.
+        background: a colour as ``#rrggbb``, or an empty string for the terminal's own.
+    """
+
+    text: str
+    style: str = ""
+    background: str = ""
+
+
+Row = tuple[Part, ...]
+
+
+def picture_rows(
+    content: Cells | Pixels | Series, width: int, height: int, *, colours: int = 256, cursor: int | None = None
+) -> list[Row]:
+    """Return a picture's rows.
+
+    Args:
+        width: cells that a plot fills.
+        height: cells that a plot fills.
+        colours: the terminal's. With few, images are dithered in greys; without, they are drawn in ASCII by brightness.
+        cursor: column of a plot, from the left edge of its curves, whose values the legend shows, or None.
+
+    Raises:
+        UnreadableError: the other side's image is damaged.
+    """
+    if isinstance(content, Pixels):
+        # A larger image comes from a hostile side, and would hold the app up.
+        if content.width > MOST_COLUMNS or content.height > 2 * MOST_ROWS:
+            raise UnreadableError("an image is larger than any that blocks are asked for")
+        if colours > _FEW:
+            return _half_blocks(content)
+        return _dithered(content) if colours else _brightness(content)
+    if isinstance(content, Series):
+        return _plot(content, width, height, cursor)
+    return _cells(content)
+
+
+def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) -> list[Row]:
+    """Return a picture's rows with one cell replaced; outside of the picture nothing changes.
+
+    Args:
+        rows: of a picture whose characters take one cell each.
+        part: a character and its style.
+        width: cells of the picture, whose rows may be shorter.
+    """
+    if not (0 <= column < width and 0 <= row < len(rows)):
+        return rows
+    before: list[Part] = []
+    after: list[Part] = []
+    at = 0
+    for each in rows[row]:
+        before.append(each._replace(text=each.text[: max(0, column - at)]))
+        after.append(each._replace(text=each.text[max(0, column + 1 - at) :]))
+        at += len(each.text)
+    gap = Part(" " * max(0, column - at))
+    parts = (*before, gap, part, *after)
+    return [*rows[:row], tuple(each for each in parts if each.text), *rows[row + 1 :]]
+
+
+class UnreadableError(ValueError):
+    """The bytes of an image are not what they should be."""
+
+
+def reads_webp() -> bool:
+    """Whether images in WebP can be shown."""
+    return find_spec("PIL") is not None
+
+
+def rgb_of(pixels: Pixels) -> bytes:
+    """Return an image's pixels, three bytes each.
+
+    Raises:
+        UnreadableError: the other side's WebP file is damaged.
+    """
+    if pixels.coding == "rgb":
+        return pixels.data
+    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 -- optional, and needed only for images
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked before it is read
+            image = Image.open(io.BytesIO(pixels.data), formats=["WEBP"])  # no other decoder for a stranger's bytes
+        if image.size == (pixels.width, pixels.height):
+            return image.convert("RGB").tobytes()
+    except UnidentifiedImageError:  # its text names an object of Python
+        raise UnreadableError("an image cannot be read: it has no header") from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise UnreadableError(f"an image cannot be read: {error}") from None
+    raise UnreadableError("an image has another size than it says")
+
+
+def _half_blocks(pixels: Pixels) -> list[Row]:
+    width, rgb, line = pixels.width, rgb_of(pixels), 3 * pixels.width
+    rows: list[Row] = []
+    for y in range(0, pixels.height, 2):
+        upper = rgb[y * line : (y + 1) * line]
+        # The last row of an odd height has no lower half.
+        lower = rgb[(y + 1) * line : (y + 2) * line].ljust(line, b"\0")
+        both = [(upper[at : at + 3], lower[at : at + 3]) for at in range(0, 3 * width, 3)]
+        # One part for cells of one colour: each part is an escape sequence on the line.
+        runs = ((colours, len([*same])) for colours, same in groupby(both))
+        rows.append(
+            tuple(Part(_UPPER_HALF * count, f"#{fore.hex()}", f"#{back.hex()}") for (fore, back), count in runs)
+        )
+    return rows
+
+
+def _dithered(pixels: Pixels) -> list[Row]:
+    """Draw an image in the few greys of a terminal."""
+    width, grey = pixels.width, _grey(pixels)
+    lines = []
+    for y in range(pixels.height):
+        line = bytearray(grey[y * width : (y + 1) * width])
+        for x, shades in enumerate(_SHADES[y % _SIDE]):
+            # All pixels of a row with one threshold in one call, not in a loop of Python.
+            line[x::_SIDE] = line[x::_SIDE].translate(shades)
+        lines.append(line)
+    rows: list[Row] = []
+    for y in range(0, pixels.height, 2):
+        lower = lines[y + 1] if y + 1 < len(lines) else bytes(width)
+        runs = ((shades, len([*same])) for shades, same in groupby(zip(lines[y], lower, strict=True)))
+        rows.append(tuple(Part(_UPPER_HALF * count, _GREYS[fore], _GREYS[back]) for (fore, back), count in runs))
+    return rows
+
+
+def _grey(pixels: Pixels) -> bytes:
+    """Return the brightness of each pixel."""
+    rgb = rgb_of(pixels)
+    return bytes((54 * rgb[at] + 183 * rgb[at + 1] + 19 * rgb[at + 2]) >> 8 for at in range(0, len(rgb), 3))  # Rec. 709
+
+
+def _brightness(pixels: Pixels) -> list[Row]:
+    width, grey = pixels.width, _grey(pixels)
+    rows: list[Row] = []
+    for y in range(0, pixels.height, 2):
+        upper = grey[y * width : (y + 1) * width]
+        lower = grey[(y + 1) * width : (y + 2) * width] or upper
+        means = ((above + below) // 2 for above, below in zip(upper, lower, strict=True))
+        rows.append((Part("".join(RAMP[mean * len(RAMP) // 256] for mean in means)),))
+    return rows
+
+
+def _cells(cells: Cells) -> list[Row]:
+    rows: list[Row] = []
+    at = 0
+    for text in cells.rows:
+        styles = cells.styles[at : at + len(text)] or bytes(len(text))
+        at += len(text)
+        parts: list[Part] = []
+        begin = 0
+        for style, same in groupby(styles):
+            count = len([*same])
+            parts.append(Part(text[begin : begin + count], cells.palette[style] if cells.palette else ""))
+            begin += count
+        rows.append(tuple(parts))
+    return rows
+
+
+def _plot(series: Series, width: int, height: int, cursor: int | None) -> list[Row]:
+    """Draw curves, axes, and a legend with the newest, lowest, mean and highest values; two columns fill one cell."""
+    styles_of = cycle(_CURVE_STYLES)
+    legend = [_legend(curve, next(styles_of), width, cursor) for curve in series.curves]
+    # A pane may be smaller than its legend and axes.
+    rows = max(1, height - len(legend) - 2)
+    across = max(1, width - AXIS)
+    low, high = _value_range(series)
+    dots, styles = _dots(series, across, rows, low, high)
+    ticks = _ticks(low, high, max(2, rows // _TICK_ROWS))
+    labels = {_row_of_value(tick, low, high, rows): _number(tick) for tick in ticks}
+    lines: list[Row] = []
+    for row in range(rows):
+        label = labels.get(row, "")
+        parts = [Part(f"{label:>{AXIS - 1}}", "axis"), Part("┤" if label else "│", "axis")]
+        for column in range(across):
+            style = styles[row][column]
+            character = chr(_BRAILLE + dots[row][column]) if dots[row][column] else " "
+            if column == cursor and not dots[row][column]:
+                character, style = "│", "dim"
+            # The first two parts are the label and the axis, which stay apart.
+            if parts[-1].style == style and len(parts) > 2:
+                parts[-1] = Part(parts[-1].text + character, style)
+            else:
+                parts.append(Part(character, style))
+        lines.append(tuple(parts))
+    return [*lines, *_time_axis(series, across), *legend][:height]
+
+
+def _value_range(series: Series) -> tuple[float, float]:
+    """Return the lowest and the highest value, some way apart."""
+    values = [value for curve in series.curves for value in (*curve.lows, *curve.highs) if value is not None]
+    low, high = min(values, default=0.0), max(values, default=1.0)
+    # A constant curve: all further figures divide by the range.
+    if high - low < 1e-9 * max(1.0, abs(high)):
+        margin = max(abs(high) * 0.1, 1e-3)
+        return low - margin, high + margin
+    return low, high
+
+
+def _row_of_value(value: float, low: float, high: float, rows: int) -> int:
+    return min(rows - 1, max(0, round((high - value) / (high - low) * (rows * _DOTS_DOWN - 1)) // _DOTS_DOWN))
+
+
+def _dots(series: Series, across: int, rows: int, low: float, high: float) -> tuple[list[list[int]], list[list[str]]]:
+    dots = [[0] * across for _ in range(rows)]
+    styles = [[""] * across for _ in range(rows)]
+    last = rows * _DOTS_DOWN - 1
+    for at, curve in enumerate(series.curves):
+        style, before = _CURVE_STYLES[at % len(_CURVE_STYLES)], None
+        columns = list(zip(curve.lows, curve.highs, strict=False))
+        for x in range(across * _DOTS_ACROSS):
+            column = int(x * len(columns) / (across * _DOTS_ACROSS))
+            least, most = columns[column] if column < len(columns) else (None, None)
+            if least is None or most is None:
+                continue
+            top, bottom = (round((high - value) / (high - low) * last) for value in (most, least))
+            if before is not None:  # connect a curve's steps, which would be dots with gaps
+                top, bottom = min(top, before[1]), max(bottom, before[0])
+            before = tuple(round((high - value) / (high - low) * last) for value in (most, least))
+            for y in range(max(0, top), min(last, bottom) + 1):
+                dots[y // _DOTS_DOWN][x // _DOTS_ACROSS] |= _DOT_BITS[y % _DOTS_DOWN][x % _DOTS_ACROSS]
+                styles[y // _DOTS_DOWN][x // _DOTS_ACROSS] = style
+    return dots, styles
+
+
+def _ticks(low: float, high: float, most: int) -> list[float]:
+    """Return round values between two, at most so many."""
+    rough = (high - low) / most
+    power = 10 ** math.floor(math.log10(rough))
+    step = next((each * power for each in _TICK_STEPS if each * power >= rough), 10 * power)
+    first = math.ceil(low / step)
+    return [(first + at) * step for at in range(most + 1) if (first + at) * step <= high]
+
+
+def _time_axis(series: Series, across: int) -> list[Row]:
+    """Return the line of the time axis, and its labels in seconds before the newest message."""
+    columns = max((len(curve.lows) for curve in series.curves), default=0) or 1
+    seconds = series.step * columns
+    line, labels = ["─"] * across, [" "] * across
+    for tick in _ticks(-seconds, 0.0, max(1, across // _TICK_COLUMNS)):
+        at = min(across - 1, round((tick + seconds) / seconds * (across - 1)))
+        text = "now" if abs(tick) < 1e-9 else f"{_number(tick)} s"
+        line[at] = "┴"
+        begin = max(0, min(across - len(text), at - len(text) // 2))
+        labels[begin : begin + len(text)] = text
+    margin = " " * (AXIS - 1)
+    return [(Part(f"{margin}└{''.join(line)}", "axis"),), (Part(f"{margin} {''.join(labels[:across])}", "axis"),)]
+
+
+def _legend(curve: Curve, style: str, width: int, cursor: int | None) -> Row:
+    if cursor is not None and curve.lows:
+        column = min(len(curve.lows) - 1, cursor * len(curve.lows) // max(1, width - AXIS))
+        low, high = curve.lows[column], curve.highs[column]
+        if low is not None and high is not None:
+            shown = _number(low) if low == high else f"{_number(low)} to {_number(high)}"
+            return Part("▪ ", style), Part(f"{curve.name}  at the cursor {shown}"[: width - 2])
+    lows = [value for value in curve.lows if value is not None]
+    highs = [value for value in curve.highs if value is not None]
+    if curve.last is None or not lows:
+        return Part("▪ ", style), Part(f"{curve.name}  no value"[: width - 2], "dim")
+    mean = "" if curve.mean is None else f"  mean {_number(curve.mean)}"
+    text = f"{curve.name}  {_number(curve.last)}  min {_number(min(lows))}{mean}  max {_number(max(highs))}"
+    return Part("▪ ", style), Part(text[: width - 2])
+
+
+def _number(value: float) -> str:
+    """Format a value in few characters."""
+    if value == 0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        return f"{value:.4g}"
+    # Without the plus, the largest numbers have no more characters than a small negative one.
+    return f"{value:.2e}".replace("e+", "e")

@@ -1,0 +1,210 @@
+"""The views of an engine's consoles: opens each where its topic is published, and ends it when nobody looks."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import TYPE_CHECKING
+
+from rsb_bridge.engine.part import EnginePart
+from rsb_bridge.link.extension import LinkError, check_names
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
+from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.tasks import Tasks
+from rsb_extras.pictures.link_views import LinkViews
+from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
+from rsb_extras.pictures.picture import Picture, Viewed, encode_picture
+from rsb_extras.pictures.renderer import renderer_of
+from rsb_extras.pictures.topic_view import TopicView
+
+if TYPE_CHECKING:
+    from rsb_bridge.engine.bridge import Bridge
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_extras.pictures.link_views import PeerView
+
+VIEWS = 8
+"""Views of all consoles at the same time. A round figure: one process draws them all."""
+WAITS_AT_MOST = 10.0
+"""s after which a console gets None, and asks again, as `route.peeking.WAITS_AT_MOST`."""
+ENDS_AFTER = 5.0
+"""s without a question after which a view ends: its console is gone. A round figure."""
+
+
+class LookProblem(Wording):
+    """The reason why a console gets no picture."""
+
+    NOWHERE = "{topic} has no publisher on this side or {others}"
+
+
+class _View:
+    """A console's view, wherever its topic is."""
+
+    def __init__(self) -> None:
+        self.turn = asyncio.Lock()
+        self.asking = 0
+        self.used_at = 0.0
+        self.place: tuple[str, tuple[str, ...]] | None = None
+        self.link: Link | None = None
+        self.peer_view: PeerView | None = None
+        self.own: TopicView | None = None
+        self.task: asyncio.Task[None] | None = None
+        self.newest: Picture | None = None
+        self.news = asyncio.Event()
+
+    async def deliver(self, picture: Picture) -> None:
+        self.newest = picture
+        self.news.set()
+
+    def close(self) -> None:
+        if self.task is not None:
+            self.task.cancel()
+        if self.link is not None and self.peer_view is not None:
+            views_of(self.link).close_view(self.peer_view)
+        if self.own is not None:
+            self.own.close()
+        self.place = self.task = self.link = self.peer_view = self.own = self.newest = None
+        self.news.clear()
+
+
+class Viewing(EnginePart):
+    """Answers `LookAtTopics` and `EndLook`."""
+
+    def __init__(self, bridge: Bridge) -> None:
+        super().__init__()
+        self._context = bridge.context
+        self._links = bridge.links
+        self._renderer = bridge.context.shared(renderer_of)
+        self._tasks = Tasks(bridge.context.loop, lambda: None)
+        self._views: dict[str, _View] = {}
+        self.handlers = {EndLook: self.end, LookAtTopics: self.next_picture}
+
+    async def next_picture(self, command: LookAtTopics) -> Viewed | None:
+        """Return a console's next picture, or None if none comes for some time.
+
+        Raises:
+            LinkError: there is no picture of the topic.
+        """
+        view = self._views.get(command.viewer)
+        if view is None:
+            if len(self._views) >= VIEWS:
+                raise LinkError(f"{VIEWS} views are open here already: close one of them")
+            view = self._views[command.viewer] = _View()
+        view.asking += 1
+        try:
+            async with view.turn:  # a console that gave up may ask again at once
+                return await self._next(view, command)
+        except LinkError:
+            view.place = None  # the next question looks for the topic again
+            raise
+        finally:
+            view.asking -= 1
+            view.used_at = self._context.now()
+            if self._views.get(command.viewer) is not view:  # it was ended while it was opened
+                view.close()
+
+    async def end(self, command: EndLook) -> None:
+        """End a console's view, which may have ended."""
+        if (view := self._views.pop(command.viewer, None)) is not None:
+            view.close()
+
+    async def _next(self, view: _View, command: LookAtTopics) -> Viewed | None:
+        place = command.link, command.topics
+        if view.place != place:
+            view.close()
+            await self._open(view, command)
+            view.place = place  # not before: its console may be gone while it is opened, and ask again
+        if view.peer_view is not None:
+            assert view.link is not None
+            topics = tuple(_there(view.link, topic) for topic in command.topics)
+            return await views_of(view.link).next_picture(view.peer_view, topics, command.wish, WAITS_AT_MOST)
+        assert view.own is not None
+        view.own.change(command.topics, command.wish)
+        try:
+            async with asyncio.timeout(WAITS_AT_MOST):
+                await view.news.wait()
+        except TimeoutError:
+            return None
+        view.news.clear()
+        picture, view.newest = view.newest, None
+        if picture is None:
+            return None
+        # The clock may have been set back since.
+        age = max(0.0, self._context.wall() - picture.taken / 1e9) if picture.taken else None
+        return Viewed(picture, "", age, len(encode_picture(picture)))
+
+    async def _open(self, view: _View, command: LookAtTopics) -> None:
+        check_names(command.topics)
+        link = await self._place(command.topics[0], command.link)
+        if link is not None:
+            view.link, view.peer_view = link, await views_of(link).open()
+            return
+        own = view.own = TopicView(self._context, command.topics, command.wish, view.deliver, self._bridged)
+        await own.check()
+        view.task = own.start(self._tasks.spawn)
+
+    async def _place(self, topic: str, link_name: str) -> Link | None:
+        """Return the link to the side that publishes a topic, or None if this side does.
+
+        Raises:
+            LinkError: neither side publishes it, as far as this one knows.
+        """
+        links = self._links()
+        if link_name:
+            named = next((each for each in links if each.name == link_name), None)
+            if named is None:
+                raise LinkError(f"there is no link {link_name!r}")
+            return named
+        if self._bridged(topic) is not None:
+            return None
+        try:
+            if await asyncio.to_thread(self._context.ros.publishers, topic):
+                return None
+        except RosError as error:
+            raise LinkError(str(error)) from None
+        for link in links:
+            if not link.linked:
+                continue
+            with contextlib.suppress(LinkError):  # one side that does not answer hides no other
+                if any(each.topic == _there(link, topic) and each.publishers for each in await link.topic_lists.ask()):
+                    return link
+        others = "any side that is linked" if links else "another side"
+        raise LinkError(LookProblem.NOWHERE(topic=topic, others=others))
+
+    def _bridged(self, topic: str) -> TopicSpec | None:
+        """Return a topic that a link brings to this side, or None."""
+        for link in self._links():
+            for route in link.routes.values():
+                if not isinstance(route, TopicRoute) or route.outgoing or route.local_topic != topic:
+                    continue
+                if route.crossing.flows and route.type_hash and route.qos is not None:
+                    return TopicSpec(topic, route.type_name, route.type_hash, route.qos)
+        return None
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """End the views that nobody looks at, and the process that draws if it has nothing to do."""
+        now = self._context.now()
+        for viewer, view in list(self._views.items()):
+            # A question may wait for longer than that.
+            if not view.asking and now - view.used_at > ENDS_AFTER:
+                del self._views[viewer]
+                view.close()
+        self._renderer.end_if_idle()
+
+    async def close(self) -> None:
+        """End all views."""
+        for view in self._views.values():
+            view.close()
+        self._views.clear()
+        self._renderer.close()
+
+
+def views_of(link: Link) -> LinkViews:
+    return link.extensions.find(LinkViews)
+
+
+def _there(link: Link, topic: str) -> str:
+    """Return the peer's name of a topic that this side's operator may name with the client's name before it."""
+    prefix = f"/{link.name}/"
+    return topic[len(prefix) - 1 :] if not link.is_client and topic.startswith(prefix) else topic
