@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
 CALL_USES: Final[tuple[May, May]] = ("call", "serve")
 """The two rights of a peer: to send messages or requests here, and to take them."""
-_TOPIC_ENTRIES: Final[tuple[May, ...]] = (*TOPIC_USES, "look")
-"""The rights that an entry about topics may name. The right to read includes the right to look."""
+_TOPIC_ENTRIES: Final[tuple[May, ...]] = (*TOPIC_USES, "look")  # the right to read includes the right to look
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 """A mapping, or a word: entries have blanks or commas between them. Without its last brace, YAML refuses it."""
 _NAMED = 6
@@ -63,7 +62,6 @@ ONLY_READ = frozenset(
 Neither name nor type tells the effect of any other service: ``std_srvs/srv/Trigger`` may dock a robot. So all others
 count as changing it, as do all actions and all nodes' parameters, because these can be set.
 """
-_NOTHING = "nothing"
 EVERY_CALL = "any service, action and parameter"
 """Entry of `Listing.acts`, if nothing limits the peer's calls."""
 _KINDS: dict[Kind, str] = {"action": " (action)", "parameters": " (parameters)"}
@@ -134,21 +132,19 @@ def typed_grants(text: str) -> tuple[str | Grant, ...]:
     Raises:
         GrantError: one of them is none.
     """
-    return tuple(_typed(entry) for entry in _ENTRY.findall(text))
-
-
-def _typed(entry: str) -> str | Grant:
-    if not entry.startswith("{"):
-        return entry
-    problems: list[Problem] = []
-    try:
-        data = read_yaml(entry, Path()).data
-    except SessionError as error:
-        raise GrantError(f"{show(entry)}: {error.problems[0].message}") from None
-    grant = read(data, Grant, problems)
-    if problems:
-        raise GrantError("; ".join(map(str, problems)))
-    return grant
+    entries: list[str | Grant] = []
+    for entry in _ENTRY.findall(text):
+        if not entry.startswith("{"):
+            entries.append(entry)
+            continue
+        problems: list[Problem] = []
+        try:
+            entries.append(read(read_yaml(entry, Path()).data, Grant, problems))
+        except SessionError as error:
+            raise GrantError(f"{show(entry)}: {error.problems[0].message}") from None
+        if problems:
+            raise GrantError("; ".join(map(str, problems)))
+    return tuple(entries)
 
 
 def allowing(entry: str | Grant) -> Grant:
@@ -162,7 +158,6 @@ def denying(entry: str | Grant) -> Grant:
 
 
 def grant_problems(holder: Client | Session, location: str) -> Iterator[Problem]:
-    """Mistakes in `allow` and `deny`."""
     for key, entries in (("allow", holder.allow), ("deny", holder.deny)):
         for at, grant in enumerate(entries):
             here = join(join(location, key), at)
@@ -207,10 +202,9 @@ def _pattern_problems(pattern: str, noun: str, location: str) -> Iterator[Proble
 
 
 class Use(NamedTuple):
-    """A peer's use of a topic, a service, an action or a node's parameters.
+    """A peer's use of a topic, a service, an action or a node's parameters by its name on this side.
 
     Attributes:
-        topic: its name on this side.
         may: ``publish`` or ``read`` a topic here; ``call`` a service of this side's nodes, or ``serve`` one to them.
         protocol: the transport, or an empty string if it is not known yet.
     """
@@ -231,12 +225,7 @@ def uses(kind: Kind) -> tuple[May, May]:
 
 
 class DeniedUse(NamedTuple):
-    """A denied use.
-
-    Attributes:
-        reason: the text for the peer.
-        remedy: the change of a session file that would allow it.
-    """
+    """The reason, for the peer, and the change of a session file that would allow the use."""
 
     reason: str
     remedy: str
@@ -285,10 +274,20 @@ class Rights:
                 only = join_first(protocols_of(grant), _NAMED)
                 reason = DeniedText.OTHER_PROTOCOL(owner=self.owner, use=use, peer=self.peer, protocols=only)
                 return DeniedUse(reason, DeniedRemedy.CHANGE_ALLOW(place=self.place, entry=_text(grant)))
-        if allowing or self._by_default(use):
-            return None
-        reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
-        return DeniedUse(reason, self._remedy(use))
+        if self.listed is None or use.may not in _LISTED_AS:
+            if allowing or not self.allow:
+                return None
+            remedy, listed_as = DeniedRemedy.ADD_ALLOW, ""
+        else:  # the entries of a client say what the server may publish, call and serve
+            direction, listed_as = _LISTED_AS[use.may]
+            if allowing or (use.kind, use.topic, direction) in self.listed:
+                return None
+            remedy = DeniedRemedy.LIST_OR_ALLOW if self.allow else DeniedRemedy.LIST
+        entry = f"{{{'topics' if use.kind == 'topic' else 'services'}: {use.topic}, may: {use.may}}}"
+        return DeniedUse(
+            DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use),
+            remedy(list=LISTS[use.kind], place=self.place, direction=listed_as, entry=entry),
+        )
 
     def no_look(self) -> DeniedUse | None:
         """Return the reason why the peer may look at no topic at all, or None. Each topic is checked when it looks."""
@@ -309,19 +308,6 @@ class Rights:
     def shows(self, topic: str, kind: Kind = "topic") -> bool:
         """Whether the peer may know of a name: it has at least one right to use it."""
         return any(self.refusal(Use(topic, may, kind=kind)) is None for may in uses(kind))
-
-    def _by_default(self, use: Use) -> bool:
-        """Whether the peer may do something that no entry of `allow` mentions."""
-        if self.listed is not None and use.may not in ("read", "look"):
-            return (use.kind, use.topic, _LISTED_AS[use.may][0]) in self.listed
-        return not self.allow
-
-    def _remedy(self, use: Use) -> str:
-        entry = f"{{{'topics' if use.kind == 'topic' else 'services'}: {use.topic}, may: {use.may}}}"
-        if self.listed is None or use.may in ("read", "look"):
-            return DeniedRemedy.ADD_ALLOW(entry=entry, place=self.place)
-        remedy = DeniedRemedy.LIST_OR_ALLOW if self.allow else DeniedRemedy.LIST
-        return remedy(list=LISTS[use.kind], place=self.place, direction=_LISTED_AS[use.may][1], entry=entry)
 
     def _about(self, grants: Sequence[Grant], use: Use, also: Sequence[str] = ()) -> list[Grant]:
         """Return the entries that apply to a use, by its name or by other names."""
@@ -373,16 +359,14 @@ def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> R
     )
 
 
-class _Everything(frozenset["Identity"]):
-    """A set that has everything."""
-
-    def __contains__(self, _: object) -> bool:
-        return True
-
-
 def as_if_listed(rights: Rights) -> Rights:
     """Return the rights as if this side's session listed every topic."""
     return rights if rights.listed is None else replace(rights, listed=_Everything())
+
+
+class _Everything(frozenset["Identity"]):
+    def __contains__(self, _: object) -> bool:
+        return True
 
 
 def _meant_by(use: Use) -> list[str]:
@@ -403,6 +387,9 @@ def _text(grant: Grant) -> str:
     if grant.topics == grant.services or plain.keys() == {"topics"}:  # both: `denying` makes them of a pattern
         return grant.topics or ""
     return inline(plain)
+
+
+# --- what the rights come to, for operators
 
 
 class RightsRow(NamedTuple):
@@ -445,56 +432,71 @@ def listings(session: Session) -> Iterator[Listing]:
     if session.role == "client":
         yield _listing(rights_of_server(session), carried, "all", "")
         return
+    if transports.of_link(session.server_ip).topic_ports is NO_PORT or session.ports == "none":
+        ports = "none"
+    elif session.ports is None:
+        ports = f"any {PORTS_PER_CLIENT}"
+    else:
+        ports = join_first([str(port) for port in session.ports], _NAMED) or "none"
     for client in session.accepted_clients:
         prefixed = client.is_prefixed(session)
         within = f"/{client.name}/*" if prefixed else "all"
-        listing = _listing(rights_of_client(client, session.name), carried, within, _ports(session))
+        listing = _listing(rights_of_client(client, session.name), carried, within, ports)
         # Behind its prefix, it reaches no name by which the server's own nodes move or act.
         yield listing._replace(moves=(), acts=()) if prefixed else listing
 
 
 def _listing(rights: Rights, carried: Sequence[str], within: str, ports: str) -> Listing:
-    rows = [*_rows(rights, TOPIC_USES, carried, within, ports)]
-    # Else looking follows reading, and a row of its own would repeat that.
-    if any(grant.may == "look" for grant in (*rights.allow, *rights.deny)):
-        looked = _allowed(rights, "look", carried, within)
-        rows += [RightsRow(rights.peer, "look", names, over, rate, ports) for names, over, rate in looked]
+    """Return the rights of a peer.
+
+    Args:
+        carried: the transports of the link.
+        within: the names that it may have at all.
+        ports: as in `RightsRow`.
+    """
     reliable = [name for name in carried if transports.named(name).reliable]
-    rows += _rows(rights, CALL_USES, reliable, within, ports)
+    rows: list[RightsRow] = []
+    for (one, other), over in ((TOPIC_USES, carried), (CALL_USES, reliable)):
+        found: dict[str, list[tuple[str, str, str]]] = {
+            may: list(_allowed(rights, may, over, within)) for may in (one, other)
+        }
+        if found[one] == found[other]:
+            found = {f"{one}, {other}": found[one]}
+        # Else looking follows reading, and a row of its own would repeat that.
+        if one in TOPIC_USES and any(grant.may == "look" for grant in (*rights.allow, *rights.deny)):
+            found["look"] = list(_allowed(rights, "look", over, within))
+        rows += [RightsRow(rights.peer, may, *columns, ports) for may, each in found.items() for columns in each]
     return Listing(rights.peer, tuple(rows), tuple(_moves(rights, carried)), tuple(_acts(rights, reliable)))
-
-
-def _rows(
-    rights: Rights, uses: tuple[May, May], carried: Sequence[str], within: str, ports: str
-) -> Iterator[RightsRow]:  # fmt: skip
-    """Yield the rows of topics or of calls: one row for both rights if they have the same names."""
-    first, second = ([*_allowed(rights, may, carried, within)] for may in uses)
-    found = {", ".join(uses): first} if first == second else {uses[0]: first, uses[1]: second}
-    for may, allowed in found.items():
-        for names, over, rate in allowed:
-            yield RightsRow(rights.peer, may, names, over, rate, ports)
 
 
 def _allowed(rights: Rights, may: May, carried: Sequence[str], within: str) -> Iterator[tuple[str, str, str]]:
     """Yield names, transports and rates for one right."""
     groups: dict[tuple[str, str], list[str]] = {}
     anything = (", ".join(carried), "any")
-    if rights.listed is not None and may not in ("read", "look"):
-        if names := sorted(_listed(rights, may)):
-            groups[anything] = names
+    if rights.listed is not None and may in _LISTED_AS:
+        names = [
+            f"{name}{_KINDS.get(kind, '')}"
+            for kind, name, direction in rights.listed
+            if (kind == "topic") == (may in TOPIC_USES) and direction == _LISTED_AS[may][0]
+        ]
+        if names:
+            groups[anything] = sorted(names)
     elif not rights.allow:
         groups[anything] = [within]
     for grant, pattern in _about(rights.allow, may):
         over = ", ".join(protocols_of(grant)) or anything[0]
         rate = f"{grant.max_rate:g} Hz" if grant.max_rate else "any"
         groups.setdefault((over, rate), []).append(pattern)
-    denied = [_without(grant, pattern) for grant, pattern in _about(rights.deny, may)]
+    denied = [
+        f"{pattern} over {join_first(protocols_of(grant), _NAMED)}" if grant.protocol else pattern
+        for grant, pattern in _about(rights.deny, may)
+    ]
     but = f", not {join_first(denied, _NAMED)}" if denied else ""
+    limited = f" in {within}" if rights.allow and within != "all" else ""
     for (over, rate), patterns in groups.items():
-        limited = f" in {within}" if rights.allow and within != "all" else ""
         yield f"{join_first(patterns, _NAMED)}{limited}{but}", over, rate
     if not groups:
-        yield _NOTHING, "-", "-"
+        yield "nothing", "-", "-"
 
 
 def _about(grants: Sequence[Grant], may: May) -> Iterator[tuple[Grant, str]]:
@@ -503,17 +505,6 @@ def _about(grants: Sequence[Grant], may: May) -> Iterator[tuple[Grant, str]]:
         pattern = grant.topics if may in _TOPIC_ENTRIES else grant.services
         if pattern is not None and _covers(grant, may):
             yield grant, pattern
-
-
-def _listed(rights: Rights, may: May) -> Iterator[str]:
-    """Yield the names for which a client's entries give the server a right."""
-    for kind, name, direction in rights.listed or ():
-        if (kind == "topic") == (may in TOPIC_USES) and direction == _LISTED_AS[may][0]:
-            yield f"{name}{_KINDS.get(kind, '')}"
-
-
-def _without(grant: Grant, pattern: str) -> str:
-    return f"{pattern} over {join_first(protocols_of(grant), _NAMED)}" if grant.protocol else pattern
 
 
 def _moves(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
@@ -531,13 +522,8 @@ def _acts(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
     if rights.listed is None and not rights.allow and _may(rights, Use("/any", "call", kind="service"), carried):
         yield EVERY_CALL
     for kind, name, direction in sorted(rights.listed or (), key=itemgetter(1)):
-        use = Use(name, "call", kind=kind)
-        if (
-            kind != "topic"
-            and direction == _LISTED_AS["call"][0]
-            and _changes(kind, name)
-            and _may(rights, use, carried)
-        ):
+        called_here = kind != "topic" and direction == _LISTED_AS["call"][0]
+        if called_here and _changes(kind, name) and _may(rights, Use(name, "call", kind=kind), carried):
             yield f"{name}{_KINDS.get(kind, '')}"
     denied = [pattern for grant, pattern in _about(rights.deny, "call") if not grant.protocol]
     for _, pattern in _about(rights.allow, "call"):
@@ -553,21 +539,12 @@ def _may(rights: Rights, use: Use, carried: Sequence[str]) -> bool:
     return any(rights.refusal(use._replace(protocol=protocol)) is None for protocol in carried)
 
 
-def _ports(session: Session) -> str:
-    if transports.of_link(session.server_ip).topic_ports is NO_PORT:
-        return "none"
-    if session.ports is None:
-        return f"any {PORTS_PER_CLIENT}"
-    return "none" if session.ports == "none" else join_first([str(port) for port in session.ports], _NAMED) or "none"
+# --- operators
 
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """An operator and their key.
-
-    Attributes:
-        key: the contents of their key file.
-    """
+    """An operator, and the contents of their key file."""
 
     operator: Operator
     key: Key
