@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.model.purposes import Purpose
-    from rsb_bridge.model.transports import Protocol, TransportTraits
+    from rsb_bridge.model.transports import TransportTraits
 
 A_KIND: Final[dict[Kind, str]] = {
     "topic": "a topic",
@@ -144,7 +144,6 @@ def range_problems(holder: msgspec.Struct, location: str) -> Iterator[Problem]:
 
 
 def port_problems(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
-    """Whether there is such a port."""
     if port and transport.ports is NO_PORT:
         yield Problem(location, f"a link over {transport.medium} has no ports: leave it out")
     elif port not in transport.ports:
@@ -156,15 +155,16 @@ def transport_of(topic: Topic, session: Session | None) -> type[TransportTraits]
     if topic.protocol is not None:
         return transports.named(topic.protocol)
     link = transports.of_link(session.server_ip if session is not None else "")
-    return transports.named(link.best_effort) if link.best_effort and _is_best_effort(topic) else link
-
-
-def _is_best_effort(topic: Topic) -> bool:
+    if not link.best_effort or topic.kind != "topic":
+        return link
     try:
         qos = topic.parsed_qos()
     except ValueError:  # a problem of its own
-        return False
-    return topic.kind == "topic" and qos is not None and qos.reliability == "best_effort"
+        return link
+    return transports.named(link.best_effort) if qos is not None and qos.reliability == "best_effort" else link
+
+
+# --- entries: of a session file, a proposal, and an internal route
 
 
 def entry_problems(topic: Topic, session: Session | None = None, *, client: str | None = None) -> list[Problem]:
@@ -178,52 +178,43 @@ def entry_problems(topic: Topic, session: Session | None = None, *, client: str 
         The problems; the location of each is the key in a session file: ``protocol``.
     """
     problems = [Problem(field, remedy) for field, remedy in foreign(topic).items()]
-    if secrets := unreported(_secrets(topic), problems):
-        problems += secrets
-        topic = _without_secrets(topic)
-    return problems + unreported(topic_problems(topic, "", session, client), problems)
-
-
-def _secrets(topic: Topic) -> Iterator[Problem]:
-    """Yield the texts that are an encryption key by mistake: a topic's name is shown to others."""
-    for field in _TEXTS:
-        if holds_key(getattr(topic, field)):
-            yield Problem(key_of(topic.kind, field), ValueMistake.IS_A_KEY())
+    # Texts that are an encryption key by mistake: a topic's name is shown to others.
+    harmless = {field: value for field, value in _TEXTS.items() if holds_key(getattr(topic, field))}
+    secrets = [Problem(key_of(topic.kind, field), ValueMistake.IS_A_KEY()) for field in harmless]
     for at, name in enumerate(topic.excepts):
         if holds_key(name):
-            yield Problem(join("except", at), ValueMistake.IS_A_KEY())
-
-
-def _without_secrets(topic: Topic) -> Topic:
-    harmless = {field: value for field, value in _TEXTS.items() if holds_key(getattr(topic, field))}
-    kept = tuple(name for name in topic.excepts if not holds_key(name))
-    return msgspec.structs.replace(topic, **harmless, excepts=kept)
+            secrets.append(Problem(join("except", at), ValueMistake.IS_A_KEY()))
+    if secrets := unreported(secrets, problems):
+        problems += secrets
+        kept = tuple(name for name in topic.excepts if not holds_key(name))
+        topic = msgspec.structs.replace(topic, **harmless, excepts=kept)
+    return problems + unreported(topic_problems(topic, "", session, client), problems)
 
 
 def unreported(found: Iterable[Problem], reported: Sequence[Problem]) -> list[Problem]:
     """Leave out consequences of a reported problem: the default in place of its value may break another rule."""
+
+    def within(location: str, outer: str) -> bool:
+        return not outer or location == outer or location.startswith((f"{outer}.", f"{outer}["))
+
     locations = [problem.location for problem in reported]
     return [
-        new for new in found if not any(_within(new.location, old) or _within(old, new.location) for old in locations)
+        new for new in found if not any(within(new.location, old) or within(old, new.location) for old in locations)
     ]
 
 
-def _within(location: str, outer: str) -> bool:
-    return not outer or location == outer or location.startswith((f"{outer}.", f"{outer}["))
-
-
 def topic_problems(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:
-    """Mistakes in a topic whose fields are all of its kind and hold no key; in others, `entry_problems` finds more.
+    """Yield the mistakes in a topic whose fields are all of its kind and hold no key; `entry_problems` finds these.
 
     Args:
         location: of the topic. The problems' locations have the key behind it.
         session: as in `entry_problems`.
         client: as in `entry_problems`.
     """
-    yield from _names(topic, location, session, client)
-    yield from _types(topic, location)
-    yield from _transport(topic, location, session)
-    yield from _qos(topic.qos, join(location, "qos"))
+    yield from _name_problems(topic, location, session, client)
+    yield from _type_problems(topic, join(location, "type"))
+    yield from _transport_problems(topic, location, session)
+    yield from _qos_problems(topic.qos, join(location, "qos"))
     useless_deadman = topic.deadman is not None and not topic.arm
     # A number that has to go has no range to keep: one mistake, one remedy.
     yield from range_problems(msgspec.structs.replace(topic, deadman=None) if useless_deadman else topic, location)
@@ -237,8 +228,14 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
         yield from limits_problems(topic.limits, join(location, "limits"), "topic", topic.type, topic.topic)
 
 
+def problems_here(topic: Topic, session: Session) -> Iterator[Problem]:
+    """Yield the mistakes that a peer's topic has only under this side's name for it, or on this side's link."""
+    yield from _name_problems(topic, "", session, None)
+    yield from _transport_problems(topic, "", session)
+
+
 def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -> Iterator[Problem]:
-    """Mistakes in an internal route, which has the form of a topic's entry, and is in no session.
+    """Yield the mistakes in an internal route, which has the form of a topic's entry, and is in no session.
 
     Args:
         session: of this side, which tells what the link can carry.
@@ -250,44 +247,181 @@ def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -
     for key, default in _OF_TOPICS.items():
         if getattr(entry, key) != default:
             yield Problem(key, f"a route for {purpose.name} has nothing else here: leave it out")
-    yield from _transport(entry, "", session)
-    yield from _qos(entry.qos, "qos")
+    yield from _transport_problems(entry, "", session)
+    yield from _qos_problems(entry.qos, "qos")
     yield from range_problems(entry, "")
 
 
-def problems_here(topic: Topic, session: Session) -> Iterator[Problem]:
-    """Yield the mistakes that a peer's topic has only under this side's name for it, or on this side's link."""
-    yield from _names(topic, "", session, None)
-    yield from _transport(topic, "", session)
+# --- names
 
 
-def _names(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:
+def _name_problems(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:
     name, remote = join(location, key_of(topic.kind, "topic")), join(location, key_of(topic.kind, "remote_topic"))
-    yield from exception_problems(topic.topic, topic.excepts, location)
+    names = [(topic.topic, name)]
+    if topic.remote_topic is not None:
+        names.append((topic.remote_topic, remote))
+    yield from _exception_problems(topic.topic, topic.excepts, join(location, "except"))
     if topic.is_pattern:
-        yield from pattern_problems(topic, location, transport_of(topic, session))
+        found = [problem for each in names for problem in form_problems(*each)]
+        yield from found
+        # What is not valid has no wildcards to compare.
+        if topic.remote_topic is not None and not found:
+            yield from _wildcard_problems(topic.topic, topic.remote_topic, remote)
+        transport = transport_of(topic, session)
+        if topic.port is not None and not transport.multiplexed:
+            yield Problem(join(location, "port"), TopicMistake.PORT_OF_PATTERN(kind=transport.port_kind))
     else:
-        yield from name_problems(topic.topic, name, topic.kind)
-        if topic.remote_topic is not None:
-            yield from name_problems(topic.remote_topic, remote, topic.kind)
+        for each in names:
+            yield from name_problems(*each, topic.kind)
     # A name that is too long without the prefix is reported already.
     if topic.remote_topic is None and client is not None and len(topic.topic) <= TOPIC_LENGTH:
         yield from _length(server_topic(topic.topic, client), name, topic.kind, TopicMistake.NAME_TOO_LONG_WITH_PREFIX)
-    if topic.kind != "topic":
-        yield from _called_names(topic, name, remote)
+    for text, here in names if topic.kind != "topic" else ():
+        if match := _OF_AN_ACTION.fullmatch(text):
+            yield Problem(here, TopicMistake.PART_OF_ACTION(name=show(text), action=match["action"] or "/..."))
+        elif text.startswith(OWN_NAMES):
+            yield Problem(here, TopicMistake.OF_THE_BRIDGE(name=show(text)))
 
 
-def _types(topic: Topic, location: str) -> Iterator[Problem]:
+def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Problem]:
+    """Yield the mistake in the name of one topic or the like, which ROS must have, and a bridge may carry."""
+    if not name:
+        yield Problem(location, TopicMistake.NO_NAME(noun=_NAMED[kind]))
+    elif is_pattern(name):
+        yield Problem(location, f"{show(name)} is a pattern: give the name of one {_NAMED[kind]}")
+    elif not is_topic_name(name):
+        better = well_formed(name)
+        hint = Hint.DID_YOU_MEAN(name=f"/{better}") if better else ""
+        yield Problem(location, TopicMistake.NOT_ABSOLUTE(name=show(name), noun=_NAMED[kind], hint=hint))
+    elif kind == "topic" and name == ANNOUNCEMENT_TOPIC:
+        yield Problem(location, TopicMistake.ANNOUNCEMENT(name=show(name)))
+    else:
+        yield from _length(name, location, kind)
+
+
+def _length(
+    name: str, location: str, kind: Kind, mistake: TopicMistake = TopicMistake.NAME_TOO_LONG
+) -> Iterator[Problem]:
+    most = TOPIC_LENGTH - max((len(lane.suffix) for lane in LANES[kind]), default=0)
+    if len(name) > most:
+        yield Problem(location, mistake(name=show(name), length=len(name), limit=most))
+
+
+def form_problems(text: str, location: str, *, hidden: bool = False) -> Iterator[Problem]:
+    """Yield the mistake in a name or a pattern, which may match hidden names if `hidden`."""
+    if is_pattern(text) and not is_valid(text):
+        yield Problem(location, TopicMistake.NOT_A_PATTERN(name=show(text)))
+    elif not is_pattern(text) and not is_topic_name(text):
+        yield Problem(location, TopicMistake.NEITHER_NAME_NOR_PATTERN(name=show(text)))
+    elif len(text) > TOPIC_LENGTH:
+        message = TopicMistake.NAME_TOO_LONG(name=show(text), length=len(text), limit=TOPIC_LENGTH)
+        yield Problem(location, message)
+    elif is_hidden(text) and not hidden:
+        yield Problem(location, TopicMistake.HIDDEN(name=show(text)))
+
+
+def _wildcard_problems(name: str, remote: str, location: str) -> Iterator[Problem]:
+    ours, theirs = Pattern(name).wildcards, Pattern(remote).wildcards
+    if ours != theirs:
+        message = TopicMistake.WILDCARDS_DIFFER(
+            remote=show(remote),
+            remote_wildcards=" ".join(theirs) or "no wildcard",
+            name=show(name),
+            wildcards=" ".join(ours) or "no wildcard",
+        )
+        yield Problem(location, message)
+
+
+def _exception_problems(name: str, excepts: Sequence[str], location: str) -> Iterator[Problem]:
+    if excepts and not is_pattern(name):
+        yield Problem(location, f"{show(name)} is a single name, not a pattern: leave except out")
+    elif len(excepts) > EXCEPTIONS_PER_PATTERN:
+        message = f"{len(excepts)} entries, and at most {EXCEPTIONS_PER_PATTERN} are allowed: use patterns in it"
+        yield Problem(location, message)
+    else:
+        for at, each in enumerate(excepts):
+            yield from form_problems(each, join(location, at), hidden=True)
+
+
+def armed_name_problems(entry: ArmedName, location: str) -> Iterator[Problem]:
+    """Yield the mistakes in what a line of `armed` says of a client's names."""
+    if entry.topic is not None:
+        found = list(form_problems(entry.topic, join(location, "topic"), hidden=True))
+        yield from found
+        if not found and not list(form_problems(entry.name, location, hidden=True)):
+            yield from _wildcard_problems(entry.name, entry.topic, join(location, "topic"))
+    yield from _exception_problems(entry.name, entry.excepts, join(location, "except"))
+
+
+# --- values
+
+
+def _type_problems(topic: Topic, location: str) -> Iterator[Problem]:
+    """Yield the mistake in the type of an entry; ROS has the types of parameters."""
+    name = topic.type
+    if topic.kind == "parameters" or name == AUTO:
+        return
     if topic.kind == "topic":
-        yield from _type(topic.type, join(location, "type"))
-    elif topic.kind in _FOLDERS:
-        yield from _call_type(topic, join(location, "type"))
+        try:
+            full = expand_type_name(name)
+        except ValueError as error:
+            yield Problem(location, str(error))
+            return
+        if len(full) > TEXT_LENGTH:
+            yield Problem(location, f"{show(full)} has {len(full)} characters, and at most {TEXT_LENGTH} are allowed")
+        return
+    folder = _FOLDERS[topic.kind]
+    other: Kind = "action" if topic.kind == "service" else "service"
+    if re.fullmatch(rf"{_PART}/{_FOLDERS[other]}/{_PART}", name):
+        message = TopicMistake.TYPE_OF_OTHER_KIND(name=show(name), kind=A_KIND[other], list=LISTS[other])
+        yield Problem(location, message)
+    elif not re.fullmatch(rf"{_PART}/{folder}/{_PART}", name):
+        parts = [part for part in name.split("/") if re.fullmatch(_PART, part)]
+        hint = Hint.DID_YOU_MEAN(name=f"{parts[0]}/{folder}/{parts[-1]}") if len(parts) > 1 else ""
+        message = TopicMistake.NOT_A_TYPE(name=show(name), kind=A_KIND[topic.kind], folder=folder, hint=hint)
+        yield Problem(location, message)
+    elif len(name) > TEXT_LENGTH - max(len(lane.type_suffix) for lane in LANES[topic.kind]):
+        yield Problem(location, TopicMistake.CALLED_TYPE_TOO_LONG(name=show(name), length=len(name)))
 
 
-def _transport(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
-    yield from _protocol(topic, location, session)
+def _transport_problems(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
+    protocol, here = topic.protocol, join(location, "protocol")
+    if protocol is not None and not transports.named(protocol).reliable and topic.kind != "topic":
+        yield Problem(here, TopicMistake.CALL_NEEDS_RELIABLE(protocol=protocol))
+    elif protocol is not None and session is not None and protocol not in session.crossing:
+        link, own = transports.of_link(session.server_ip), transports.named(protocol)
+        crossing = [each for each in session.crossing if topic.kind == "topic" or transports.named(each).reliable]
+        if protocol == "bluetooth" and link.ip_ports:
+            yield Problem(here, TopicMistake.NEEDS_ADAPTER())
+        else:
+            message = TopicMistake.NOT_CROSSING(
+                protocol=protocol,
+                needed=own.medium,
+                chosen_by=own.chosen_by,
+                medium=link.medium,
+                crossing=" or ".join(crossing),
+            )
+            yield Problem(here, message)
+    elif protocol == "bluetooth" and session is not None and not session.is_bluetooth and topic.port is None:
+        yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=_NAMED[topic.kind], range=CHANNEL))
     if topic.port is not None:
         yield from port_problems(topic.port, join(location, "port"), transport_of(topic, session))
+
+
+def _qos_problems(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
+    try:
+        parse_qos(value)
+    except ValueError as error:
+        if isinstance(value, dict):
+            problems: list[Problem] = []
+            read({key: policy for key, policy in value.items() if key != "profile"}, Qos, problems, location)
+            yield from problems
+            if problems:  # they name the policy, and the remedy
+                return
+        name = value.get("profile") if isinstance(value, dict) else value
+        options = list(PROFILES) if isinstance(value, dict) else [AUTO, *PROFILES]
+        hint = did_you_mean(name, options) if isinstance(name, str) else ""
+        yield Problem(location, conceal(f"{error}{hint}"))
 
 
 def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Problem]:
@@ -346,131 +480,7 @@ def limits_problems(
         yield Problem(location, TopicMistake.LIMITS_OF_TYPE(name=show(type_name)))
 
 
-def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Problem]:
-    """Whether ROS has such a name, and a bridge may carry it."""
-    if not name:
-        yield Problem(location, TopicMistake.NO_NAME(noun=_NAMED[kind]))
-    elif is_pattern(name):
-        yield Problem(location, f"{show(name)} is a pattern: give the name of one {_NAMED[kind]}")
-    elif not is_topic_name(name):
-        better = well_formed(name)
-        hint = Hint.DID_YOU_MEAN(name=f"/{better}") if better else ""
-        yield Problem(location, TopicMistake.NOT_ABSOLUTE(name=show(name), noun=_NAMED[kind], hint=hint))
-    elif kind == "topic" and name == ANNOUNCEMENT_TOPIC:
-        yield Problem(location, TopicMistake.ANNOUNCEMENT(name=show(name)))
-    else:
-        yield from _length(name, location, kind)
-
-
-def _length(
-    name: str, location: str, kind: Kind, mistake: TopicMistake = TopicMistake.NAME_TOO_LONG
-) -> Iterator[Problem]:
-    most = TOPIC_LENGTH - max((len(lane.suffix) for lane in LANES[kind]), default=0)
-    if len(name) > most:
-        yield Problem(location, mistake(name=show(name), length=len(name), limit=most))
-
-
-def _type(name: str, location: str) -> Iterator[Problem]:
-    if name == AUTO:
-        return
-    try:
-        full = expand_type_name(name)
-    except ValueError as error:
-        yield Problem(location, str(error))
-        return
-    if len(full) > TEXT_LENGTH:
-        yield Problem(location, f"{show(full)} has {len(full)} characters, and at most {TEXT_LENGTH} are allowed")
-
-
-def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
-    protocol = topic.protocol
-    if protocol is None:
-        return
-    if not transports.named(protocol).reliable and topic.kind != "topic":
-        yield Problem(join(location, "protocol"), TopicMistake.CALL_NEEDS_RELIABLE(protocol=protocol))
-    elif session is None:
-        return
-    elif protocol not in session.crossing:
-        yield Problem(join(location, "protocol"), _not_crossing(topic, protocol, session))
-    elif protocol == "bluetooth" and not session.is_bluetooth and topic.port is None:
-        yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=_NAMED[topic.kind], range=CHANNEL))
-
-
-def _not_crossing(topic: Topic, protocol: Protocol, session: Session) -> str:
-    link, own = transports.of_link(session.server_ip), transports.named(protocol)
-    if protocol == "bluetooth" and link.ip_ports:
-        return TopicMistake.NEEDS_ADAPTER()
-    crossing = [each for each in session.crossing if topic.kind == "topic" or transports.named(each).reliable]
-    return TopicMistake.NOT_CROSSING(
-        protocol=protocol,
-        needed=own.medium,
-        chosen_by=own.chosen_by,
-        medium=link.medium,
-        crossing=" or ".join(crossing),
-    )
-
-
-def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
-    try:
-        parse_qos(value)
-    except ValueError as error:
-        if isinstance(value, dict):
-            problems: list[Problem] = []
-            read({key: policy for key, policy in value.items() if key != "profile"}, Qos, problems, location)
-            yield from problems
-            if problems:  # they name the policy, and the remedy
-                return
-        name = value.get("profile") if isinstance(value, dict) else value
-        options = list(PROFILES) if isinstance(value, dict) else [AUTO, *PROFILES]
-        hint = did_you_mean(name, options) if isinstance(name, str) else ""
-        yield Problem(location, conceal(f"{error}{hint}"))
-
-
-def pattern_problems(topic: Topic, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
-    """Mistakes in a pattern by itself."""
-    remote_key = key_of(topic.kind, "remote_topic")
-    found = list(form_problems(topic.topic, join(location, key_of(topic.kind, "topic"))))
-    if topic.remote_topic is not None:
-        found += form_problems(topic.remote_topic, join(location, remote_key))
-    yield from found
-    # What is not valid has no wildcards to compare.
-    if topic.remote_topic is not None and not found:
-        yield from _other_wildcards(topic.topic, topic.remote_topic, join(location, remote_key))
-    if topic.port is not None and not transport.multiplexed:
-        yield Problem(join(location, "port"), TopicMistake.PORT_OF_PATTERN(kind=transport.port_kind))
-
-
-def _other_wildcards(name: str, remote: str, location: str) -> Iterator[Problem]:
-    """Yield the problem of two names of which one side's has other wildcards."""
-    ours, theirs = Pattern(name).wildcards, Pattern(remote).wildcards
-    if ours != theirs:
-        message = TopicMistake.WILDCARDS_DIFFER(
-            remote=show(remote), remote_wildcards=_wildcards(theirs), name=show(name), wildcards=_wildcards(ours)
-        )
-        yield Problem(location, message)
-
-
-def exception_problems(name: str, excepts: Sequence[str], location: str) -> Iterator[Problem]:
-    """Yield the mistakes in a pattern's exceptions."""
-    location = join(location, "except")
-    if excepts and not is_pattern(name):
-        yield Problem(location, f"{show(name)} is a single name, not a pattern: leave except out")
-    elif len(excepts) > EXCEPTIONS_PER_PATTERN:
-        message = f"{len(excepts)} entries, and at most {EXCEPTIONS_PER_PATTERN} are allowed: use patterns in it"
-        yield Problem(location, message)
-    else:
-        for at, each in enumerate(excepts):
-            yield from form_problems(each, join(location, at), hidden=True)
-
-
-def armed_name_problems(entry: ArmedName, location: str) -> Iterator[Problem]:
-    """Yield the mistakes in what a line of `armed` says of a client's names."""
-    if entry.topic is not None:
-        found = list(form_problems(entry.topic, join(location, "topic"), hidden=True))
-        yield from found
-        if not found and not list(form_problems(entry.name, location, hidden=True)):
-            yield from _other_wildcards(entry.name, entry.topic, join(location, "topic"))
-    yield from exception_problems(entry.name, entry.excepts, location)
+# --- several entries of one link
 
 
 def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
@@ -482,53 +492,7 @@ def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
     patterns = [here for topic, here in zip(topics, locations(topics), strict=True) if topic.is_pattern]
     for here in patterns[PATTERNS_PER_LINK:]:
         message = f"{len(patterns)} patterns, and at most {PATTERNS_PER_LINK} are allowed: use fewer, wider ones"
-        yield Problem(join(where, here) if where else here, message)
-
-
-def form_problems(text: str, location: str, *, hidden: bool = False) -> Iterator[Problem]:
-    """Yield the mistakes in a name or a pattern, which may match hidden names if `hidden`."""
-    if is_pattern(text) and not is_valid(text):
-        yield Problem(location, TopicMistake.NOT_A_PATTERN(name=show(text)))
-    elif not is_pattern(text) and not is_topic_name(text):
-        yield Problem(location, TopicMistake.NEITHER_NAME_NOR_PATTERN(name=show(text)))
-    elif len(text) > TOPIC_LENGTH:
-        message = TopicMistake.NAME_TOO_LONG(name=show(text), length=len(text), limit=TOPIC_LENGTH)
-        yield Problem(location, message)
-    elif is_hidden(text) and not hidden:
-        yield Problem(location, TopicMistake.HIDDEN(name=show(text)))
-
-
-def _wildcards(kinds: Sequence[str]) -> str:
-    return " ".join(kinds) or "no wildcard"
-
-
-def _called_names(topic: Topic, here: str, remote: str) -> Iterator[Problem]:
-    """Yield the mistakes in the names of a service, an action or parameters, whose locations are given."""
-    yield from _called_name(topic.topic, here)
-    if topic.remote_topic is not None:
-        yield from _called_name(topic.remote_topic, remote)
-
-
-def _called_name(name: str, location: str) -> Iterator[Problem]:
-    if match := _OF_AN_ACTION.fullmatch(name):
-        yield Problem(location, TopicMistake.PART_OF_ACTION(name=show(name), action=match["action"] or "/..."))
-    elif name.startswith(OWN_NAMES):
-        yield Problem(location, TopicMistake.OF_THE_BRIDGE(name=show(name)))
-
-
-def _call_type(topic: Topic, location: str) -> Iterator[Problem]:
-    folder, name = _FOLDERS[topic.kind], topic.type
-    other: Kind = "action" if topic.kind == "service" else "service"
-    if re.fullmatch(rf"{_PART}/{_FOLDERS[other]}/{_PART}", name):
-        message = TopicMistake.TYPE_OF_OTHER_KIND(name=show(name), kind=A_KIND[other], list=LISTS[other])
-        yield Problem(location, message)
-    elif name != AUTO and not re.fullmatch(rf"{_PART}/{folder}/{_PART}", name):
-        parts = [part for part in name.split("/") if re.fullmatch(_PART, part)]
-        hint = Hint.DID_YOU_MEAN(name=f"{parts[0]}/{folder}/{parts[-1]}") if len(parts) > 1 else ""
-        message = TopicMistake.NOT_A_TYPE(name=show(name), kind=A_KIND[topic.kind], folder=folder, hint=hint)
-        yield Problem(location, message)
-    elif len(name) > TEXT_LENGTH - max(len(lane.type_suffix) for lane in LANES[topic.kind]):
-        yield Problem(location, TopicMistake.CALLED_TYPE_TOO_LONG(name=show(name), length=len(name)))
+        yield Problem(join(where, here), message)
 
 
 def service_names(kind: Kind, name: str) -> list[str]:
@@ -545,7 +509,7 @@ def overlap(topic: Topic, others: Iterable[Topic]) -> str:
 
 
 def overlaps(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
-    """Services of one link that two of its entries bridge.
+    """Yield the entries of one link that bridge a service which another one bridges.
 
     Args:
         where: the location of the session or client that lists them.
@@ -565,4 +529,4 @@ def overlaps(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
         else:
             noun = NOUNS[LISTS[topics[other].kind]]
             message = TopicMistake.BRIDGED_ALREADY(service=name, noun=noun, name=topics[other].topic)
-        yield Problem(join(where, here) if where else here, message)
+        yield Problem(join(where, here), message)
