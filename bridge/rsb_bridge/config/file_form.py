@@ -13,67 +13,72 @@ from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.feature import BRINGS, SessionKey, peer_keys, session_keys
 from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic
-from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
+from rsb_bridge.model.topic_keys import ForeignKey
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 LISTS: Final[dict[Kind, str]] = {
-    "topic": "topics",
-    "service": "services",
-    "action": "actions",
-    "parameters": "parameters",
-}
+    "topic": "topics", "service": "services", "action": "actions", "parameters": "parameters",
+}  # fmt: skip
 """Where a session file lists each kind."""
-
 NAME_KEYS: Final[dict[str, str]] = {"topics": "topic", "services": "service", "actions": "action", "parameters": "node"}
 """The key of an entry's name, by list."""
-
 NOUNS: Final[dict[str, str]] = {
     "topics": "topic", "services": "service", "actions": "action", "parameters": "parameters of", "clients": "client",
     "operators": "operator",
 }  # fmt: skip
 """What an entry is called, before its name, by list."""
-
 _PROVIDERS: dict[Any, Provider] = {"transmit": "server", "receive": "client"}
 DIRECTIONS: Final[dict[Any, Direction]] = {provider: direction for direction, provider in _PROVIDERS.items()}
 """The direction of requests, by which side's node answers."""
 
-
-_RENAMED = {"excepts": "except"}
-"""Keys of entries that are no names in Python, by the fields of `Topic`."""
-_FIELDS = [field.name for field in fields(Topic) if field.name in TOPIC_KEYS]
-
-
-def _keys(name: str) -> dict[str, str]:
-    known = (field for field in _FIELDS if TOPIC_KEYS[field].kinds == "all")
-    renamed = _RENAMED | {"topic": name, "direction": "provider", "remote_topic": f"remote_{name}"}
-    keys = {renamed.get(field, field): field for field in known if not (name == "node" and field == "type")}
-    first = [name, "provider", *(["type"] if "type" in keys else [])]
-    return {key: keys[key] for key in first} | {"timeout": "timeout"} | keys
-
-
 KEYS: Final[dict[Kind, dict[str, str]]] = {
-    "topic": {_RENAMED.get(field, field): field for field in _FIELDS if TOPIC_KEYS[field].is_of("topic")},
-    "service": _keys("service"),
-    "action": _keys("action"),
-    "parameters": _keys("node"),
-}
+    "topic": {
+        "topic": "topic", "direction": "direction", "type": "type", "protocol": "protocol", "port": "port",
+        "qos": "qos", "remote_topic": "remote_topic", "compression": "compression", "max_rate": "max_rate",
+        "expected_rate": "expected_rate", "stale_after": "stale_after", "late_after": "late_after",
+        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
+        "limits": "limits", "priority": "priority", "except": "excepts",
+    },
+    "service": {
+        "service": "topic", "provider": "direction", "type": "type", "timeout": "timeout", "protocol": "protocol",
+        "port": "port", "remote_service": "remote_topic", "compression": "compression", "max_rate": "max_rate",
+        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
+        "except": "excepts",
+    },
+    "action": {
+        "action": "topic", "provider": "direction", "type": "type", "timeout": "timeout", "protocol": "protocol",
+        "port": "port", "remote_action": "remote_topic", "compression": "compression", "max_rate": "max_rate",
+        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
+        "except": "excepts",
+    },
+    "parameters": {
+        "node": "topic", "provider": "direction", "timeout": "timeout", "protocol": "protocol",
+        "port": "port", "remote_node": "remote_topic", "compression": "compression", "max_rate": "max_rate",
+        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
+        "except": "excepts",
+    },
+}  # fmt: skip
 """The fields of `Topic` by the keys of an entry, in the order in which one is written."""
-
-_KEY_OF = {kind: {field: key for key, field in keys.items()} for kind, keys in KEYS.items()}
-
 
 _NOT_OF_TOPICS = {
     "kind": ForeignKey.KIND_OF_TOPIC(),
-    **{name: key.wrong_kind() for name, key in TOPIC_KEYS.items() if key.kinds == "calls"},
+    "timeout": ForeignKey.TIMEOUT_OF_TOPIC(),
     "provider": ForeignKey.PROVIDER_OF_TOPIC(),
-    **{key: ForeignKey.NOT_A_TOPIC(list=name) for name, key in NAME_KEYS.items() if name != "topics"},
+    "service": ForeignKey.NOT_A_TOPIC(list="services"),
+    "action": ForeignKey.NOT_A_TOPIC(list="actions"),
+    "node": ForeignKey.NOT_A_TOPIC(list="parameters"),
 }
 _NOT_OF_CALLS = {
     "kind": ForeignKey.KIND_OF_CALLED(),
     "direction": ForeignKey.DIRECTION_OF_CALLED(),
-    **{name: key.wrong_kind() for name, key in TOPIC_KEYS.items() if key.kinds == "topics"},
+    "qos": ForeignKey.QOS_OF_CALLED(),
+    "expected_rate": ForeignKey.EXPECTED_RATE_OF_CALLED(),
+    "stale_after": ForeignKey.STALE_AFTER_OF_CALLED(),
+    "late_after": ForeignKey.LATE_AFTER_OF_CALLED(),
+    "limits": ForeignKey.LIMITS_OF_CALLED(),
+    "priority": ForeignKey.PRIORITY_OF_CALLED(),
 }
 
 
@@ -82,22 +87,14 @@ def hints_of(kind: Kind) -> dict[str, str]:
     if kind == "topic":
         return _NOT_OF_TOPICS
     name = NAME_KEYS[LISTS[kind]]
-    hints = _NOT_OF_CALLS | {
-        key: ForeignKey.LIST_UNDER(list=other, key=name) for other, key in NAME_KEYS.items() if key != name
-    }
-    hints |= {
-        f"remote_{key}": ForeignKey.OTHER_REMOTE(key=f"remote_{name}") for key in NAME_KEYS.values() if key != name
-    }
+    others = [(other, key) for other, key in NAME_KEYS.items() if key != name]
+    hints = dict(_NOT_OF_CALLS)
+    hints |= {key: ForeignKey.LIST_UNDER(list=other, key=name) for other, key in others}
+    hints |= {f"remote_{key}": ForeignKey.OTHER_REMOTE(key=f"remote_{name}") for _, key in others}
     return hints | ({"type": ForeignKey.TYPE_OF_PARAMETERS()} if kind == "parameters" else {})
 
 
-def _entry(kind: Kind) -> type[msgspec.Struct]:
-    known = {field.name: field for field in fields(Topic)}
-    own = [
-        _field(key, Provider if key == "provider" else known[field].type, known[field])
-        for key, field in KEYS[kind].items()
-    ]
-    return _struct(kind.capitalize(), own, hints_of(kind))
+# --- the structs of a file
 
 
 def _field(name: str, kind: Any, like: FieldInfo) -> Any:
@@ -110,9 +107,18 @@ def _struct(name: str, own: list[Any], hints: Mapping[str, str]) -> type[msgspec
     )  # fmt: skip
 
 
-_ENTRIES: dict[Kind, type[msgspec.Struct]] = {kind: _entry(kind) for kind in LISTS}
-
-
+_FIELDS = {field.name: field for field in fields(Topic)}
+_ENTRIES: dict[Kind, type[msgspec.Struct]] = {
+    kind: _struct(
+        kind.capitalize(),
+        [
+            _field(key, Provider if key == "provider" else _FIELDS[field].type, _FIELDS[field])
+            for key, field in keys.items()
+        ],
+        hints_of(kind),
+    )
+    for kind, keys in KEYS.items()
+}
 _FEATURE_KEYS = session_keys()
 _KEYS_OF: dict[type, Mapping[str, SessionKey[Any]]] = {Session: _FEATURE_KEYS, Client: peer_keys()}
 
@@ -136,9 +142,12 @@ SESSION_FILE = _holder(Session, clients=tuple[_CLIENT, ...] | None)  # type: ign
 """`Session` with lists for each kind, here and in its clients."""
 
 
+# --- topics and their entries
+
+
 def key_of(kind: Kind, field: str) -> str:
     """Return the key of a field of `Topic` in an entry of a kind, or the field's name if the kind lacks it."""
-    return _KEY_OF[kind].get(field, field)
+    return next((key for key, name in KEYS[kind].items() if name == field), field)
 
 
 def field_of(kind: Kind, key: str) -> str:
@@ -156,16 +165,14 @@ def locations(topics: Sequence[Topic]) -> list[str]:
     return found
 
 
-def _foreign_of(kind: Kind) -> dict[str, tuple[Any, str]]:
-    own, hints = set(KEYS[kind].values()) | {"kind"}, hints_of(kind)
-    return {
-        field.name: (field.default, hints.get(field.name, ForeignKey.OTHER()))
-        for field in fields(Topic)
-        if field.name not in own
+_FOREIGN = {
+    kind: {
+        name: (field.default, hints_of(kind)[name])
+        for name, field in _FIELDS.items()
+        if name not in keys.values() and name != "kind"
     }
-
-
-_FOREIGN = {kind: _foreign_of(kind) for kind in LISTS}
+    for kind, keys in KEYS.items()
+}
 """The fields that a kind cannot have, each with its default and the remedy."""
 
 
@@ -175,10 +182,20 @@ def foreign(topic: Topic) -> dict[str, str]:
     return {field: remedy for field, (default, remedy) in known if getattr(topic, field) != default}
 
 
+def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
+    """Return the topic that an entry of a file says."""
+    given = {field: getattr(written, key) for key, field in KEYS[kind].items()}
+    # A topic's entry has its direction itself.
+    return Topic(**given | {"direction": DIRECTIONS.get(given["direction"], given["direction"])}, kind=kind)
+
+
 def as_written(value: msgspec.Struct) -> msgspec.Struct:
     """Return a session, a client or a topic as its file has it; any other struct as it is."""
     if isinstance(value, Topic):
-        return _ENTRIES[value.kind](**{key: _written(value, key, field) for key, field in KEYS[value.kind].items()})
+        given = {key: getattr(value, field) for key, field in KEYS[value.kind].items()}
+        if "provider" in given:
+            given["provider"] = _PROVIDERS.get(given["provider"], given["provider"])
+        return _ENTRIES[value.kind](**given)
     if not isinstance(value, Session | Client):
         return value
     model = SESSION_FILE if isinstance(value, Session) else _CLIENT
@@ -191,17 +208,22 @@ def as_written(value: msgspec.Struct) -> msgspec.Struct:
     return model(**given | {name: key.of(value) for name, key in _KEYS_OF[type(value)].items()})
 
 
-def _written(topic: Topic, key: str, field: str) -> Any:
-    value = getattr(topic, field)
-    return _PROVIDERS.get(value, value) if key == "provider" else value
+# --- sessions
 
 
 def as_session(written: msgspec.Struct) -> Session:
     """Return the session that a file says, given as `SESSION_FILE`."""
-    given = _given(written, Session)
-    listed = given["clients"]
-    clients = None if listed is None else tuple(Client(**_given(client, Client)) for client in listed)
-    return Session(**given | {"clients": clients})
+
+    def given(holder: msgspec.Struct, model: type[Session | Client]) -> dict[str, Any]:
+        topics = (as_topic(kind, entry) for kind, name in LISTS.items() for entry in getattr(holder, name))
+        said = {name: getattr(holder, name) for name in holder.__struct_fields__ if name not in LISTS.values()}
+        features = as_said({name: said.pop(name) for name in _KEYS_OF[model]})
+        return said | {"topics": tuple(topics), "features": features}
+
+    said = given(written, Session)
+    if (listed := said["clients"]) is not None:
+        said["clients"] = tuple(Client(**given(client, Client)) for client in listed)
+    return Session(**said)
 
 
 def with_types(session: Session) -> Session:
@@ -224,19 +246,3 @@ def with_types(session: Session) -> Session:
 def as_said(features: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of features' keys that differ from their defaults."""
     return {name: value for name, value in features.items() if value != _FEATURE_KEYS[name].default}
-
-
-def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
-    """Return the topic that an entry of a file says."""
-    given = {field: getattr(written, key) for key, field in KEYS[kind].items()}
-    # A topic's entry has its direction itself.
-    return Topic(**given | {"direction": DIRECTIONS.get(given["direction"], given["direction"])}, kind=kind)
-
-
-def _given(written: msgspec.Struct, model: type[Session | Client]) -> dict[str, Any]:
-    """Return the fields of a session or a client, with the entries of all lists in one."""
-    lists = LISTS.values()
-    given = {name: getattr(written, name) for name in written.__struct_fields__ if name not in lists}
-    topics = (as_topic(kind, entry) for kind, name in LISTS.items() for entry in getattr(written, name))
-    features = as_said({name: given.pop(name) for name in _KEYS_OF[model]})
-    return given | {"topics": tuple(topics), "features": features}

@@ -49,7 +49,6 @@ class ForeignKey(Wording):
     LIST_UNDER = "list this entry under {list}, or write {key}: /..."
     OTHER_REMOTE = "write {key}"
     TYPE_OF_PARAMETERS = "parameters have types of ROS's own: leave it out"
-    OTHER = "not a key of this kind: leave it out"
     OF_FEATURE = "this installation has no {feature}: install all of rsb-console, or leave the key out"
 
 
@@ -71,7 +70,7 @@ class TopicKey:
     Attributes:
         name: the field of `rsb_bridge.model.session.Topic`.
         value: what an operator gives for it.
-        kinds: the entries that may have it; `wrong_kind` is the remedy for the others.
+        kinds: the entries that may have it.
         limits: the range of a number, or None if other rules apply; `range_text` tells it to an operator.
         zero: whether 0 is allowed, too.
         sentence: the key with its value, for a person; `zero_sentence` if that is 0.
@@ -85,7 +84,6 @@ class TopicKey:
     name: str
     value: Value = "text"
     kinds: Literal["all", "topics", "calls"] = "all"
-    wrong_kind: ForeignKey = ForeignKey.OTHER
     limits: Range | None = None
     range_text: RangeText | None = None
     unit: str = ""
@@ -129,10 +127,10 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              help="For a pattern (/camera/**): names and patterns on the client that it leaves out, "
                   "separated by blanks."),
     TopicKey("type"),
-    TopicKey("qos", kinds="topics", wrong_kind=ForeignKey.QOS_OF_CALLED,
+    TopicKey("qos", kinds="topics",
              label="QoS", help=_KNOWN_QOS, blank="auto"),
     TopicKey("remote_topic"),
-    TopicKey("timeout", "number", kinds="calls", wrong_kind=ForeignKey.TIMEOUT_OF_TOPIC,
+    TopicKey("timeout", "number", kinds="calls",
              limits=CALL_TIME, range_text=RangeText.TIMEOUT, unit="s",
              label="Timeout", help="Seconds without an answer until a call is given up.", blank=f"{CALL_TIMEOUT:g} s"),
     TopicKey("protocol"),
@@ -141,19 +139,19 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              sentence="at most {value:g} {unit}",
              label="Max rate", help="Hz; messages beyond it are left out. Empty: no limit.", blank="all",
              help_of_calls="Calls a second; those beyond it are refused. Empty: no limit."),
-    TopicKey("priority", kinds="topics", wrong_kind=ForeignKey.PRIORITY_OF_CALLED, live=True,
+    TopicKey("priority", kinds="topics", live=True,
              sentence="{value} priority",
              label="Priority", help="While the link is full, topics of higher priority get a larger share of it.",
              options=_PRIORITIES),
-    TopicKey("expected_rate", "number", kinds="topics", wrong_kind=ForeignKey.EXPECTED_RATE_OF_CALLED,
+    TopicKey("expected_rate", "number", kinds="topics",
              limits=RATE, range_text=RangeText.RATE, unit="Hz", live=True, sentence="expected {value:g} {unit}",
              label="Expected rate", help="Hz, shown with the measured rate. Empty: learned.", blank="learned"),
-    TopicKey("stale_after", "number", kinds="topics", wrong_kind=ForeignKey.STALE_AFTER_OF_CALLED,
+    TopicKey("stale_after", "number", kinds="topics",
              limits=STALE_AFTER, range_text=RangeText.STALE_AFTER, zero=True, unit="s", live=True,
              sentence="stale after {value:g} {unit}", zero_sentence="never stale",
              label="Stale after", help="Seconds without a message before a warning, or 0 to never warn.",
              blank="{session.stale_after:g} s"),
-    TopicKey("late_after", "number", kinds="topics", wrong_kind=ForeignKey.LATE_AFTER_OF_CALLED,
+    TopicKey("late_after", "number", kinds="topics",
              limits=LATE_AFTER, range_text=RangeText.LATE_AFTER, zero=True, unit="s", live=True,
              sentence="late after {value:g} {unit}", zero_sentence="never late",
              label="Late after", help="Seconds that a message may take before a warning, or 0 to never warn.",
@@ -173,7 +171,7 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              label="On end", help="What the robot gets once disarmed: zero, none, or a message: {linear: {x: 0}}.",
              help_of_calls="cancel: once disarmed, an action's goals of the callers over the link are cancelled.",
              blank="zero, if the type drives robots; of an action none"),
-    TopicKey("limits", kinds="topics", wrong_kind=ForeignKey.LIMITS_OF_CALLED,
+    TopicKey("limits", kinds="topics",
              label="Limits", help="What a hand may ask at most, in m/s and rad/s: {linear: 0.5, angular: 1}.",
              blank="any velocity"),
     TopicKey("paused", "switch",
