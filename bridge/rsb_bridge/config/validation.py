@@ -108,8 +108,7 @@ class ZenohMistake(Wording):
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
 _ENTRY = re.compile(rf"(?P<list>{'|'.join(NOUNS)})\[(?P<at>\d{{1,9}})\]")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
-_ZENOH_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")
-"""Protocols of endpoints. The wheel knows more."""
+_ZENOH_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")  # of endpoints. The wheel knows more
 _ZENOH_HOST = r"\[[0-9A-Fa-f:.]+(%[^\]\s]+)?\]|[^\[\]:/\s]+"
 _ZENOH_ENDPOINT = re.compile(rf"(?P<protocol>[a-z0-9_]+)/(?P<host>{_ZENOH_HOST}):(?P<port>\d{{1,5}})([?#]\S*)?")
 _FLEET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
@@ -117,10 +116,7 @@ _MOST_ENDPOINTS = 16  # a round figure: Zenoh tries them in turn (docs/zenoh.md)
 
 
 def build(data: object) -> tuple[Session, list[Problem]]:
-    """Make a session of plain data.
-
-    Args:
-        data: what YAML made of a session file.
+    """Make a session of what YAML made of a session file.
 
     Returns:
         The session, to be used only if there are no problems, and all problems.
@@ -152,46 +148,25 @@ def validate(session: Session) -> list[Problem]:
     """Return all problems of a session."""
     data = msgspec.to_builtins(as_written(session))
     problems = build(data)[1]
-    holders = [
-        ("", session.topics),
-        *((join("clients", at), each.topics) for at, each in enumerate(session.listed_clients)),
-    ]
+    holders = [("", session.topics)]
+    holders += [(join("clients", at), each.topics) for at, each in enumerate(session.listed_clients)]
     for where, topics in holders:
         for topic, here in zip(topics, locations(topics), strict=True):
-            found = _foreign(topic, join(where, here))
-            problems += [placed(problem, data) for problem in found]
+            # A topic from a peer or a program may have fields that a file has no key for.
+            for field, remedy in foreign(topic).items():
+                problems.append(placed(Problem(join(join(where, here), field), remedy), data))
     return problems
 
 
 def validate_topic(topic: Topic, session: Session | None = None, *, client: str | None = None) -> list[Problem]:
-    """All problems of a topic by itself.
-
-    Args:
-        session: the topic's session, or None if it is not known yet. It tells what the link can carry.
-        client: the client's name where it is the prefix of the topic's name on the server.
-
-    Returns:
-        The problems; the location of each is the key in a session file: ``protocol``.
-    """
-    mistyped, typed = _typed(topic)
-    return mistyped + unreported(entry_problems(typed, session, client=client), mistyped)
-
-
-def _typed(topic: Topic) -> tuple[list[Problem], Topic]:
-    """Return the values of a program's or form's topic that are of the wrong kind, and the topic with others there."""
+    """Do as `entry_problems`, for a topic of a form or a program, whose values may be of the wrong kind, too."""
+    mistyped: list[Problem] = []
     try:
         msgspec.convert(msgspec.to_builtins(topic), Topic)
     except msgspec.ValidationError:
-        problems: list[Problem] = []
         written = as_written(topic)
-        return problems, as_topic(topic.kind, read(msgspec.to_builtins(written), type(written), problems))
-    return [], topic
-
-
-def _foreign(topic: Topic, location: str) -> Iterator[Problem]:
-    """Yield the fields that a file has no key for. A topic from a peer or a program may have them."""
-    for field, remedy in foreign(topic).items():
-        yield Problem(join(location, field), remedy)
+        topic = as_topic(topic.kind, read(msgspec.to_builtins(written), type(written), mistyped))
+    return mistyped + unreported(entry_problems(topic, session, client=client), mistyped)
 
 
 def domain_of(session: Session, variable: str | None) -> int:
@@ -215,7 +190,8 @@ def domain_of(session: Session, variable: str | None) -> int:
 def _session(session: Session) -> Iterator[Problem]:
     # A server with a list of clients has their names as prefixes, not its own.
     yield from _name(session.name, "name", use_name=session.use_name and session.clients is None)
-    yield from _group(session.group, "group")
+    if session.group is not None:
+        yield from _name(session.group, "group", use_name=False)
     yield from _address(session)
     link = transports.of_link(session.server_ip)
     if not session.server_port and 0 not in link.ports:
@@ -229,7 +205,11 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from range_problems(session, "")
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
-    yield from _profiles(session)
+    profiles = [("profile", session.profile)]
+    profiles += [(join(join("clients", at), "profile"), each.profile) for at, each in enumerate(session.listed_clients)]
+    for location, profile in profiles:
+        if session.is_bluetooth and profile not in (None, "bluetooth"):
+            yield Problem(location, SessionMistake.PROFILE_ON_BLUETOOTH(profile=profile))
     if session.shutdown_topic is not None:
         yield from name_problems(session.shutdown_topic, "shutdown_topic")
     client = session.name if session.role == "client" and session.use_name else None
@@ -240,16 +220,6 @@ def _session(session: Session) -> Iterator[Problem]:
         yield from (Problem(key, text) for key, text in feature.problems(session))
 
 
-def _profiles(session: Session) -> Iterator[Problem]:
-    given = [("profile", session.profile)]
-    given += [
-        (join(join("clients", at), "profile"), client.profile) for at, client in enumerate(session.listed_clients)
-    ]
-    for location, profile in given:
-        if session.is_bluetooth and profile not in (None, "bluetooth"):
-            yield Problem(location, SessionMistake.PROFILE_ON_BLUETOOTH(profile=profile))
-
-
 def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:
     if not name.strip() or not (name.isprintable() and is_clean(name)):
         yield Problem(location, SessionMistake.NAME_UNPRINTABLE(name=show(name)))
@@ -258,11 +228,6 @@ def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:
     elif use_name and not is_prefix(name):
         hint = Hint.DID_YOU_MEAN(name=well_formed(name))
         yield Problem(location, SessionMistake.NAME_NOT_A_PREFIX(name=show(name), hint=hint))
-
-
-def _group(group: str | None, location: str) -> Iterator[Problem]:
-    if group is not None:
-        yield from _name(group, location, use_name=False)
 
 
 def _address(session: Session) -> Iterator[Problem]:
@@ -286,7 +251,6 @@ def _address(session: Session) -> Iterator[Problem]:
 
 
 def is_ip(address: str) -> bool:
-    """Whether it is an IPv4 or IPv6 address."""
     try:
         ipaddress.ip_address(address)
     except ValueError:
@@ -326,12 +290,12 @@ def is_host(address: str) -> bool:
 
 
 def _topics(topics: Sequence[Topic], where: str, session: Session, client: str | None) -> Iterator[Problem]:
-    """Mistakes in what one link bridges.
+    """Yield the mistakes in what one link bridges.
 
     Args:
         topics: topics, services, actions and parameters.
         where: the location of the session or client that lists them.
-        client: as in `validate_topic`.
+        client: as in `entry_problems`.
     """
     for topic, here in zip(topics, locations(topics), strict=True):
         yield from topic_problems(topic, join(where, here), session, client)
@@ -396,7 +360,8 @@ def _clients(session: Session) -> Iterator[Problem]:
     names: dict[str, int] = {}
     for at, client in enumerate(session.listed_clients):
         location = join("clients", at)
-        yield from _group(client.group, join(location, "group"))
+        if client.group is not None:
+            yield from _name(client.group, join(location, "group"), use_name=False)
         use_name = client.is_prefixed(session)
         yield from _name(client.name, join(location, "name"), use_name=use_name)
         first = names.setdefault(client.name, at)
@@ -424,36 +389,24 @@ def armed_problems(armed: Sequence[str | ArmedName]) -> Iterator[Problem]:
 
 def key_file_problems(session: Session) -> Iterator[Problem]:
     """Yield all mistakes in a session's key files, without those in their contents."""
-    yield from _names(session, "")
-    yield from _replaces(session.next_key_file, session.key_file, "")
-    owners: list[tuple[str, str | None]] = []
+    holders: list[tuple[str, Session | Client, str | None]] = [("", session, session.key_file)]
     for at, client in enumerate(session.listed_clients):
-        location = join("clients", at)
-        owners.append((location, client.key_file))
-        yield from _names(client, location)
-        yield from _replaces(client.next_key_file, client.key_file or session.key_file, location)
+        holders.append((join("clients", at), client, client.key_file or session.key_file))
+    for location, holder, current in holders:
+        following = holder.next_key_file
+        for key, name in (("key_file", holder.key_file), ("next_key_file", following)):
+            if name is not None and not (name.strip() and name.isprintable()):
+                yield Problem(join(location, key), SessionMistake.KEY_FILE_INVALID(name=show(name)))
+        if following is not None and current is None:
+            yield Problem(join(location, "next_key_file"), SessionMistake.NEXT_KEY_ALONE())
+        elif following is not None and following == current:
+            yield Problem(join(location, "next_key_file"), SessionMistake.NEXT_KEY_IS_CURRENT(name=show(following)))
     if session.role == "client" and session.next_key_file is not None:
         yield Problem("next_key_file", SessionMistake.NEXT_KEY_ON_CLIENT())
     if session.use_encryption and session.key_file is None:
-        for location, key_file in [("", None)] if session.clients is None else owners:
-            if key_file is None:
+        for location, holder, _ in holders[:1] if session.clients is None else holders[1:]:
+            if holder.key_file is None:
                 yield Problem(join(location, "key_file"), SessionMistake.KEY_FILE_MISSING())
-
-
-def _names(entry: Session | Client, location: str) -> Iterator[Problem]:
-    for key, name in (("key_file", entry.key_file), ("next_key_file", entry.next_key_file)):
-        if name is not None and not (name.strip() and name.isprintable()):
-            yield Problem(join(location, key), SessionMistake.KEY_FILE_INVALID(name=show(name)))
-
-
-def _replaces(following: str | None, current: str | None, location: str) -> Iterator[Problem]:
-    """Mistakes in the key file that is to replace another one."""
-    if following is None:
-        return
-    if current is None:
-        yield Problem(join(location, "next_key_file"), SessionMistake.NEXT_KEY_ALONE())
-    elif following == current:
-        yield Problem(join(location, "next_key_file"), SessionMistake.NEXT_KEY_IS_CURRENT(name=show(following)))
 
 
 def zenoh_problems(session: Session) -> Iterator[Problem]:
