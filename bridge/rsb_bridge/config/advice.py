@@ -46,18 +46,9 @@ _MOVING_TYPES = frozenset(
 )  # fmt: skip
 """Names of message types, of any package."""
 _MOVING_NAMES = (
-    "cmd*",
-    "*_cmd",
-    "*_cmd_vel",
-    "joint_trajectory",
-    "joint_command*",
-    "*_command",
-    "*_commands",
-    "servo_*",
-)
+    "cmd*", "*_cmd", "*_cmd_vel", "joint_trajectory", "joint_command*", "*_command", "*_commands", "servo_*",
+)  # fmt: skip
 """Last parts of names."""
-
-
 _MIDDLEWARE = "rmw_fastrtps_cpp"
 
 
@@ -95,7 +86,7 @@ class Advice(Wording):
 def advise(
     session: Session, domain_variable: str | None, middleware: str = "", file: Path | None = None
 ) -> Iterator[Problem]:
-    """Everything in a valid session that its operator should know before it runs.
+    """Yield everything in a valid session that its operator should know before it runs.
 
     Args:
         domain_variable: what ``$ROS_DOMAIN_ID`` says.
@@ -140,10 +131,6 @@ def interface_problem(host: str) -> str:
     return Advice.NO_INTERFACE(zone=zone, interfaces=", ".join(name for _, name in interfaces))
 
 
-def _binds_port(session: Session) -> bool:
-    return session.role == "server" and transports.of_link(session.server_ip).ip_ports
-
-
 def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
     try:
         domain = domain_of(session, variable)
@@ -151,18 +138,16 @@ def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
         yield Problem("domain_id", f"{error}; with that value the bridge does not start")
         return
     taken = dds_ports(domain)
-    mine = [
-        (join("ports", at), port) for at, port in enumerate(session.ports if isinstance(session.ports, tuple) else ())
-    ]
-    if _binds_port(session):
+    listed = session.ports if isinstance(session.ports, tuple) else ()
+    mine = [(join("ports", at), port) for at, port in enumerate(listed)]
+    if session.role == "server" and transports.of_link(session.server_ip).ip_ports:
         mine.append(("server_port", session.server_port))
     first = first_open_port()
     for location, port in mine:
         if port < first:
             yield Problem(location, Advice.LOW_PORT(limit=first))
         if port in taken:
-            message = Advice.PORT_OF_DOMAIN(port=port, domain=domain, ports=taken)
-            yield Problem(location, message)
+            yield Problem(location, Advice.PORT_OF_DOMAIN(port=port, domain=domain, ports=taken))
         elif (other := discovery_domain(port)) is not None:
             yield Problem(location, Advice.PORT_OF_DISCOVERY(port=port, domain=other))
     if domain not in SAFE_DOMAIN:

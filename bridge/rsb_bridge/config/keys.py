@@ -27,17 +27,16 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Session
 
+DEFAULT_KEY_FILE = "key.txt"
 KEY_BYTES = 32
 DIFFERENT_BYTES = 12
 """Least number of different bytes in a key, and of different steps from one byte to the next: bytes that count up have
 one. Of random keys, one in 10^25 has fewer."""
-DEFAULT_KEY_FILE = "key.txt"
 _MAX_FILE = 4096  # bytes; a key file is 45, and one of the thesis has a date before the key
 # The second form is a key that lost its padding.
 _LIKE_A_KEY = re.compile(r"[A-Za-z0-9+/_-]{43}=|(?<![A-Za-z0-9+/_-])[A-Za-z0-9_-]{43}(?![A-Za-z0-9+/_-])")
 _DAY = 86400.0
-_LONG = 7 * _DAY
-"""Seconds for which two keys may be valid. A thief of the old key can use it until then."""
+_LONG = 7 * _DAY  # for which two keys may be valid. A thief of the old key can use it until then
 _SPANS = ((_DAY, "day"), (3600.0, "hour"), (60.0, "minute"))
 _NAMED = 5
 
@@ -125,7 +124,6 @@ def generate() -> bytes:
 
 
 def is_key(text: str) -> bool:
-    """Whether a text is an encryption key."""
     return _decode(text) is not None
 
 
@@ -267,29 +265,24 @@ def key_files_by_client(session: Session) -> dict[str, tuple[str, ...]]:
 
     A client's session has its own only.
     """
-    if session.role == "client":
-        return {session.name: _given(session.key_file)}
-    files = {}
-    for client in session.accepted_clients:
-        of_session = session.next_key_file if client.key_file is None else None
-        files[client.name] = _given(client.key_file or session.key_file, client.next_key_file or of_session)
-    return files
-
-
-def _given(*files: str | None) -> tuple[str, ...]:
-    return tuple(file for file in files if file is not None)
+    valid: dict[str, tuple[str | None, ...]] = {session.name: (session.key_file,)}
+    if session.role == "server":
+        valid = {}
+        for client in session.accepted_clients:
+            following = client.next_key_file or (session.next_key_file if client.key_file is None else None)
+            valid[client.name] = client.key_file or session.key_file, following
+    return {name: tuple(file for file in files if file is not None) for name, files in valid.items()}
 
 
 def key_users(session: Session) -> dict[str, str]:
     """Return the users of each of a session's key files."""
-    users: dict[str, str] = {}
+    users: dict[str, list[str]] = {}
     for client, files in key_files_by_client(session).items():
         for file, user in zip(files, (client, f"{client} (next)"), strict=False):
-            users[file] = f"{users[file]}, {user}" if file in users else user
+            users.setdefault(file, []).append(user)
     for operator in session.operators:
-        file, user = operator.key_file, f"operator {operator.name}, who may {operator.may}"
-        users[file] = f"{users[file]}, {user}" if file in users else user
-    return users
+        users.setdefault(operator.key_file, []).append(f"operator {operator.name}, who may {operator.may}")
+    return {file: ", ".join(each) for file, each in users.items()}
 
 
 def session_keys(session: Session, base: Path) -> Iterator[tuple[str, Key | KeyFileError]]:
@@ -317,29 +310,22 @@ def key_warnings(keys: Mapping[str, tuple[Key, ...]], now: float) -> Iterator[st
     yield from dict.fromkeys(chain.from_iterable(key.warnings for valid in keys.values() for key in valid))
     for name, valid in keys.items():
         for following in valid[1:]:
-            yield from _of_rotation(name, valid[0], following, now)
-
-
-def _of_rotation(name: str, current: Key, following: Key, now: float) -> Iterator[str]:
-    if following == current:
-        yield KeyWarning.SAME_NEXT(name=name, fingerprint=fingerprint(current))
-    elif now - following.written > _LONG:
-        yield KeyWarning.TWO_FOR_LONG(name=name, since=written(following, now))
+            if following == valid[0]:
+                yield KeyWarning.SAME_NEXT(name=name, fingerprint=fingerprint(following))
+            elif now - following.written > _LONG:
+                yield KeyWarning.TWO_FOR_LONG(name=name, since=written(following, now))
 
 
 def written(key: Key, now: float) -> str:
     """Return when a key's file was written: ``2026-11-18 14:03 (3 days ago)``."""
-    return f"{time.strftime('%Y-%m-%d %H:%M', time.localtime(key.written))} ({_ago(now - key.written)})"
-
-
-def _ago(seconds: float) -> str:
-    if seconds < -60:
-        return Age.FUTURE()
-    for size, unit in _SPANS:
-        if seconds >= size:
-            count = int(seconds // size)
-            return Age.AGO(count=count, unit=plural(count, unit))
-    return Age.NOW()
+    passed = now - key.written
+    if passed < -60:
+        ago = Age.FUTURE()
+    elif found := next(((int(passed // size), unit) for size, unit in _SPANS if passed >= size), None):
+        ago = Age.AGO(count=found[0], unit=plural(*found))
+    else:
+        ago = Age.NOW()
+    return f"{time.strftime('%Y-%m-%d %H:%M', time.localtime(key.written))} ({ago})"
 
 
 def unshared_keys(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
