@@ -15,112 +15,10 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import Buffer, Sealer, StreamOpener
 
 
-class Assembly:
-    """One route's. Memory is taken for as much as the last message had, as most topics' messages are alike.
-
-    Attributes:
-        begun: more chunks of a message follow.
-        held: bytes of the budget.
-    """
-
-    def __init__(self, opener: StreamOpener, limit: int, budget: Budget) -> None:
-        """Begin.
-
-        Args:
-            limit: bytes of the longest message.
-            budget: for what has been taken of memory.
-        """
-        self.begun = False
-        self.held = 0
-        self._open_into = opener.open_into
-        self._tag = opener.suite.tag_length
-        self._limit = limit
-        self._budget = budget
-        self._content = io.BytesIO()  # gives its content away without a copy
-        self._size = 0
-        self._expected = 0
-
-    def add(self, sealed: Buffer, header: Buffer) -> None:
-        """Open the next chunk.
-
-        Raises:
-            ProtocolError: the message is too long, or the budget is spent.
-            SealError: the seal is invalid.
-        """
-        at = self._size
-        # What is shorter than a tag does not open. A negative length would count from the buffer's end.
-        end = at + max(0, len(sealed) - self._tag)
-        if end > self._limit:
-            raise ProtocolError(Broken.TOO_LONG_IN_CHUNKS(limit=self._limit))
-        if end > self.held:
-            self._grow(end)
-        # Both views end here: a `BytesIO` that has one cannot grow.
-        with self._content.getbuffer() as whole, whole[at:end] as place:
-            self._open_into(sealed, header, place)
-        self.begun = True
-        self._size = end
-
-    def take(self) -> bytes:
-        """Return the message, which is whole."""
-        self._expected = self._size
-        self._content.truncate(self._size)
-        content = self._content.getvalue()
-        self.close()
-        return content
-
-    def close(self) -> None:
-        """Discard the message."""
-        self._budget.give(self.held)
-        self.begun = False
-        self.held = self._size = 0
-        self._content = io.BytesIO()
-
-    def _grow(self, needed: int) -> None:
-        """Have room for `needed` bytes, and for more where the budget has it: each time costs a copy."""
-        generous = min(max(self._expected, 2 * self.held, needed), self._limit)
-        if self._budget.take(generous - self.held):
-            self.held = generous
-        else:
-            hold(self._budget, needed - self.held)
-            self.held = needed
-        self._content.seek(self.held - 1)
-        self._content.write(b"\0")  # `truncate` does not lengthen it
-
-
-def hold(budget: Budget, size: int) -> None:
-    """Take bytes of incomplete messages from a budget.
-
-    Raises:
-        ProtocolError: it is spent.
-    """
-    if not budget.take(size):
-        raise ProtocolError(Broken.TOO_MUCH_INCOMPLETE(limit=budget.limit))
-
-
-class Budget:
-    """Bytes that several holders share. Each gives back what it took."""
-
-    def __init__(self, limit: int) -> None:
-        self.limit = limit
-        self.held = 0
-
-    def take(self, size: int) -> bool:
-        """Take `size` bytes; return False, and take nothing, if they exceed the limit."""
-        if self.held + size > self.limit:
-            return False
-        self.held += size
-        return True
-
-    def give(self, size: int) -> None:
-        """Give back `size` bytes."""
-        self.held -= size
-
-
 PREAMBLE_LIMIT = 4096
 CONTROL_LIMIT = 1 << 20
 """Both of the protocol: bytes of the longest frame of somebody who has proven no key, and of any other."""
-MESSAGE_LIMIT = 64 << 20
-"""Bytes of the longest message, as sent (compressed, if it is)."""
+MESSAGE_LIMIT = 64 << 20  # bytes of the longest message, as sent (compressed, if it is)
 CONTENT_LIMIT = 2 * MESSAGE_LIMIT
 """Bytes of the longest compressed message, once it is unpacked: a map of 100 MB is 1 MB on the wire."""
 CALL_LIMIT = 32 << 20
@@ -130,20 +28,18 @@ the first time (bench/README.md, *Long calls*)."""
 UNFINISHED_LIMIT = 4 * MESSAGE_LIMIT
 """Bytes of incomplete messages that all readers of a link hold together: 64 messages of 8 MB, each half received."""
 
+# The type of a frame
 CONTROL = 0
 DATA = 1
-MOVED = 2
-"""The last frame of a route on the stream of small messages: its next one is on that of large messages."""
+MOVED = 2  # the last frame of a route on the stream of small messages: its next one is on that of large messages
 RESUMED = 3
 """The first frame of a route on a new stream, after a stream was lost with an unknown part of the route's frames."""
+# The flags of a data frame. The headers (`rsb_bridge.wire.headers`) stand before the content, the lease header first.
 ZSTD = 1
 MORE = 2
 HISTORY = 4
-"""A history header (`rsb_bridge.wire.headers`) stands before the content."""
 LEASED = 8
-"""A lease header (`rsb_bridge.wire.headers`) stands before the content, and before a history header."""
-SOURCE_SHIFT = 4
-"""First bit of the flags that holds the number of the message's source."""
+SOURCE_SHIFT = 4  # the first bit that holds the number of the message's source
 SOURCE_FLAGS = (MOST_SOURCES - 1) << SOURCE_SHIFT
 
 Message: TypeAlias = tuple[bytes, int, int]
@@ -159,6 +55,29 @@ _LENGTH_SIZE = LENGTH.size
 STRANGER_LIMIT = PREAMBLE_LIMIT + _LENGTH_SIZE
 """Bytes that are kept of somebody who has not proven to have a key: a preamble frame with its length."""
 _unpack_header = HEADER.unpack
+
+
+class Budget:
+    """Bytes of incomplete messages that several holders share. Each gives back what it took."""
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self.held = 0
+
+    def take(self, size: int) -> bool:
+        """Take `size` bytes; return False, and take nothing, if they exceed the limit."""
+        if self.held + size > self.limit:
+            return False
+        self.held += size
+        return True
+
+    def hold(self, size: int) -> None:
+        """Do as `take`, or raise a ProtocolError."""
+        if not self.take(size):
+            raise ProtocolError(Broken.TOO_MUCH_INCOMPLETE(limit=self.limit))
+
+    def give(self, size: int) -> None:
+        self.held -= size
 
 
 def pack_frame(*parts: Buffer) -> bytes:
@@ -198,9 +117,10 @@ class FrameReader:
         frames: list[memoryview] = []
         view = memoryview(data)
         if self._tail:
-            view = self._complete(view)
-            if not self._is_complete():
+            rest = self._complete(view)
+            if rest is None:
                 return frames
+            view = rest
             frames.append(memoryview(self._tail)[_LENGTH_SIZE:])
             self.close()  # with a new tail: the frame is a view of the old one
         unpack, limit = LENGTH.unpack_from, self.limit
@@ -223,31 +143,23 @@ class FrameReader:
         self._budget.give(len(self._tail))
         self._tail = bytearray()
 
-    def _complete(self, view: memoryview) -> memoryview:
-        """Copy the missing bytes into the incomplete frame; return the rest of the view."""
-        # First the length alone, so that nothing is kept of a frame that is too long.
-        if len(self._tail) < _LENGTH_SIZE:
-            missing = _LENGTH_SIZE - len(self._tail)
+    def _complete(self, view: memoryview) -> memoryview | None:
+        """Copy what is missing into the incomplete frame. Return the rest, or None while the frame is incomplete."""
+        # The length alone at first, so that nothing is kept of a frame that is too long.
+        if (missing := _LENGTH_SIZE - len(self._tail)) > 0:
             self._keep(view[:missing])
             view = view[missing:]
             if len(self._tail) < _LENGTH_SIZE:
-                return view
-        missing = self._whole() - len(self._tail)
-        self._keep(view[:missing])
-        return view[missing:]
-
-    def _is_complete(self) -> bool:
-        return len(self._tail) >= _LENGTH_SIZE and len(self._tail) == self._whole()
-
-    def _whole(self) -> int:
-        """Return the bytes that the incomplete frame will have, with its length."""
+                return None
         (length,) = LENGTH.unpack_from(self._tail)
         if length > self.limit:
             raise ProtocolError(Broken.FRAME_TOO_LONG(length=length, limit=self.limit))
-        return _LENGTH_SIZE + int(length)
+        missing = _LENGTH_SIZE + length - len(self._tail)
+        self._keep(view[:missing])
+        return view[missing:] if len(view) >= missing else None
 
     def _keep(self, data: Buffer) -> None:
-        hold(self._budget, len(data))
+        self._budget.hold(len(data))
         self._tail += data
 
 
@@ -264,7 +176,7 @@ class DataWriter:
         self._route = route
 
     def write_many(self, messages: Sequence[tuple[Buffer, int, int]]) -> bytes:
-        """Several messages, each (payload, stamp, flags), as frames in one piece."""
+        """Return several messages, each (payload, stamp, flags), as frames in one piece."""
         self.messages += len(messages)
         seal, pack_header, pack_length, route = self._sealer.seal, HEADER.pack, LENGTH.pack, self._route
         parts: list[bytes] = []
@@ -321,6 +233,78 @@ class DataWriter:
         """Return the frame with which the route goes on on a stream in place of a lost one."""
         header = HEADER.pack(RESUMED, 0, self._route, self._sealer.sequence)
         return pack_frame(header, self._sealer.seal(_COUNT.pack(self.messages), header))
+
+
+class Assembly:
+    """Chunks of a message. It takes as much memory as the last message had: most messages of a topic are alike.
+
+    Attributes:
+        begun: more chunks of a message follow.
+        held: bytes of the budget.
+    """
+
+    def __init__(self, opener: StreamOpener, limit: int, budget: Budget) -> None:
+        """Begin.
+
+        Args:
+            limit: bytes of the longest message.
+            budget: for the memory.
+        """
+        self.begun = False
+        self.held = 0
+        self._open_into = opener.open_into
+        self._tag = opener.suite.tag_length
+        self._limit = limit
+        self._budget = budget
+        self._content = io.BytesIO()  # gives its content away without a copy
+        self._size = 0
+        self._expected = 0
+
+    def add(self, sealed: Buffer, header: Buffer) -> None:
+        """Open the next chunk.
+
+        Raises:
+            ProtocolError: the message is too long, or the budget is spent.
+            SealError: the seal is invalid.
+        """
+        at = self._size
+        # What is shorter than a tag does not open. A negative length would count from the buffer's end.
+        end = at + max(0, len(sealed) - self._tag)
+        if end > self._limit:
+            raise ProtocolError(Broken.TOO_LONG_IN_CHUNKS(limit=self._limit))
+        if end > self.held:
+            self._grow(end)
+        # Both views end here: a `BytesIO` that has one cannot grow.
+        with self._content.getbuffer() as whole, whole[at:end] as place:
+            self._open_into(sealed, header, place)
+        self.begun = True
+        self._size = end
+
+    def take(self) -> bytes:
+        """Return the message, which is whole."""
+        self._expected = self._size
+        self._content.truncate(self._size)
+        content = self._content.getvalue()
+        self.close()
+        return content
+
+    def close(self) -> None:
+        """Discard the message."""
+        self._budget.give(self.held)
+        self.begun = False
+        self.held = self._size = 0
+        self._content = io.BytesIO()
+
+    def _grow(self, needed: int) -> None:
+        """Have room for `needed` bytes, and for more where the budget has it: each time costs a copy."""
+        generous = min(max(self._expected, 2 * self.held, needed), self._limit)
+        if self._budget.take(generous - self.held):
+            self.held = generous
+        else:
+            self._budget.hold(needed - self.held)
+            self.held = needed
+        self._content.seek(self.held - 1)
+        self._content.write(b"\0")  # `truncate` does not lengthen it
 
 
 class DataReader:
