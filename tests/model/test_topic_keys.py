@@ -42,3 +42,12 @@ def test_what_is_live_can_be_amended() -> None:
     live = {name for name, key in TOPIC_KEYS.items() if key.live}
     assert live == set(Amend.__struct_fields__) - {"route", "who"}
     assert live <= set(Propose.__struct_fields__)
+
+
+def test_messages_check_each_range_but_the_timeouts() -> None:
+    ranges = {name: key.limits for name, key in TOPIC_KEYS.items() if key.limits is not None and name != "timeout"}
+    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
+    for name, limits in ranges.items():
+        for value in (limits.low / 2, limits.high * 2):
+            with pytest.raises(ValueError, match="0 or"):
+                msgspec.structs.replace(proposal, **{name: value})

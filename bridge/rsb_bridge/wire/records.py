@@ -17,7 +17,7 @@ from rsb_bridge.model.names import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.qos import Qos, qos_problem
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.text import UNPRINTABLE
-from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.topic_keys import DEADMAN_TIME, LATE_AFTER, MAX_AGE, STALE_AFTER
 from rsb_bridge.model.wording import Wording
 
 PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"  # not `$`, which also matches before an end of line
@@ -290,12 +290,15 @@ class OutOfRange(Wording):
     SECONDS = "{name} is 0 or {range} s"
 
 
-_CHECKED = tuple(
-    (key.name, key.limits, OutOfRange.RATE if key.unit == "Hz" else OutOfRange.SECONDS)
-    for key in TOPIC_KEYS.values()
-    if key.limits and key.name != "timeout"
+_CHECKED = (
+    ("max_rate", RATE, OutOfRange.RATE),
+    ("expected_rate", RATE, OutOfRange.RATE),
+    ("stale_after", STALE_AFTER, OutOfRange.SECONDS),
+    ("late_after", LATE_AFTER, OutOfRange.SECONDS),
+    ("max_age", MAX_AGE, OutOfRange.SECONDS),
+    ("deadman", DEADMAN_TIME, OutOfRange.SECONDS),
 )
-"""A timeout out of range is refused with the topic, and the link stays."""
+"""Not `timeout`: one that is out of range is refused with the topic, and the link stays."""
 
 
 def check_limits(message: msgspec.Struct) -> None:
