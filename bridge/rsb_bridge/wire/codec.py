@@ -27,12 +27,14 @@ from rsb_bridge.wire.records import (
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-# msgspec resolves the annotations at run time
-
-
 _E = TypeVar("_E")
-
+_T = TypeVar("_T")
 _Entries: TypeAlias = Annotated[tuple[Raw, ...], Meta(max_length=ROUTES_PER_LINK)]
+
+WHOLE = 8 << 10  # bytes of any message that is decoded at once, in at most 4 ms
+MOST_TOPICS = 4000
+"""Entries of a list of topics. Its 1 MiB unpacked holds about 5,000 with usual names, or 1,400 with the longest."""
+_NOT_PRINTABLE = f"matching regex {PRINTABLE!r}"
 
 
 class ReportParts(msgspec.Struct, frozen=True, tag_field="message", tag="report"):
@@ -45,9 +47,10 @@ class ReportParts(msgspec.Struct, frozen=True, tag_field="message", tag="report"
     path: PathRecord | None = None
 
 
-MOST_TOPICS = 4000
-"""Entries of a list of topics. Its 1 MiB unpacked holds about 5,000 with usual names, or 1,400 with the longest."""
-
+_encoder = msgspec.msgpack.Encoder()
+_urgent: msgspec.msgpack.Decoder[UrgentMessage] = msgspec.msgpack.Decoder(UrgentMessage)
+_hello = msgspec.msgpack.Decoder(Hello)
+_welcome = msgspec.msgpack.Decoder(Welcome)
 _sent = msgspec.msgpack.Decoder(SentReport)
 _received = msgspec.msgpack.Decoder(ReceivedReport)
 _calls = msgspec.msgpack.Decoder(CallsReport)
@@ -109,15 +112,6 @@ def _decoded(
             yield entry, 0
 
 
-_T = TypeVar("_T")
-
-WHOLE = 8 << 10
-"""Bytes of any message that is decoded at once, in at most 4 ms."""
-_NOT_PRINTABLE = f"matching regex {PRINTABLE!r}"
-
-_encoder = msgspec.msgpack.Encoder()
-
-
 @cache
 def control_messages() -> tuple[type[ControlMessageBase], ...]:
     """Return all types of control messages, those of features last. Asked late: a feature's may need this module."""
@@ -133,11 +127,6 @@ def _control() -> msgspec.msgpack.Decoder[ControlMessageBase]:
 def _parts() -> msgspec.msgpack.Decoder[ControlMessageBase | ReportParts]:
     # Without `Report`, whose tag the form in parts has: msgspec takes no tag twice.
     return msgspec.msgpack.Decoder(Union[*(each for each in control_messages() if each is not Report), ReportParts])
-
-
-_urgent: msgspec.msgpack.Decoder[UrgentMessage] = msgspec.msgpack.Decoder(UrgentMessage)
-_hello = msgspec.msgpack.Decoder(Hello)
-_welcome = msgspec.msgpack.Decoder(Welcome)
 
 
 def encode(message: ControlMessageBase) -> bytes:

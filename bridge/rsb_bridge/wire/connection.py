@@ -54,14 +54,12 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealed_stream import ReplayCache
 
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
+# Of operators' connections, which are always encrypted, with one suite: a console transfers little
 OPERATOR_SUITE = CipherSuite.CHACHAPOLY
-"""The one suite of operators' connections, which are always encrypted: a console transfers little."""
-RECORD_CONTENT = 16 << 10
-"""Bytes of a record's content at most. A round figure: nothing was measured."""
-_RECORD_HEADER = b""
+RECORD_CONTENT = 16 << 10  # bytes of a record's content at most. A round figure: nothing was measured
 RECORD_LIMIT = RECORD_CONTENT + OPERATOR_SUITE.tag_length
-HOST_BYTES = 64
-"""Bytes of the console's host name in UTF-8."""
+_RECORD_HEADER = b""
+HOST_BYTES = 64  # of the console's host name in UTF-8
 _AT_BYTES = 64
 
 
@@ -83,11 +81,8 @@ class _Control(SealedStream):
         content = encode(message)
         # With the longer tag, so that a message that one link takes is not too long for another one.
         if HEADER.size + len(content) + CipherSuite.AESGCM.tag_length > CONTROL_LIMIT:
-            raise ValueError(
-                Misuse.CONTROL_MESSAGE_TOO_LONG(
-                    message=type(message).__name__, length=len(content), limit=CONTROL_LIMIT
-                )
-            )
+            kind = type(message).__name__
+            raise ValueError(Misuse.CONTROL_MESSAGE_TOO_LONG(message=kind, length=len(content), limit=CONTROL_LIMIT))
         self._outbox += self._seal(content)
         return self.data_to_send()
 
@@ -135,11 +130,8 @@ class ClientConnection(_Control, ConnectingStream):
 
     def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
         # Only from AES-GCM, and only to ChaCha20: a forged one can neither loop nor take the encryption away.
-        if (
-            kind is PreambleKind.RETRY
-            and self.suite is CipherSuite.AESGCM
-            and parse_suite(body) is CipherSuite.CHACHAPOLY
-        ):
+        may_retry = kind is PreambleKind.RETRY and self.suite is CipherSuite.AESGCM
+        if may_retry and parse_suite(body) is CipherSuite.CHACHAPOLY:
             self.suite = CipherSuite.CHACHAPOLY
             self._outbox += self.start()
         else:
@@ -226,26 +218,18 @@ class ServerConnection(AcceptingStream, _Control):
         self.name = offer.name
         keys, replays = self._identity(offer.name)
         if not keys and offer.suite is not CipherSuite.PLAIN:
-            raise Refusal(
-                RefusalCode.ENCRYPTION_NOT_POSSIBLE,
-                RefusalText.ENCRYPTION_NOT_POSSIBLE(name=offer.name),
-            )
+            problem = RefusalText.ENCRYPTION_NOT_POSSIBLE(name=offer.name)
+            raise Refusal(RefusalCode.ENCRYPTION_NOT_POSSIBLE, problem)
         if keys and offer.suite is CipherSuite.PLAIN:
-            raise Refusal(
-                RefusalCode.ENCRYPTION_REQUIRED,
-                RefusalText.ENCRYPTION_REQUIRED(name=offer.name),
-            )
+            raise Refusal(RefusalCode.ENCRYPTION_REQUIRED, RefusalText.ENCRYPTION_REQUIRED(name=offer.name))
         if offer.suite is CipherSuite.AESGCM and not self._aes:
-            self._retry()
-        else:
-            key = key_of(keys, offer.fingerprint, offer.name, "client", "server") if keys else None
-            self._welcome(offer, key, replays)
-
-    def _retry(self) -> None:
-        if self._retried:
-            raise ProtocolError(Broken.RETRY_IGNORED())
-        self._retried = True
-        self._outbox += pack_frame(preamble_frame(PreambleKind.RETRY, bytes((CipherSuite.CHACHAPOLY,))))
+            if self._retried:
+                raise ProtocolError(Broken.RETRY_IGNORED())
+            self._retried = True
+            self._outbox += pack_frame(preamble_frame(PreambleKind.RETRY, bytes((CipherSuite.CHACHAPOLY,))))
+            return
+        key = key_of(keys, offer.fingerprint, offer.name, "client", "server") if keys else None
+        self._welcome(offer, key, replays)
 
     def _welcome(self, offer: ControlPreamble, key: bytes | None, replays: ReplayCache) -> None:
         handshake = handshake_of(offer.suite, key, offer.header)

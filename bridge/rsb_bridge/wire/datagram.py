@@ -6,13 +6,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
-from rsb_bridge.wire.framing import (
-    LEASED,
-    MESSAGE_LIMIT,
-    UNFINISHED_LIMIT,
-    Budget,
-    Message,
-)
+from rsb_bridge.wire.framing import LEASED, MESSAGE_LIMIT, UNFINISHED_LIMIT, Budget, Message
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
 
@@ -22,19 +16,15 @@ if TYPE_CHECKING:
 Origin = TypeVar("Origin")
 
 MAGIC = 0xB5
-FRAGMENTS_LIMIT = 65535
-"""The header has 16 bits for them."""
-
+FRAGMENTS_LIMIT = 65535  # the header has 16 bits for them
 _HEADER = struct.Struct(">BBHHI8sQIQ")
 _HEADER_SIZE = _HEADER.size
 _unpack_addressee = struct.Struct(">I8s").unpack_from
+_ASKS = 2  # a flag: the sender of the datagram wants a receipt now
 _PROBE = struct.Struct(">?Q")
 _RECEIPT, _ARRIVED = struct.Struct(">BIQ"), struct.Struct(">IQQ")
 _RECEIPT_KIND, _URGENT_KIND = 2, 3
-MOST_ARRIVED = 50
-"""Routes of one receipt, which fits into a datagram of 1,200 bytes."""
-_ASKS = 2
-"""A datagram's flag: its sender wants a receipt now."""
+MOST_ARRIVED = 50  # routes of one receipt, which fits into a datagram of 1,200 bytes
 _FRAGMENT_COST = 400
 """Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted. The only
 fragment of a message takes the most, some 390 in CPython 3.11 (`sys.getsizeof` of its record, dict and bytes)."""
@@ -66,7 +56,6 @@ class Probe(NamedTuple):
     opaque: int
 
     def pack(self) -> bytes:
-        """Return the probe as a payload."""
         return _PROBE.pack(*self)
 
     @classmethod
@@ -108,23 +97,16 @@ class Receipt(NamedTuple):
     arrived: tuple[Arrived, ...]
 
     def pack(self) -> bytes:
-        """Return the receipt as a payload."""
-        return _RECEIPT.pack(_RECEIPT_KIND, self.buffer, self.at) + b"".join(
-            [_ARRIVED.pack(*each) for each in self.arrived]
-        )
+        arrived = b"".join([_ARRIVED.pack(*each) for each in self.arrived])
+        return _RECEIPT.pack(_RECEIPT_KIND, self.buffer, self.at) + arrived
 
 
 class Urgent(NamedTuple):
-    """Another payload of `PROBE_ROUTE`'s messages: a control message that crosses on the control connection, too.
-
-    Attributes:
-        content: the control message as `rsb_bridge.wire.codec` encodes it.
-    """
+    """Another payload of `PROBE_ROUTE`'s messages: an encoded control message that crosses on its connection, too."""
 
     content: bytes
 
     def pack(self) -> bytes:
-        """Return it as a payload."""
         return bytes((_URGENT_KIND,)) + self.content
 
 

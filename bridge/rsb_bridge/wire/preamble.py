@@ -19,48 +19,11 @@ from rsb_bridge.wire.sealing import CipherSuite, SealError
 if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import Buffer
 
-_HTTP = (b"HTTP", b"GET ", b"HEAD ", b"POST ", b"PUT ", b"DELETE ", b"OPTIONS ", b"CONNECT ", b"PATCH ", b"TRACE ")
-_BEGINNINGS: tuple[tuple[str, tuple[bytes, ...]], ...] = (
-    ("HTTP", (*_HTTP, b"PRI * HTTP", b"<!DO", b"<!do", b"<htm", b"<HTM", b"<?xm")),  # HTTP/0.9 answers without a header
-    ("SSH", (b"SSH-",)),
-    ("TLS", tuple(bytes((kind, 3, minor)) for kind in (0x15, 0x16) for minor in range(5))),
-    ("RTPS", (b"RTPS", b"RTCP")),
-    ("Redis", (b"-ERR", b"+PONG", b"*1\r\n")),
-    ("FTP or SMTP", (b"220 ", b"220-", b"EHLO", b"HELO")),
-    ("VNC", (b"RFB ",)),
-)
-_ZENOH = "Zenoh"
-_ZENOH_CLOSE = bytes.fromhex("020003")
-"""Two bytes of length, and the message by which a router refuses a program that does not speak Zenoh."""
-_ZENOH_INIT = 0x01
-_ZENOH_VERSIONS = (0x08, 0x09)
-
-
-def recognise(data: Buffer) -> str:
-    """Return the name of the protocol that a stream begins with, or an empty string if it is not a known one.
-
-    Args:
-        data: the first bytes, at least four.
-    """
-    start = bytes(data[:16])
-    for name, beginnings in _BEGINNINGS:
-        # A stream may have brought less than a beginning is long.
-        if any(start.startswith(each) or each.startswith(start) for each in beginnings):
-            return name
-    # A Zenoh client begins with two bytes of length, INIT and the version.
-    is_init = len(start) >= 4 and start[2] & 0x1F == _ZENOH_INIT and start[3] in _ZENOH_VERSIONS
-    return _ZENOH if is_init or start.startswith(_ZENOH_CLOSE) else ""
-
-
-VERSION = 1
-"""Of the wire format. A peer of another version is refused."""
-MESSAGE_LIMIT = 512
-"""Bytes of a refusal's message."""
-LINK_ID_LENGTH = 8
-
+VERSION = 1  # of the wire format. A peer of another version is refused
 MAGIC = b"rsb"
-PREFIX_LENGTH = 5
-"""Bytes of a preamble frame before its body."""
+PREFIX_LENGTH = 5  # bytes of a preamble frame before its body
+MESSAGE_LIMIT = 512  # bytes of a refusal's message
+LINK_ID_LENGTH = 8
 _DATA = struct.Struct(f">{LINK_ID_LENGTH}sIH?")
 _CONTROL_VERSION = struct.Struct(">H")
 """Of the control protocol, in an OPERATOR frame."""
@@ -352,6 +315,43 @@ def parse_refuse(body: bytes) -> tuple[RefusalCode, str]:
     except (IndexError, ValueError):
         raise ProtocolError(Broken.UNKNOWN_REFUSAL()) from None
     return code, sanitize_text(body[1 : 1 + MESSAGE_LIMIT].decode(errors="replace"))
+
+
+# --- other programs' streams
+
+_HTTP = (b"HTTP", b"GET ", b"HEAD ", b"POST ", b"PUT ", b"DELETE ", b"OPTIONS ", b"CONNECT ", b"PATCH ", b"TRACE ")
+_BEGINNINGS: tuple[tuple[str, tuple[bytes, ...]], ...] = (
+    ("HTTP", (*_HTTP, b"PRI * HTTP", b"<!DO", b"<!do", b"<htm", b"<HTM", b"<?xm")),  # HTTP/0.9 answers without a header
+    ("SSH", (b"SSH-",)),
+    ("TLS", tuple(bytes((kind, 3, minor)) for kind in (0x15, 0x16) for minor in range(5))),
+    ("RTPS", (b"RTPS", b"RTCP")),
+    ("Redis", (b"-ERR", b"+PONG", b"*1\r\n")),
+    ("FTP or SMTP", (b"220 ", b"220-", b"EHLO", b"HELO")),
+    ("VNC", (b"RFB ",)),
+)
+_ZENOH_CLOSE = bytes.fromhex("020003")
+"""Two bytes of length, and the message by which a router refuses a program that does not speak Zenoh."""
+_ZENOH_INIT = 0x01
+_ZENOH_VERSIONS = (0x08, 0x09)
+
+
+def recognise(data: Buffer) -> str:
+    """Return the name of the protocol that a stream begins with, or an empty string if it is not a known one.
+
+    Args:
+        data: the first bytes, at least four.
+    """
+    start = bytes(data[:16])
+    for name, beginnings in _BEGINNINGS:
+        # A stream may have brought less than a beginning is long.
+        if any(start.startswith(each) or each.startswith(start) for each in beginnings):
+            return name
+    # A Zenoh client begins with two bytes of length, INIT and the version.
+    is_init = len(start) >= 4 and start[2] & 0x1F == _ZENOH_INIT and start[3] in _ZENOH_VERSIONS
+    return "Zenoh" if is_init or start.startswith(_ZENOH_CLOSE) else ""
+
+
+# --- streams
 
 
 class PreamblePhase(Enum):
