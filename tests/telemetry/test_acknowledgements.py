@@ -11,7 +11,7 @@ from tests.support.held import held_by
 
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.faults import link_needs_attention, route_needs_attention
+from rsb_bridge.model.faults import needs_attention
 from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot, State
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements, find_faulty
 from rsb_bridge.telemetry.event_log import EventLog
@@ -65,8 +65,8 @@ def test_a_fault_is_marked_with_who_and_when_and_needs_no_attention(table: Table
     assert scan.acknowledged is not None
     assert (scan.acknowledged.by, scan.acknowledged.at) == ("anna", NOW)
     assert replace(scan, acknowledged=None) == SCAN
-    assert route_needs_attention(SCAN)
-    assert not route_needs_attention(scan)
+    assert needs_attention(SCAN)
+    assert not needs_attention(scan)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_a_links_covers_what_its_loss_has_stopped(table: Table) -> None:
     table.known.add(DOWN, "otto")
     assert table.mark(SCAN, with_link, link=DOWN) == [True, True, True]
     (link,), _ = table.known.mark([DOWN], [], NOW)
-    assert not link_needs_attention(link)
+    assert not needs_attention(link)
     assert table.mark(with_link, link=replace(DOWN, cause="refused")) == [False, False]
 
 

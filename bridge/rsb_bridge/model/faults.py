@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Snapshot
 
+Faulty: TypeAlias = LinkSnapshot | RouteSnapshot | PatternSnapshot
+
 _NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.DISARMING, State.OK})
 
 
@@ -28,36 +30,23 @@ def state_counts(things: Iterable[RouteSnapshot | LinkSnapshot]) -> dict[State, 
     return {state: counts[state] for state in State if counts[state]}
 
 
-def link_is_wrong(link: LinkSnapshot) -> bool:
-    """Whether a link has a fault, be it up or down. One that waits for its first connection has none."""
-    return link.state not in _NOTHING_WRONG or bool(link.warning)
+def is_wrong(subject: Faulty) -> bool:
+    """Whether a link, a route or a pattern has a fault.
+
+    None has a link that waits for its first connection, an unused route, one in a state that an operator wants, and a
+    pattern that matches nothing.
+    """
+    if isinstance(subject, LinkSnapshot) and subject.warning:
+        return True
+    if isinstance(subject, RouteSnapshot) and subject.state is State.UNHEARD:
+        return subject.cause != Cause.NO_SUBSCRIBER
+    waits = isinstance(subject, RouteSnapshot) and route_waits(subject)
+    return subject.state not in _NOTHING_WRONG and not waits
 
 
-def pattern_is_wrong(pattern: PatternSnapshot) -> bool:
-    """Whether a pattern has a fault; one that matches nothing has none."""
-    return pattern.state not in _NOTHING_WRONG
-
-
-def route_is_wrong(route: RouteSnapshot) -> bool:
-    """Whether a route has a fault. An unused route has none, nor one in a state that an operator wants."""
-    if route.state is State.UNHEARD:
-        return route.cause != Cause.NO_SUBSCRIBER
-    return route.state not in _NOTHING_WRONG and not route_waits(route)
-
-
-def route_needs_attention(route: RouteSnapshot) -> bool:
-    """Whether a route has a fault that no operator has acknowledged."""
-    return route.acknowledged is None and route_is_wrong(route)
-
-
-def link_needs_attention(link: LinkSnapshot) -> bool:
-    """Whether a link has a fault that no operator has acknowledged."""
-    return link.acknowledged is None and link_is_wrong(link)
-
-
-def pattern_needs_attention(pattern: PatternSnapshot) -> bool:
-    """Whether a pattern has a fault that no operator has acknowledged."""
-    return pattern.acknowledged is None and pattern_is_wrong(pattern)
+def needs_attention(subject: Faulty) -> bool:
+    """Whether it has a fault that no operator has acknowledged."""
+    return subject.acknowledged is None and is_wrong(subject)
 
 
 def fault_count(now: Snapshot) -> int:
@@ -65,9 +54,9 @@ def fault_count(now: Snapshot) -> int:
     if not now.running:
         return 1
     down = {link.name for link in now.links if link.state is not State.OK}
-    patterns = sum(pattern_needs_attention(pattern) for link in now.links for pattern in link.patterns)
-    routes = sum(route_needs_attention(route) for route in now.routes if route.link not in down)
-    return sum(map(link_needs_attention, now.links)) + patterns + routes
+    patterns = sum(needs_attention(pattern) for link in now.links for pattern in link.patterns)
+    routes = sum(needs_attention(route) for route in now.routes if route.link not in down)
+    return sum(map(needs_attention, now.links)) + patterns + routes
 
 
 def route_waits(route: RouteSnapshot) -> bool:
@@ -78,8 +67,6 @@ def route_waits(route: RouteSnapshot) -> bool:
 
 
 class PathFaultText(Wording):
-    """Texts about a path, with the remedy."""
-
     LOSSY = "{share} of packets are lost {way} {peer}: check its Wi-Fi or cable"
     LARGE_PACKETS = (
         "large packets are lost {way} {peer}, small ones arrive: "
@@ -142,9 +129,8 @@ _NO_NEWS = frozenset({Cause.NO_MESSAGE, Cause.SILENT, Cause.AWAITS_LINK})
 LASTS = 2.0
 """Seconds that a fault must last before it is reported, and be gone before its end is reported."""
 
-Faulty: TypeAlias = LinkSnapshot | RouteSnapshot | PatternSnapshot
-_Key = tuple[str, str]
-_Kind = tuple[str, str]
+_Key: TypeAlias = tuple[str, str]
+_Kind: TypeAlias = tuple[str, str]
 """State and cause."""
 
 
@@ -203,17 +189,22 @@ class _Watched:
     def report(self, kind: _Kind) -> None:
         """Take note that a state and a cause are reported."""
         self.reported = self.next = kind
-        self.owes |= _is_of_messages(kind)
+        state, cause = kind
+        # Of messages or calls, and not of a condition for any to cross.
+        self.owes |= state in _OF_MESSAGES or (state == State.DOWN and cause in _NOTHING_COMES)
 
     def present(self) -> _Kind | None:
         """Return the state and the cause now, or None if nothing is wrong. A wait without news is as reported."""
-        if _is_wrong(self.subject):
-            return _kind(self.subject)
-        if not self.owes or not _waits_for_data(self.subject):
+        subject = self.subject
+        if is_wrong(subject):
+            return _kind(subject)
+        # A topic that waits for a message, or a service for a server; one that can be called owes nothing.
+        waits = isinstance(subject, RouteSnapshot) and route_waits(subject) and subject.cause != Cause.NO_CALL
+        if not (self.owes and waits):
             return None
         assert self.reported is not None
-        news = self.subject.cause not in _NO_NEWS and self.subject.cause != self.reported[1]
-        return _kind(self.subject) if news else self.reported
+        news = subject.cause not in _NO_NEWS and subject.cause != self.reported[1]
+        return _kind(subject) if news else self.reported
 
 
 class FaultWatch:
@@ -238,37 +229,31 @@ class FaultWatch:
 
     def assume(self, snapshot: Snapshot, now: float) -> None:
         """Treat the faults of a snapshot at `now` (s) as reported already."""
-        links = {link.name: link for link in snapshot.links}
-        for subject in _subjects(snapshot):
-            of_link = not isinstance(subject, LinkSnapshot) and _is_explained(subject, links.get(subject.link))
-            if _is_wrong(subject) and not of_link:
-                kind = _kind(subject)
+        for subject, explained in _subjects(snapshot):
+            if is_wrong(subject) and not explained:
                 watched = self._watched[_key(subject)] = _Watched(subject, now, snapshot.time, ("", ""))
-                watched.report(kind)
+                watched.report(_kind(subject))
 
     def find_changes(self, snapshot: Snapshot, now: float) -> list[FaultChange]:
         """Return the changes to report since the snapshots before, at `now` (s on a monotonic clock)."""
-        found = [*self._changes(snapshot, now)]
-        self._well = {_key(each): _kind(each) for each in _subjects(snapshot) if _key(each) not in self._watched}
-        return found
-
-    def _changes(self, snapshot: Snapshot, now: float) -> Iterator[FaultChange]:
-        links = {link.name: link for link in snapshot.links}
-        seen: set[_Key] = set()
-        for subject in _subjects(snapshot):
-            seen.add(_key(subject))
-            if not isinstance(subject, LinkSnapshot) and _is_explained(subject, links.get(subject.link)):
-                self._suspend(subject)
+        found: list[FaultChange] = []
+        seen: dict[_Key, _Kind] = {}
+        for subject, explained in _subjects(snapshot):
+            seen[_key(subject)] = _kind(subject)
+            if explained:
+                self._suspend(_key(subject))
             else:
-                yield from self._look_at(subject, now, snapshot.time)
+                found += self._look_at(subject, now, snapshot.time)
         for key in [key for key in self._watched if key not in seen]:
-            yield from self._look_at(self._watched[key].subject, now, snapshot.time, removed=True)
+            found += self._look_at(self._watched[key].subject, now, snapshot.time, removed=True)
+        self._well = {key: kind for key, kind in seen.items() if key not in self._watched}
+        return found
 
     def _look_at(self, subject: Faulty, now: float, time: float, *, removed: bool = False) -> Iterator[FaultChange]:
         key = _key(subject)
         watched = self._watched.get(key)
         if watched is None:
-            if _is_wrong(subject):
+            if is_wrong(subject):
                 self._watched[key] = _Watched(subject, now, time, self._well.get(key, ("", "")))
             return
         watched.subject = subject
@@ -298,47 +283,26 @@ class FaultWatch:
             watched.report(kind)
             yield FaultChange(ChangeKind.CHANGED, subject, before=before, seen=watched.seen)
 
-    def _suspend(self, subject: RouteSnapshot | PatternSnapshot) -> None:
+    def _suspend(self, key: _Key) -> None:
         """Restart the time for which a fault has lasted or been gone."""
-        watched = self._watched.get(_key(subject))
-        if watched is None:
-            return
-        if watched.reported is None:
-            del self._watched[_key(subject)]
-        else:
+        watched = self._watched.get(key)
+        if watched is not None and watched.reported is None:
+            del self._watched[key]
+        elif watched is not None:
             watched.next = watched.reported
 
 
-def _is_explained(subject: RouteSnapshot | PatternSnapshot, link: LinkSnapshot | None) -> bool:
-    """Whether the fault of the link explains what is wrong with one of its routes or patterns."""
-    if link is not None and link.state is not State.OK:
-        return True
-    return explained_by_link(subject.cause, link)
-
-
-def _subjects(snapshot: Snapshot) -> Iterator[Faulty]:
-    """Yield all links, all routes and all patterns."""
-    yield from snapshot.links
-    yield from snapshot.routes
+def _subjects(snapshot: Snapshot) -> Iterator[tuple[Faulty, bool]]:
+    """Yield all links, routes and patterns, and whether the fault of its link explains what is wrong with each."""
+    links = {link.name: link for link in snapshot.links}
+    parts: list[RouteSnapshot | PatternSnapshot] = [*snapshot.routes]
     for link in snapshot.links:
-        yield from link.patterns
-
-
-def _is_wrong(subject: Faulty) -> bool:
-    if isinstance(subject, LinkSnapshot):
-        return link_is_wrong(subject)
-    return route_is_wrong(subject) if isinstance(subject, RouteSnapshot) else pattern_is_wrong(subject)
-
-
-def _is_of_messages(kind: _Kind) -> bool:
-    """Whether a fault is one of messages or calls, and not of a condition for any to cross."""
-    state, cause = kind
-    return state in _OF_MESSAGES or (state == State.DOWN and cause in _NOTHING_COMES)
-
-
-def _waits_for_data(subject: Faulty) -> bool:
-    """Whether a topic waits for a message, or a service for a server; one that can be called owes nothing."""
-    return isinstance(subject, RouteSnapshot) and route_waits(subject) and subject.cause != Cause.NO_CALL
+        yield link, False
+        parts += link.patterns
+    for part in parts:
+        its_link = links.get(part.link)
+        is_down = its_link is not None and its_link.state is not State.OK
+        yield part, is_down or explained_by_link(part.cause, its_link)
 
 
 def _key(subject: Faulty) -> _Key:

@@ -117,7 +117,6 @@ class LinkLoad(NamedTuple):
 
     @property
     def bytes_per_second(self) -> float:
-        """Rate on the wire."""
         return self.rate * (self.size + PER_MESSAGE)
 
 
@@ -215,7 +214,12 @@ def load_of(
     now: Snapshot, topic: Topic, *, type_name: str = "", rate: float | None = None, size: float | None = None
 ) -> LinkLoad:
     """Estimate the load of a topic; `cost_of` describes the arguments."""
-    type_name = _full_name(type_name or ("" if topic.type == "auto" else topic.type), now.routes)
+    type_name = type_name or ("" if topic.type == "auto" else topic.type)
+    # A session file may have a short name: `Image` for `sensor_msgs/msg/Image`.
+    known = (*TYPICAL, *(route.type_name for route in now.routes))
+    full = {name for name in known if name.rpartition("/")[2] == type_name}
+    if "/" not in type_name and len(full) == 1:
+        type_name = full.pop()
     rate = rate or topic.expected_rate
     found = _measured(now.routes, topic, type_name)
     if found is None and type_name in TYPICAL:
@@ -226,12 +230,6 @@ def load_of(
         return LinkLoad(rate or 0.0, size or 0.0, LoadSource.UNKNOWN)
     found = found._replace(rate=rate or found.rate, size=size or found.size)
     return found if topic.max_rate is None else found._replace(rate=min(found.rate, topic.max_rate))
-
-
-def _full_name(name: str, routes: Iterable[RouteSnapshot]) -> str:
-    """Expand a short type name from a session file: ``Image`` becomes ``sensor_msgs/msg/Image``; others stay."""
-    found = {full for full in (*TYPICAL, *(route.type_name for route in routes)) if full.rpartition("/")[2] == name}
-    return found.pop() if "/" not in name and len(found) == 1 else name
 
 
 def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> LinkLoad | None:
@@ -298,12 +296,14 @@ def describe_cost(cost: Cost, now: float) -> tuple[str, ...]:
     if cost.load.source is LoadSource.UNKNOWN:
         return (CostText.UNKNOWN(),)
     load, capacity = cost.load, cost.capacity
-    what = CostText.LOAD(
-        amount=amount(load.bytes_per_second), rate=load.rate, size=_size(load.size), source=_source(load)
-    )
+    size, source = load.size, CostText[load.source.name](topic=load.like)
+    unit = f"{size / 1e6:.2g} MB" if size >= 1e6 else f"{size / 1e3:.3g} kB" if size >= 1e3 else f"{size:.0f} B"
+    what = CostText.LOAD(amount=amount(load.bytes_per_second), rate=load.rate, size=unit, source=source)
     if capacity is None:
         return (CostText.CAPACITY_UNKNOWN(load=what),)
-    first = CostText.IN_USE(load=what, capacity=_carries(capacity, now), used=amount(cost.used))
+    carries = CostText.CARRIED if capacity.source == CapacitySource.SEEN else CostText.CARRIES
+    carried = carries(rate=amount(capacity.bytes_per_second), age=about(capacity.age(now)))
+    first = CostText.IN_USE(load=what, capacity=carried, used=amount(cost.used))
     if not cost.over:
         return (first,)
     names = join_first([f"{each.topic} to {each.after / each.before:.0%}" for each in cost.sufferers], _NAMED)
@@ -316,21 +316,6 @@ def describe_cost(cost: Cost, now: float) -> tuple[str, ...]:
     if capacity.source != CapacitySource.SEEN:
         return first, CostText.TOO_MUCH(amount=over, effects=effects)
     return first, (CostText.PERHAPS_TOO_MUCH if effects else CostText.PERHAPS_CARRIED)(amount=over, effects=effects)
-
-
-def _source(load: LinkLoad) -> str:
-    return CostText[load.source.name](topic=load.like)
-
-
-def _carries(capacity: Capacity, now: float) -> str:
-    rate = amount(capacity.bytes_per_second)
-    if capacity.source == CapacitySource.SEEN:
-        return CostText.CARRIED(rate=rate)
-    return CostText.CARRIES(rate=rate, age=about(capacity.age(now)))
-
-
-def _size(size: float) -> str:
-    return f"{size / 1e6:.2g} MB" if size >= 1e6 else f"{size / 1e3:.3g} kB" if size >= 1e3 else f"{size:.0f} B"
 
 
 def amount(bytes_per_second: float) -> str:

@@ -5,7 +5,7 @@ Values are as in the ROS 2 middleware interface (rmw/types.h, Jazzy); the named 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
@@ -61,27 +61,20 @@ PROFILES: dict[str, Qos] = {
 }
 """QoS by name. ``latched`` is not ROS 2's: it is what ROS 1 called a latched topic."""
 
-TIMES = ("deadline", "lifespan", "liveliness_lease_duration")
-"""Policies that are times in s."""
+TIMES = ("deadline", "lifespan", "liveliness_lease_duration")  # in s
 AUTO = "auto"
 AUTO_SECONDS = 5.0
 """What a reliable volatile topic brings in this time may wait with ``auto``: a link that stalls longer is given up."""
-AUTO_DEPTH = 10
-"""Messages, where the QoS names no number: the default of ROS."""
-_DEPTH_AT_FIRST = 500
-"""Messages before a rate is measured: as many as a topic of 100 Hz brings in `AUTO_SECONDS`."""
-_MOST_AUTO = 10_000
-"""Messages: as many as the receiving side keeps (`limits.KEPT_DEPTH`)."""
-_ASSERTED_EVERY = 0.02
-"""s between two assertions of liveliness at least. Each takes 10 µs."""
+AUTO_DEPTH = 10  # messages, where the QoS names no number: the default of ROS
+_DEPTH_AT_FIRST = 500  # messages before a rate is measured: as many as a topic of 100 Hz brings in `AUTO_SECONDS`
+_MOST_AUTO = 10_000  # messages: as many as the receiving side keeps (`limits.KEPT_DEPTH`)
+_ASSERTED_EVERY = 0.02  # s between two assertions of liveliness at least. Each takes 10 µs
 QUEUE_BYTES = 32 << 20
 """Of one topic's messages that wait in one place: in DDS, for the link, or until their publisher is known, so that a
 large image which comes first is not lost. Not measured."""
 
 
 class QosProblem(Wording):
-    """A mistake in a QoS."""
-
     UNKNOWN_NAME = "{value!r} is not one of {names}"
     UNKNOWN_PROFILE = "profile: {value!r} is not one of {names}"
     DEPTH_OUT_OF_RANGE = "depth: {depth} is out of range: {range}"
@@ -100,7 +93,7 @@ class QosMismatch(Wording):
 
 
 def parse_qos(value: object) -> Qos | None:
-    """The QoS that a session file means: a profile's name, a depth, or a mapping of policies.
+    """Return the QoS that a session file means: a profile's name, a depth, or a mapping of policies.
 
     Args:
         value: ``auto``, a name out of `PROFILES`, a depth, or a mapping of `Qos` fields, which may start from a
@@ -114,35 +107,29 @@ def parse_qos(value: object) -> Qos | None:
     """
     if value is None or value == AUTO:
         return None
-    qos = _qos_of(value)
+    match value:
+        case Qos():
+            qos = value
+        case int() if not isinstance(value, bool):  # `qos: true` is no depth of 1
+            qos = Qos(depth=value)
+        case str():
+            if value not in PROFILES:
+                raise ValueError(QosProblem.UNKNOWN_NAME(value=value, names=", ".join((AUTO, *PROFILES))))
+            qos = PROFILES[value]
+        case dict():
+            profile = value.get("profile", "default")
+            if not isinstance(profile, str) or profile not in PROFILES:
+                raise ValueError(QosProblem.UNKNOWN_PROFILE(value=profile, names=", ".join(PROFILES)))
+            policies = {key: policy for key, policy in value.items() if key != "profile"}
+            try:
+                qos = msgspec.convert(msgspec.to_builtins(PROFILES[profile]) | policies, Qos)
+            except msgspec.ValidationError as error:
+                raise ValueError(str(error)) from None
+        case _:
+            raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")
     if problem := qos_problem(qos):
         raise ValueError(problem)
     return qos
-
-
-def _qos_of(value: object) -> Qos:
-    if isinstance(value, Qos):
-        return value
-    if isinstance(value, int) and not isinstance(value, bool):  # `qos: true` is no depth of 1
-        return Qos(depth=value)
-    if isinstance(value, str):
-        if value in PROFILES:
-            return PROFILES[value]
-        raise ValueError(QosProblem.UNKNOWN_NAME(value=value, names=", ".join((AUTO, *PROFILES))))
-    if isinstance(value, dict):
-        return _from_mapping(value)
-    raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")
-
-
-def _from_mapping(value: dict[str, Any]) -> Qos:
-    policies = dict(value)
-    profile = policies.pop("profile", "default")
-    if not isinstance(profile, str) or profile not in PROFILES:
-        raise ValueError(QosProblem.UNKNOWN_PROFILE(value=profile, names=", ".join(PROFILES)))
-    try:
-        return msgspec.convert(msgspec.to_builtins(PROFILES[profile]) | policies, Qos)
-    except msgspec.ValidationError as error:
-        raise ValueError(str(error)) from None
 
 
 def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
@@ -160,7 +147,7 @@ def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
 
 
 def match_publishers(offered: Sequence[Qos]) -> Qos:
-    """The QoS that ``auto`` means: the strictest that a subscription to all these publishers can ask for.
+    """Return the QoS that ``auto`` means: the strictest that a subscription to all these publishers can ask for.
 
     Args:
         offered: what the topic's publishers offer; their depths are not known to others and do not matter.
@@ -204,7 +191,7 @@ def parts_of_lease(seconds: float, publishers: int = 1) -> float:
 
 
 def auto_depth(rate: float | None, mean_size: float) -> int:
-    """The depth that ``auto`` means on a volatile topic: as many messages as it brings in `AUTO_SECONDS`.
+    """Return the depth that ``auto`` means on a volatile topic: as many messages as it brings in `AUTO_SECONDS`.
 
     Args:
         rate: Hz, or None if it is not yet measured.
@@ -226,12 +213,11 @@ def clamp_qos(qos: Qos) -> Qos:
     """
     if not qos_problem(qos, depth_known=False):
         return qos
-    times = {policy: _clamp_time(getattr(qos, policy)) for policy in TIMES}
-    return msgspec.structs.replace(qos, depth=min(max(qos.depth, 0), int(DEPTH.high)), **times)
-
-
-def _clamp_time(seconds: float) -> float:
-    return max(seconds, QOS_TIME.low) if 0 < seconds <= QOS_TIME.high else 0.0
+    times = {policy: getattr(qos, policy) for policy in TIMES}
+    clamped = {
+        policy: max(seconds, QOS_TIME.low) if 0 < seconds <= QOS_TIME.high else 0.0 for policy, seconds in times.items()
+    }
+    return msgspec.structs.replace(qos, depth=min(max(qos.depth, 0), int(DEPTH.high)), **clamped)
 
 
 def _loosest(seconds: list[float]) -> float:

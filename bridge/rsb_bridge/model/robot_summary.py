@@ -13,12 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.model.faults import (
-    link_is_wrong,
-    link_needs_attention,
-    pattern_is_wrong,
-    pattern_needs_attention,
-    route_is_wrong,
-    route_needs_attention,
+    is_wrong,
+    needs_attention,
     state_counts,
 )
 from rsb_bridge.model.limits import TEXT_LENGTH
@@ -28,31 +24,22 @@ from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
 
 WHY_LENGTH = 200
 """Characters of a reason: a line of a screen. The robot's own screen has the rest."""
-SUMMARY_BYTES = 4096
-"""Of a summary that comes from elsewhere."""
-LOSS_SPAN = 60.0
-"""The most s that a loss is computed over."""
-
-_CLIENT_NAMES = 1500
-"""Characters for all names in `wrong_clients`, so that a summary stays within `SUMMARY_BYTES`."""
+SUMMARY_BYTES = 4096  # of a summary that comes from elsewhere
+LOSS_SPAN = 60.0  # the most s that a loss is computed over
+_MARK_EVERY = 1.0  # s from one mark of a route's counts to the next, however often snapshots come
+_CLIENT_NAMES = 1500  # characters for all names in `wrong_clients`, so that a summary stays within `SUMMARY_BYTES`
 _NAMED = 3
-_MARK_EVERY = 1.0
-"""s from one mark of a route's counts to the next, however often snapshots come."""
-_COUNT = 1 << 31
-_FIGURE = 1e15
-"""Beyond any real one; another program's figures are cut to these."""
+_COUNT, _FIGURE = 1 << 31, 1e15  # beyond any real one; another program's figures are cut to these
 
 
 class SummaryText(Wording):
-    """Reasons for a robot's state."""
-
     ROUTE = "{topic} {state}: {reason}"
     MORE_FAULTS = " (and {count} more {faults})"
 
@@ -290,20 +277,19 @@ def _with_faults_of_clients(summary: RobotSummary, snapshot: Snapshot, session: 
 def drop_repeated_faults(summaries: Sequence[RobotSummary]) -> list[RobotSummary]:
     """Drop from each server's row the faults that its clients' rows show, so that each fault is listed once."""
     wrong = {summary.name for summary in summaries if summary.state.is_wrong and summary.role != "server"}
-    return [_drop_repeated_faults(summary, wrong) for summary in summaries]
-
-
-def _drop_repeated_faults(summary: RobotSummary, wrong: Collection[str]) -> RobotSummary:
-    if summary.role != "server" or not summary.wrong_clients:
-        return summary
-    left = [name for name in summary.wrong_clients if name not in wrong]
-    others = summary.clients_wrong - len(summary.wrong_clients)
-    if not left and others <= 0:
-        return msgspec.structs.replace(summary, state=RobotState.OK, why="")
-    if len(left) == len(summary.wrong_clients):
-        return summary
-    names = join_first(left, _NAMED) if left else f"{others} more {plural(others, 'client')}"
-    return msgspec.structs.replace(summary, why=sanitize_text(f"something is wrong with {names}", WHY_LENGTH))
+    rows = []
+    for row in summaries:
+        left = [name for name in row.wrong_clients if name not in wrong]
+        others = row.clients_wrong - len(row.wrong_clients)
+        if row.role != "server" or len(left) == len(row.wrong_clients):  # none of its faults is shown elsewhere
+            rows.append(row)
+        elif not left and others <= 0:
+            rows.append(msgspec.structs.replace(row, state=RobotState.OK, why=""))
+        else:
+            names = join_first(left, _NAMED) if left else f"{others} more {plural(others, 'client')}"
+            why = sanitize_text(f"something is wrong with {names}", WHY_LENGTH)
+            rows.append(msgspec.structs.replace(row, why=why))
+    return rows
 
 
 def _summary(
@@ -323,8 +309,10 @@ def _summary(
     """
     state, why, since = _state(snapshot, links, routes, called)
     up = {link.name for link in links if link.state is State.OK}
+    # A topic that has stopped, and calls, count as no messages.
+    carrying = [route for route in routes if route.link in up and route.state.flows]
     sent, received = (
-        sum(_rate(route) for route in routes if route.link in up and route.outgoing is outgoing)
+        sum((route.rate for route in carrying if route.calls is None and route.outgoing is outgoing), 0.0)
         for outgoing in (True, False)
     )
     tx = sum(link.tx_bytes_per_second for link in links if link.name in up)
@@ -338,20 +326,15 @@ def _summary(
         since=since,
         links_up=len(up),
         links=len(links),
-        flowing=sum(route.state.flows and route.link in up for route in routes),
+        flowing=len(carrying),
         routes=len(routes),
         states={state.value: count for state, count in state_counts(routes).items()},
-        acknowledged=_acknowledged(links, routes),
+        acknowledged=sum(1 for _ in _acknowledged_faults(links, routes, called)),
         messages_from_robot=sent,
         messages_to_robot=received,
         bytes_from_robot=tx,
         bytes_to_robot=rx,
     )
-
-
-def _rate(route: RouteSnapshot) -> float:
-    """Return a route's messages a second: 0 for a topic that has stopped, and for calls."""
-    return route.rate if route.state.flows and route.calls is None else 0.0
 
 
 def _state(
@@ -360,21 +343,20 @@ def _state(
     routes: Sequence[RouteSnapshot],
     called: Callable[[RouteSnapshot], str],
 ) -> tuple[RobotState, str, float]:
-    """Return the state, why, and since when."""
     # A bridge that is out of reach is shown as not running, too, with links that say why (`control.states`).
     if not snapshot.running and not any(link.state is State.DOWN for link in links):
         return RobotState.MISSING, "the bridge is stopped", snapshot.time
     if down := [link for link in links if link.state is State.DOWN and link.acknowledged is None]:
         first = min(down, key=lambda link: link.since)
         return RobotState.MISSING, _and_more(first.reason, len(down)), first.since
-    wrong = [route for route in routes if route_needs_attention(route)]
+    wrong = [route for route in routes if needs_attention(route)]
     if stopped := [route for route in wrong if not route.state.flows]:
         return RobotState.FAULT, *_worst(stopped, len(wrong), called)
-    if warned := [link for link in links if link_needs_attention(link)]:
+    if warned := [link for link in links if needs_attention(link)]:
         return RobotState.WARN, _and_more(warned[0].warning, len(warned) + len(wrong)), warned[0].fault_since
     if wrong:
         return RobotState.WARN, *_worst(wrong, len(wrong), called)
-    if partial := [(pattern, link) for link in links for pattern in link.patterns if pattern_needs_attention(pattern)]:
+    if partial := [(pattern, link) for link in links for pattern in link.patterns if needs_attention(pattern)]:
         pattern, link = partial[0]
         return RobotState.WARN, _and_more(f"{pattern.spec.topic}: {pattern.reason}", len(partial)), link.since
     if acknowledged := list(_acknowledged_faults(links, routes, called)):
@@ -392,26 +374,21 @@ def _acknowledged_faults(
 ) -> Iterator[tuple[str, float]]:
     """Yield the acknowledged faults, each with its beginning: of links first, then of the worst routes."""
     for link in links:
-        if link.acknowledged is not None and link_is_wrong(link):
+        if link.acknowledged is not None and is_wrong(link):
             yield link.reason or link.warning, link.fault_since
         for pattern in link.patterns:
-            if pattern.acknowledged is not None and pattern_is_wrong(pattern):
+            if pattern.acknowledged is not None and is_wrong(pattern):
                 yield f"{pattern.spec.topic}: {pattern.reason}", link.since
     for route in sorted(routes, key=lambda route: (route.state.rank, called(route))):
-        if route.acknowledged is not None and route.cause != Cause.LINK_DOWN and route_is_wrong(route):
+        if route.acknowledged is not None and route.cause != Cause.LINK_DOWN and is_wrong(route):
             yield SummaryText.ROUTE(topic=called(route), state=route.state.upper(), reason=route.reason), route.since
-
-
-def _acknowledged(links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot]) -> int:
-    return sum(1 for _ in _acknowledged_faults(links, routes, lambda route: route.topic))
 
 
 def _worst(routes: Iterable[RouteSnapshot], count: int, called: Callable[[RouteSnapshot], str]) -> tuple[str, float]:
     """Return the worst of some routes in words, and since when; of equals, the first by name."""
     worst = min(routes, key=lambda route: (route.state.rank, called(route)))
-    return _and_more(
-        SummaryText.ROUTE(topic=called(worst), state=worst.state.upper(), reason=worst.reason), count
-    ), worst.since
+    text = SummaryText.ROUTE(topic=called(worst), state=worst.state.upper(), reason=worst.reason)
+    return _and_more(text, count), worst.since
 
 
 def _and_more(text: str, count: int) -> str:
@@ -433,8 +410,6 @@ def _seen(link: LinkSnapshot, now: float) -> float | None:
 
 
 class InvalidSummary(Wording):
-    """Reasons why bytes are not a summary of a robot."""
-
     TOO_LONG = "a summary of {length:,} bytes; at most {limit:,} are allowed"
     UNREADABLE = "no summary of a robot: {error}"
     NAMELESS = "a summary without a name"

@@ -9,12 +9,8 @@ from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.faults import (
-    link_is_wrong,
-    link_needs_attention,
-    pattern_is_wrong,
-    pattern_needs_attention,
-    route_is_wrong,
-    route_needs_attention,
+    is_wrong,
+    needs_attention,
     route_waits,
     state_counts,
 )
@@ -56,18 +52,18 @@ def wrong(now: Snapshot) -> list[str]:
     """
     if not now.running:
         return ["the bridge is stopped"]
-    links = [f"link {link.name} {link_fault(link)}" for link in now.links if link_needs_attention(link)]
-    patterns = [pattern_text(each) for each in patterns_of(now) if pattern_needs_attention(each)]
-    return links + patterns + [rate_text(route) for route in of_links_that_are_up(now) if route_needs_attention(route)]
+    links = [f"link {link.name} {link_fault(link)}" for link in now.links if needs_attention(link)]
+    patterns = [pattern_text(each) for each in patterns_of(now) if needs_attention(each)]
+    return links + patterns + [rate_text(route) for route in of_links_that_are_up(now) if needs_attention(route)]
 
 
 def acknowledged(now: Snapshot) -> list[str]:
     """List the acknowledged faults, a sentence each."""
     if not now.running:
         return []
-    links = [f"link {each.name} {link_fault(each)}" for each in now.links if each.acknowledged and link_is_wrong(each)]
-    patterns = [pattern_text(each) for each in patterns_of(now) if each.acknowledged and pattern_is_wrong(each)]
-    routes = [route for route in of_links_that_are_up(now) if route.acknowledged and route_is_wrong(route)]
+    links = [f"link {each.name} {link_fault(each)}" for each in now.links if each.acknowledged and is_wrong(each)]
+    patterns = [pattern_text(each) for each in patterns_of(now) if each.acknowledged and is_wrong(each)]
+    routes = [route for route in of_links_that_are_up(now) if route.acknowledged and is_wrong(route)]
     return links + patterns + [rate_text(route) for route in routes]
 
 
