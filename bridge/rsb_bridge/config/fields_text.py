@@ -37,8 +37,6 @@ _NULL = "tag:yaml.org,2002:null"
 
 
 class FieldProblem(Wording):
-    """The reason why a text has no fields of a message."""
-
     TOO_LONG = "the text is too long: at most {limit} bytes are allowed"
     ON_LINE = "line {line}: {problem}"
     TAG = "line {line}: tags (!) are not allowed: write the value without the tag"

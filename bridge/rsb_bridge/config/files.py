@@ -32,8 +32,6 @@ class Shortage(Wording):
 
 
 class FileRefused(Wording):
-    """The reason why a file is not written."""
-
     NOT_A_FILE = "is {kind}, not a file"
 
 

@@ -89,8 +89,6 @@ class KeyWarning(Wording):
 
 
 class Age(Wording):
-    """The time since a key was written."""
-
     FUTURE = "in the future: is the clock right?"
     AGO = "{count} {unit} ago"
     NOW = "just now"
@@ -275,7 +273,6 @@ def key_files_by_client(session: Session) -> dict[str, tuple[str, ...]]:
 
 
 def key_users(session: Session) -> dict[str, str]:
-    """Return the users of each of a session's key files."""
     users: dict[str, list[str]] = {}
     for client, files in key_files_by_client(session).items():
         for file, user in zip(files, (client, f"{client} (next)"), strict=False):

@@ -78,7 +78,6 @@ class _Merger:
         self._edits: list[tuple[int, int, str]] = []
 
     def text(self) -> str:
-        """Return the text with all edits made."""
         parts, at = [], 0
         # By place alone: of several at one place, the one that was made first comes first.
         for start, end, new in sorted(self._edits, key=lambda edit: edit[:2]):
@@ -187,7 +186,6 @@ class _Merger:
         self._edit(end, end, "".join(self._newline + line for line in (first, *lines)))
 
     def _set(self, pair: Pair, value: Any, *, flow: bool) -> None:
-        """Replace a value."""
         key, node = pair
         start, end = node.start_mark.index, self._end(node)
         new = inline(value, node.style if isinstance(node, yaml.ScalarNode) and isinstance(value, str) else None)

@@ -81,8 +81,6 @@ class RightsMistake(Wording):
 
 
 class OperatorMistake(Wording):
-    """A mistake in a session's operators."""
-
     KEY_FILE_INVALID = "{file} is not a file name: give the file of the operator's key"
     SHARED_KEY = (
         "operator {name} has the key of {other}, so that either can pass for the other: make a key of its own "
@@ -328,7 +326,6 @@ def _covers(grant: Grant, may: May) -> bool:
 
 
 def rights_of_client(client: Client, server: str) -> Rights:
-    """Return the rights of a client on the server of that name."""
     return Rights(
         client.name,
         "the server",
@@ -570,7 +567,6 @@ def operator_problems(session: Session) -> Iterator[Problem]:
 
 
 def operator_name_problem(name: str) -> str:
-    """Return the mistake in an operator's name, or an empty string."""
     if not name.strip() or not (name.isprintable() and is_clean(name)):
         return f"{show(name)} is not a name: give printable characters"
     if len(name.encode()) > NAME_BYTES:

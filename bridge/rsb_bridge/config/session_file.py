@@ -56,8 +56,6 @@ class UneditableError(SessionError):
 
 @dataclass(frozen=True, slots=True)
 class SessionFile:
-    """A session file as it was read or saved."""
-
     path: Path
     text: str
     session: Session
@@ -270,8 +268,6 @@ def backup_path(path: Path) -> Path:
 
 
 class FleetMistake(Wording):
-    """A mistake in a fleet's file."""
-
     OPERATOR_MISSING = "missing: give a name that the engines' sessions have under operators"
     KEY_FILE_MISSING = "missing: give the file of the operator's key"
 

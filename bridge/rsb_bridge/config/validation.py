@@ -98,8 +98,6 @@ class SessionMistake(Wording):
 
 
 class ZenohMistake(Wording):
-    """A mistake in the settings of a Zenoh network."""
-
     MISSING = "missing: server_ip is zenoh; give the routers' endpoints, {{connect: [tls/hub:7447]}}"
     FLEET_INVALID = "{name} is not a fleet's name: letters, digits, _, . and -, a letter or digit first, at most 64"
     PROTOCOL_UNKNOWN = "{protocol} is not one of {protocols}{hint}"
@@ -145,7 +143,6 @@ def placed(problem: Problem, data: object) -> Problem:
 
 
 def validate(session: Session) -> list[Problem]:
-    """Return all problems of a session."""
     data = msgspec.to_builtins(as_written(session))
     problems = build(data)[1]
     holders = [("", session.topics)]
@@ -373,7 +370,6 @@ def _clients(session: Session) -> Iterator[Problem]:
 
 
 def armed_problems(armed: Sequence[str | ArmedName]) -> Iterator[Problem]:
-    """Yield the mistakes in a session's `armed`."""
     known: dict[ArmedName, int] = {}
     for at, each in enumerate(armed):
         here = join("armed", at)
@@ -421,7 +417,6 @@ def zenoh_problems(session: Session) -> Iterator[Problem]:
 
 
 def settings_problems(settings: ZenohSettings, location: str) -> Iterator[Problem]:
-    """Mistakes in how a network is reached."""
     if not (settings.connect or settings.listen or settings.config):
         yield Problem(location, "has no endpoint: give connect: [tls/hub:7447], or a config that does")
     for key, endpoints in (("connect", settings.connect), ("listen", settings.listen)):

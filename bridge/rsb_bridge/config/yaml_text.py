@@ -51,8 +51,6 @@ class YamlMistake(Wording):
 
 
 class FileProblem(Wording):
-    """The reason why a file cannot be read as text."""
-
     NOT_A_FILE = "is {kind}, not a file"
     NO_SUCH_FILE = "no such file"
     NOT_READ = "cannot be read: {problem}"

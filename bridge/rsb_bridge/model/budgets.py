@@ -25,7 +25,6 @@ class TokenBucket:
         self._at = now
 
     def left(self, now: float) -> float:
-        """Return the number of tokens left."""
         self._left = min(self._burst, self._left + (now - self._at) * self._per_second)
         self._at = now
         return self._left
@@ -109,5 +108,4 @@ class Backoff:
         return delay * self._random.uniform(1 - self._jitter, 1 + self._jitter)
 
     def reset(self) -> None:
-        """Begin with the first delay again, after an attempt that succeeded."""
         self._next = self._first

@@ -33,7 +33,6 @@ class Capacity(msgspec.Struct, frozen=True, array_like=True, gc=False):
     at: float
 
     def age(self, now: float) -> float:
-        """Return the seconds since the measurement, at `now` (s since the epoch)."""
         return max(0.0, now - self.at)
 
 
@@ -54,8 +53,6 @@ _NAMED = 2
 
 
 class LinkFull(Wording):
-    """Texts about a direction of a link that is full."""
-
     WARNING = "link full {direction}: {share}; set max_rate, compression: zstd or priority"
     WARNING_WITH_TOPICS = "link full {direction}: {share} (most: {topics}); set max_rate, compression: zstd or priority"
 

@@ -120,8 +120,6 @@ _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9
 
 
 class TypeNameProblem(Wording):
-    """A mistake in the name of a type of messages."""
-
     INVALID = "{name!r} is not a message type: write it as package/msg/Name"
     SHORT_NAME_UNKNOWN = "{name!r} is not a known short type name: write it as package/msg/Name"
     SHORT_NAME_MISSPELT = "{name!r} is not a known short type name: did you mean {names}?"
@@ -193,7 +191,6 @@ def hop(node: str, topic: str) -> str:
 
 
 def node_of_hop(a_hop: str) -> str:
-    """Return the bridge's node."""
     return a_hop.partition("/")[0]
 
 

@@ -26,7 +26,6 @@ _WILDCARD = re.compile(r"\*+")
 
 
 def is_pattern(name: str) -> bool:
-    """Whether a name has wildcards."""
     return "*" in name
 
 

@@ -155,7 +155,6 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     @property
     def is_pattern(self) -> bool:
-        """Whether the name is a pattern."""
         return is_pattern(self.topic)
 
     @property
@@ -170,7 +169,6 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     @property
     def call_timeout(self) -> float:
-        """Seconds after which a call without an answer is given up."""
         return CALL_TIMEOUT if self.timeout is None else self.timeout
 
     @property
@@ -179,7 +177,6 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         return DEADMAN if self.deadman is None else self.deadman
 
     def parsed_qos(self) -> Qos | None:
-        """Return the QoS, or None for ``auto``."""
         return parse_qos(self.qos)
 
 
@@ -382,7 +379,6 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
     @property
     def is_zenoh(self) -> bool:
-        """Whether the link goes over Zenoh."""
         return self.server_ip == ZENOH_HOST
 
     @property

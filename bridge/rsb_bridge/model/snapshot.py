@@ -168,7 +168,6 @@ class Ledger:
 
     @property
     def dropped_total(self) -> int:
-        """Messages dropped, for all causes."""
         return sum(self.dropped.values())
 
     @property

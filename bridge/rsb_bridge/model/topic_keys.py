@@ -98,7 +98,6 @@ class TopicKey:
     options: tuple[tuple[str, str], ...] = ()
 
     def is_of(self, kind: Kind) -> bool:
-        """Whether entries of a kind may have it."""
         return self.kinds == "all" or (self.kinds == "topics") == (kind == "topic")
 
     def allows(self, value: float | None) -> bool:
@@ -106,7 +105,6 @@ class TopicKey:
         return self.limits is None or value is None or value in self.limits or (self.zero and value == 0)
 
     def help_of(self, kind: Kind) -> str:
-        """Return the form's help for a kind."""
         return (kind != "topic" and self.help_of_calls) or self.help
 
     def described(self, value: Any, kind: Kind) -> str:

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
 
 class RefusalCode(IntEnum):
-    """A reason to refuse a stream."""
-
     WRONG_VERSION = 1
     WRONG_KEY = 2
     UNKNOWN_NAME = 3

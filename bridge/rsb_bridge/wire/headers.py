@@ -52,7 +52,6 @@ class HistoryHeader(NamedTuple):
     depth: int
 
     def pack(self) -> bytes:
-        """Return the header as it stands before the content."""
         return _HISTORY_HEADER.pack(*self)
 
 
@@ -126,7 +125,6 @@ class CallFrame(NamedTuple):
     stamp: int = 0
 
     def pack(self) -> bytes:
-        """Return the frame as bytes."""
         return _CALL_HEADER.pack(self.what, self.lane, self.call, self.took) + self.content
 
 

@@ -30,8 +30,6 @@ _CONTROL_VERSION = struct.Struct(">H")
 
 
 class PreambleKind(IntEnum):
-    """The kind of a preamble frame."""
-
     CONTROL = 1
     DATA = 2
     ACCEPT = 3

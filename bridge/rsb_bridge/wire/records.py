@@ -283,8 +283,6 @@ def check_qos(qos: Qos | None, *, depth_known: bool = False) -> None:
 
 
 class OutOfRange(Wording):
-    """Limits of a route that are neither 0 nor in their range."""
-
     RATE = "a rate is 0 or {range} Hz"
     SPEED = "a {name} limit is {range} {unit}"
     SECONDS = "{name} is 0 or {range} s"

@@ -34,15 +34,12 @@ _DIRECTIONS: dict[Role, int] = {"client": 0, "server": 1}
 
 
 class CipherSuite(IntEnum):
-    """A cipher suite."""
-
     PLAIN = 0
     AESGCM = 1
     CHACHAPOLY = 2
 
     @property
     def tag_length(self) -> int:
-        """Bytes that sealing adds."""
         return 4 if self is CipherSuite.PLAIN else 16
 
 
