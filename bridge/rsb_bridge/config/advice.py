@@ -177,8 +177,12 @@ def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[P
                 Advice.TOPIC_PORT_OF_DISCOVERY(port=topic.port, domain=domain),
                 place=f"{place}, port",
             )
-        for message in _depth(topic):
-            yield Problem(join(location, "qos"), message, place=f"{place}, qos")
+        qos = topic.parsed_qos()
+        if qos is not None and qos.history != "keep_all":
+            limit, advice = (LATCHED_DEPTH, Advice.DEPTH_OF_LATCHED) if qos.latched else (KEPT_DEPTH, Advice.DEPTH)
+            if qos.depth > limit:
+                message = advice(depth=qos.depth, limit=limit)
+                yield Problem(join(location, "qos"), message, place=f"{place}, qos")
 
 
 def _denied(
@@ -225,16 +229,6 @@ def _is_installed(package: str, kind: str, name: str) -> bool:
         if index.is_file() and re.search(rf"\bimport {name}\b", index.read_text(encoding="utf-8")):
             return True
     return False
-
-
-def _depth(topic: Topic) -> Iterator[str]:
-    qos = topic.parsed_qos()
-    if qos is None or qos.history == "keep_all":
-        return
-    most = LATCHED_DEPTH if qos.latched else KEPT_DEPTH
-    if qos.depth > most:
-        advice = Advice.DEPTH_OF_LATCHED if qos.latched else Advice.DEPTH
-        yield advice(depth=qos.depth, limit=most)
 
 
 def moves_a_robot(topic: Topic) -> bool:

@@ -75,7 +75,7 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
         The struct. In it, a value with a problem is the default; a required one is something harmless.
     """
     known = {field.encode_name: field for field in _fields(model)}
-    values = {name: _STAND_INS[name] for name, field in known.items() if field.required}
+    values: dict[str, Any] = {name: _STAND_INS[name] for name, field in known.items() if field.required}
     if not isinstance(data, Mapping):
         keys = ", ".join(values or known)
         message = (
@@ -98,7 +98,9 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
     )
     for name, field in known.items():
         if name in data:
-            values.update(_value(field.name, data[name], field.type, problems, join(location, name)))
+            value = _value(data[name], field.type, problems, join(location, name))
+            if value is not msgspec.UNSET:
+                values[field.name] = value
         elif field.required:
             expected = f"{_expected(field.type)}{_MEANINGS.get(name, '')}"
             problems.append(Problem(join(location, name), ValueMistake.MISSING(expected=expected)))
@@ -130,26 +132,25 @@ def did_you_mean(word: str, options: list[str]) -> str:
     return Hint.DID_YOU_MEAN(name=match[0]) if match else ""
 
 
-def _value(name: str, value: object, kind: Any, problems: list[Problem], location: str) -> dict[str, Any]:
-    """Return the keyword argument for the struct; empty if the value has a problem."""
+def _value(value: object, kind: Any, problems: list[Problem], location: str) -> Any:
+    """Return what the struct gets, or UNSET if the value has a problem."""
     listed = _alternatives(kind)
-    if len(listed) == 1 and get_origin(listed[0]) is tuple:  # each entry by itself: a mistake has its place
-        kind = listed[0]
-        if not isinstance(value, list | tuple):
-            message = ValueMistake.NO_VALUE() if value is None else ValueMistake.NOT_A_LIST(value=show(value))
-            problems.append(Problem(location, message))
-            return {}
-        entries = [_entry(entry, get_args(kind)[0], problems, join(location, at)) for at, entry in enumerate(value)]
-        return {name: tuple(entry for entry in entries if entry is not msgspec.UNSET)}
-    entry = _entry(value, kind, problems, location)
-    return {} if entry is msgspec.UNSET else {name: entry}
+    if len(listed) != 1 or get_origin(listed[0]) is not tuple:
+        return _entry(value, kind, problems, location)
+    if not isinstance(value, list | tuple):
+        message = ValueMistake.NO_VALUE() if value is None else ValueMistake.NOT_A_LIST(value=show(value))
+        problems.append(Problem(location, message))
+        return msgspec.UNSET
+    # Each entry by itself: a mistake has its place.
+    entries = [_entry(each, get_args(listed[0])[0], problems, join(location, at)) for at, each in enumerate(value)]
+    return tuple(entry for entry in entries if entry is not msgspec.UNSET)
 
 
 def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> Any:
-    struct = _struct(kind)
+    structs = [each for each in _alternatives(kind) if isinstance(each, type) and issubclass(each, msgspec.Struct)]
     # Where a text may stand instead of a mapping, only a mapping is read as one.
-    if struct is not None and (struct is kind or isinstance(value, Mapping)):
-        return read(value, struct, problems, location)
+    if structs and (structs[0] is kind or isinstance(value, Mapping)):
+        return read(value, structs[0], problems, location)
     if holds_key(value):
         # The key is not quoted: messages end up in logs.
         problems.append(Problem(location, ValueMistake.IS_A_KEY()))
@@ -164,12 +165,6 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
 def holds_key(value: object) -> bool:
     """Whether a value is an encryption key, possibly written as a name."""
     return isinstance(value, str) and is_key(value.rpartition("/")[2])
-
-
-def _struct(kind: Any) -> type[msgspec.Struct] | None:
-    """Return the struct for a mapping in this place, or None if no mapping is allowed."""
-    kinds = (each for each in _alternatives(kind) if isinstance(each, type))
-    return next((each for each in kinds if issubclass(each, msgspec.Struct)), None)
 
 
 def _misfit(value: object, kind: Any) -> str:

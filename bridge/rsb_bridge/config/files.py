@@ -89,7 +89,9 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
         OSError: the file cannot be written, or the path leads to something else (a device, a FIFO, a folder), or it is
             a symbolic link of another user, which could lead to any file of this one.
     """
-    _check_link(path)
+    # The kernel's own check (proc_sys_fs(5), protected_symlinks) misses files that are put in place by a rename.
+    if path.is_symlink() and path.lstat().st_uid not in (0, os.geteuid()):
+        raise OSError(errno.EPERM, "is a symbolic link of another user", str(path))
     target = Path(os.path.realpath(path))
     old = stat_of(target)
     if old is not None and not stat.S_ISREG(old.st_mode):
@@ -113,16 +115,11 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
         with suppress(FileNotFoundError):
             Path(name).unlink()
         raise
-    _sync_folder(target.parent)
-
-
-def _check_link(path: Path) -> None:
-    """Refuse a symbolic link that another user has put there.
-
-    The kernel's own check (proc_sys_fs(5), protected_symlinks) misses files that are put in place by a rename.
-    """
-    if path.is_symlink() and path.lstat().st_uid not in (0, os.geteuid()):
-        raise OSError(errno.EPERM, "is a symbolic link of another user", str(path))
+    handle = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)  # so that the rename survives a power cut
+    finally:
+        os.close(handle)
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -181,15 +178,6 @@ def give_owner(file: int | Path, like: Path) -> None:
             return
 
 
-def _sync_folder(folder: Path) -> None:
-    """Make a rename in a folder survive a power cut."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def why_not_written(error: OSError, path: Path) -> str:
     """Return the reason why a file cannot be written.
 
@@ -199,29 +187,19 @@ def why_not_written(error: OSError, path: Path) -> str:
     reason = error.strerror or str(error)
     if error.errno not in SHORTAGES:
         return reason
-    mount = _mount_of(path)
+    mount = Path(os.path.realpath(path))  # at which its file system is mounted
+    while not (mount.exists() and mount.is_mount()) and mount != mount.parent:
+        mount = mount.parent
     match error.errno:
         case errno.ENOSPC:
-            return (Shortage.DISK_FULL if _has_inodes(mount) else Shortage.NO_INODES)(error=reason, mount=mount)
+            with suppress(OSError):
+                found = os.statvfs(mount)
+                if found.f_files and not found.f_favail:  # btrfs has no fixed number of files, and says 0
+                    return Shortage.NO_INODES(error=reason, mount=mount)
+            return Shortage.DISK_FULL(error=reason, mount=mount)
         case errno.EDQUOT:
             return Shortage.QUOTA(error=reason, mount=mount)
         case errno.EROFS:
             return Shortage.READ_ONLY(error=reason, mount=mount)
         case _:
             return Shortage.FILE_SIZE(error=reason)
-
-
-def _mount_of(path: Path) -> Path:
-    """Return the folder at which the file system of a path is mounted."""
-    folder = Path(os.path.realpath(path))
-    while not (folder.exists() and folder.is_mount()) and folder != folder.parent:
-        folder = folder.parent
-    return folder
-
-
-def _has_inodes(mount: Path) -> bool:
-    try:
-        found = os.statvfs(mount)
-    except OSError:
-        return True
-    return found.f_files == 0 or found.f_favail > 0  # btrfs has no fixed number of files, and says 0

@@ -63,11 +63,19 @@ def changes(
     # In the words of the file. Entries of two kinds have different ones.
     if isinstance(old, Session) or (isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind):
         old, new = as_written(old), as_written(new)
-    return [
-        _change(name, getattr(old, name), getattr(new, name))
-        for name in only or new.__struct_fields__
-        if name not in leave_out and getattr(old, name) != getattr(new, name)
-    ]
+    found = []
+    for name in only or new.__struct_fields__:
+        before, after = getattr(old, name), getattr(new, name)
+        if name in leave_out or before == after:
+            continue
+        key = session_keys().get(name)
+        if key is not None and key.hidden_as:
+            was, becomes = (f"{word} {key.hidden_as}" for word in ("a", "another"))
+            was, becomes = "none" if before is None else was, "none" if after is None else becomes
+        else:
+            was, becomes = _value(before), _value(after)
+        found.append(f"{name} {was} → {becomes}")
+    return found
 
 
 def values_apart(here: Topic, there: Topic, *, leave_out: Collection[str]) -> tuple[str, str]:
@@ -92,14 +100,6 @@ def named(topic: Topic) -> str:
 def described(entry: Topic) -> str:
     """Return an entry as a session file would have it: ``{topic: /scan, direction: transmit}``."""
     return inline(msgspec.to_builtins(as_written(entry)))
-
-
-def _change(name: str, old: Any, new: Any) -> str:
-    key = session_keys().get(name)
-    if key is not None and key.hidden_as:
-        was, becomes = (f"{word} {key.hidden_as}" for word in ("a", "another"))
-        return f"{name} {'none' if old is None else was} → {'none' if new is None else becomes}"
-    return f"{name} {_value(old)} → {_value(new)}"
 
 
 def _value(value: Any) -> str:

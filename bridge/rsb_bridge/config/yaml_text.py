@@ -85,19 +85,12 @@ class YamlError(ValueError):
 
 
 class Document(NamedTuple):
-    """YAML as plain data that knows its lines.
+    """YAML as plain data that knows its lines."""
 
-    Attributes:
-        data: mappings, lists and scalars.
-        lines: the line of each location, from 1.
-        problems: features of YAML that a session file must not use.
-        root: the nodes, with their positions in the text.
-    """
-
-    data: Any
-    lines: dict[str, int]
-    problems: list[Problem]
-    root: yaml.Node
+    data: Any  # mappings, lists and scalars
+    lines: dict[str, int]  # the line of each location, from 1
+    problems: list[Problem]  # features of YAML that a session file must not use
+    root: yaml.Node  # the nodes, with their positions in the text
 
     def locate(self, problem: Problem) -> Problem:
         """Give a problem the line of its location, or of the closest mapping or list around it."""
@@ -169,7 +162,8 @@ def compose(text: str) -> yaml.Node | None:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         message = conceal(", ".join(part for part in (error.context, error.problem) if part))
-        if mark is not None and _begins_with_tab(text, mark.line):
+        marked = text.split("\n")[mark.line : mark.line + 1] if mark else []  # none at the end of the text
+        if any("\t" in each[: len(each) - len(each.lstrip())] for each in marked):
             message = YamlMistake.TAB()
         raise YamlError(message, mark.line + 1 if mark else None) from None
     finally:
@@ -178,19 +172,23 @@ def compose(text: str) -> yaml.Node | None:
     return node
 
 
-def _begins_with_tab(text: str, line: int) -> bool:
-    """Whether a line, counted from 0, is indented with a tab."""
-    indented = text.split("\n")[line : line + 1]
-    return any("\t" in each[: len(each) - len(each.lstrip())] for each in indented)
-
-
 def _plain(node: yaml.Node, location: str, document: Document) -> Any:
     """Convert a node to plain data, and note its lines and problems in the document."""
     if node.tag not in (_MAPPING, _SEQUENCE, *_SCALARS):
         message = YamlMistake.TAG(tag=conceal(node.tag))
         document.problems.append(Problem(location, message, node.start_mark.line + 1))
     if isinstance(node, yaml.MappingNode):
-        return _mapping(node, location, document)
+        data: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key = conceal(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "?"
+            here, line = join(location, key), key_node.start_mark.line + 1
+            if key in data:
+                message = YamlMistake.DUPLICATE_KEY(line=document.lines[here])
+                document.problems.append(Problem(here, message, line))
+                continue
+            document.lines[here] = line
+            data[key] = _plain(value_node, here, document)
+        return data
     if isinstance(node, yaml.SequenceNode):
         locations = [join(location, at) for at in range(len(node.value))]
         document.lines.update((at, each.start_mark.line + 1) for at, each in zip(locations, node.value, strict=True))
@@ -203,20 +201,6 @@ def scalar(node: yaml.Node) -> Any:
     pattern, convert = _SCALARS.get(node.tag, _SCALARS["tag:yaml.org,2002:str"])
     # A value with a tag written before it (!!int x) may not fit the tag.
     return convert(node.value) if pattern.fullmatch(node.value) else node.value
-
-
-def _mapping(node: yaml.MappingNode, location: str, document: Document) -> dict[str, Any]:
-    data: dict[str, Any] = {}
-    for key_node, value_node in node.value:
-        key = conceal(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "?"
-        here = join(location, key)
-        line = key_node.start_mark.line + 1
-        if key in data:
-            document.problems.append(Problem(here, YamlMistake.DUPLICATE_KEY(line=document.lines[here]), line))
-            continue
-        document.lines[here] = line
-        data[key] = _plain(value_node, here, document)
-    return data
 
 
 class _Loader(yaml.SafeLoader):
