@@ -100,17 +100,11 @@ class KeyFileError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A session key. Its repr shows the fingerprint only, so that no log or message gives the key away.
+    """A session key. Its repr shows the fingerprint only, so that no log or message gives the key away."""
 
-    Attributes:
-        secret: 32 bytes, the pre-shared key of the handshake.
-        warnings: what an operator should know about its file.
-        written: s since the epoch, when its file was last written.
-    """
-
-    secret: bytes = field(repr=False)
-    warnings: tuple[str, ...] = field(default=(), compare=False)
-    written: float = field(default=0.0, compare=False)
+    secret: bytes = field(repr=False)  # 32 bytes, the pre-shared key of the handshake
+    warnings: tuple[str, ...] = field(default=(), compare=False)  # what an operator should know about its file
+    written: float = field(default=0.0, compare=False)  # s since the epoch, when its file was last written
 
     def __repr__(self) -> str:
         return f"<Key {fingerprint(self)}>"

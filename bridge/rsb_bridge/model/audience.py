@@ -6,31 +6,19 @@ import msgspec
 
 
 class Deaf(msgspec.Struct, frozen=True):
-    """A node with a subscription that DDS does not match with the publisher.
+    """A node with a subscription that DDS does not match with the publisher."""
 
-    Attributes:
-        node: its full name, or empty while only its subscription is discovered.
-        cause: ``type_conflict``, ``qos_incompatible``, or empty if neither type nor QoS keeps them apart.
-        reason: the same in words, with the remedy.
-    """
-
-    node: str
-    cause: str
-    reason: str
+    node: str  # its full name, or empty while only its subscription is discovered
+    cause: str  # ``type_conflict``, ``qos_incompatible``, or empty if neither type nor QoS keeps them apart
+    reason: str  # the same in words, with the remedy
 
 
 class Audience(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The subscriptions of other nodes to a publisher's topic.
+    """The subscriptions of other nodes to a publisher's topic."""
 
-    Attributes:
-        count: subscriptions that DDS has matched: only these get its messages.
-        nodes: some of the nodes that can be among them.
-        deaf: some of the nodes that cannot.
-    """
-
-    count: int = 0
-    nodes: tuple[str, ...] = ()
-    deaf: tuple[Deaf, ...] = ()
+    count: int = 0  # subscriptions that DDS has matched: only these get its messages
+    nodes: tuple[str, ...] = ()  # some of the nodes that can be among them
+    deaf: tuple[Deaf, ...] = ()  # some of the nodes that cannot
 
     @property
     def subscribers(self) -> tuple[str, ...]:

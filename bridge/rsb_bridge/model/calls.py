@@ -16,29 +16,19 @@ MOST_LANES = 16
 
 
 class ServiceMember(NamedTuple):
-    """One service or topic of a route of calls; frames name it by its place among them, the *lane*.
+    """One service or topic of a route of calls; frames name it by its place among them, the *lane*."""
 
-    Attributes:
-        name: short, for people and for calls by hand, or empty for a route that is one service.
-        suffix: added to the route's name: ``/_action/send_goal``.
-        is_topic: whether it is a topic, from the providing side to the callers'.
-        type_suffix: added to the route's type: ``_SendGoal``.
-        type_name: the type, or empty if it depends on the route's.
-        absolute: the topic's name, or empty if it depends on the route's.
-        qos: the QoS of a topic.
-        patient: whether a service answers when a goal is over, so that it has no timeout and no meaningful latency.
-        limited: whether rate limits, pauses and arming apply. They never hold up what stops or watches a robot.
-    """
-
-    name: str
-    suffix: str = ""
-    is_topic: bool = False
-    type_suffix: str = ""
-    type_name: str = ""
-    absolute: str = ""
-    qos: Qos | None = None
+    name: str  # short, for people and for calls by hand, or empty for a route that is one service
+    suffix: str = ""  # added to the route's name: ``/_action/send_goal``
+    is_topic: bool = False  # whether it is a topic, from the providing side to the callers'
+    type_suffix: str = ""  # added to the route's type: ``_SendGoal``
+    type_name: str = ""  # the type, or empty if it depends on the route's
+    absolute: str = ""  # the topic's name, or empty if it depends on the route's
+    qos: Qos | None = None  # the QoS of a topic
     patient: bool = False
+    """Whether a service answers when a goal is over, so that it has no timeout and no meaningful latency."""
     limited: bool = True
+    """Whether rate limits, pauses and arming apply. They never hold up what stops or watches a robot."""
 
 
 # As rcl_action and rclcpp make these topics: another QoS would not match, or keep another number of messages.
@@ -96,56 +86,38 @@ class CallsSnapshot:
     """Counts of the calls of a service, an action or a node's parameters on this side since the route was made.
 
     ``asked = answered + expired + refused + lost + in_flight``.
-
-    Attributes:
-        asked: calls taken from callers; on the providing side, calls that came over the link.
-        answered: calls with a reply that went back to the caller.
-        expired: calls given up after the timeout.
-        refused: calls not carried, by cause: ``calls under way``, ``bytes under way``, ``calls a second``, ``paused``,
-            ``disarmed``, ``provider gone``, ``too large``, ``not sent``, ``not arrived``, ``other``.
-        lost: pending calls given up because the link or the provider went away.
-        waiting: pending calls that wait on the providing side until their node has read earlier ones.
-        late: replies that came after their call was given up. Not a part of `asked`.
-        node_p50: median time in seconds that the far node took to reply, or None if there is no figure.
-        node_p99: 99th percentile of that time.
-        way_p50: median time in seconds there and back through both bridges and the link, or None if there is no figure.
-        way_p99: 99th percentile of that time.
-        last_failure: the last call without a reply and the reason, or an empty string.
     """
 
-    asked: int = 0
-    answered: int = 0
-    expired: int = 0
+    asked: int = 0  # calls taken from callers; on the providing side, calls that came over the link
+    answered: int = 0  # calls with a reply that went back to the caller
+    expired: int = 0  # calls given up after the timeout
     refused: dict[str, int] = field(default_factory=dict)
-    lost: int = 0
+    """Calls not carried, by cause: ``calls under way``, ``bytes under way``, ``calls a second``, ``paused``,
+    ``disarmed``, ``provider gone``, ``too large``, ``not sent``, ``not arrived``, ``other``."""
+    lost: int = 0  # pending calls given up because the link or the provider went away
     in_flight: int = 0
-    waiting: int = 0
-    late: int = 0
+    waiting: int = 0  # pending calls that wait on the providing side until their node has read earlier ones
+    late: int = 0  # replies that came after their call was given up. Not a part of `asked`
     node_p50: float | None = None
-    node_p99: float | None = None
+    """Median time in seconds that the far node took to reply, or None if there is no figure."""
+    node_p99: float | None = None  # 99th percentile of that time
     way_p50: float | None = None
-    way_p99: float | None = None
-    last_failure: str = ""
+    """Median time in seconds there and back through both bridges and the link, or None if there is no figure."""
+    way_p99: float | None = None  # 99th percentile of that time
+    last_failure: str = ""  # the last call without a reply and the reason, or an empty string
 
 
 @dataclass(frozen=True, slots=True)
 class GoalSnapshot:
-    """A goal of an action.
+    """A goal of an action."""
 
-    Attributes:
-        id: 32 hexadecimal digits.
-        state: a state of action_msgs/msg/GoalStatus: ``accepted``, ``executing``, ``canceling``, ``succeeded``,
-            ``canceled`` or ``aborted``; or ``asked``, ``rejected``, or ``unknown`` if no report of its end came.
-        since: s since the epoch when it reached that state.
-        feedbacks: number of feedback messages that crossed.
-        result_awaited: whether a caller waits for its result.
-    """
-
-    id: str
+    id: str  # 32 hexadecimal digits
     state: str
-    since: float
-    feedbacks: int = 0
-    result_awaited: bool = False
+    """A state of action_msgs/msg/GoalStatus: ``accepted``, ``executing``, ``canceling``, ``succeeded``, ``canceled`` or
+    ``aborted``; or ``asked``, ``rejected``, or ``unknown`` if no report of its end came."""
+    since: float  # s since the epoch when it reached that state
+    feedbacks: int = 0  # number of feedback messages that crossed
+    result_awaited: bool = False  # whether a caller waits for its result
 
 
 FIELDS_LENGTH = 32 << 10

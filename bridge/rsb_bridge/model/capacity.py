@@ -20,17 +20,11 @@ class CapacitySource(StrEnum):
 
 
 class Capacity(msgspec.Struct, frozen=True, array_like=True, gc=False):
-    """The rate that a link can carry in one direction.
+    """The rate that a link can carry in one direction."""
 
-    Attributes:
-        bytes_per_second: rate on the wire.
-        source: a `CapacitySource`.
-        at: time of the measurement, s since the epoch.
-    """
-
-    bytes_per_second: float
-    source: str
-    at: float
+    bytes_per_second: float  # rate on the wire
+    source: str  # a `CapacitySource`
+    at: float  # time of the measurement, s since the epoch
 
     def age(self, now: float) -> float:
         return max(0.0, now - self.at)
@@ -58,17 +52,11 @@ class LinkFull(Wording):
 
 
 class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
-    """One full direction of a link.
+    """One full direction of a link."""
 
-    Attributes:
-        carried: bytes/s that arrive.
-        asked: bytes/s that its topics want to send.
-        topics: names on this side of the topics that want the most, largest first.
-    """
-
-    carried: float
-    asked: float
-    topics: tuple[str, ...] = ()
+    carried: float  # bytes/s that arrive
+    asked: float  # bytes/s that its topics want to send
+    topics: tuple[str, ...] = ()  # names on this side of the topics that want the most, largest first
 
     @property
     def share(self) -> str:

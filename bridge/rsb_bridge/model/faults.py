@@ -92,15 +92,10 @@ _OF_TOPICS = {
 
 
 class PathFault(NamedTuple):
-    """A fault of a link's path while the link is up.
+    """A fault of a link's path while the link is up."""
 
-    Attributes:
-        cause: `LinkCause.LOSSY`, `LARGE_PACKETS` or `SILENT`.
-        text: for an operator, with the remedy.
-    """
-
-    cause: LinkCause
-    text: str
+    cause: LinkCause  # `LinkCause.LOSSY`, `LARGE_PACKETS` or `SILENT`
+    text: str  # for an operator, with the remedy
 
     def of_topic(self, cause: str) -> Cause | None:
         """Return the cause to show instead of a topic's own, or None if the path does not explain that."""
@@ -143,19 +138,14 @@ class ChangeKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FaultChange:
-    """A change of the fault of a link, a route or a pattern.
-
-    Attributes:
-        subject: the newest snapshot of the link, the route or the pattern.
-        before: the state and the cause of the last report; of a fault that has begun, the earlier ones, or empty.
-        seen: s since the epoch, the first snapshot with the reported state and cause.
-    """
+    """A change of the fault of a link, a route or a pattern."""
 
     kind: ChangeKind
-    subject: Faulty
+    subject: Faulty  # the newest snapshot of the link, the route or the pattern
     removed: bool = False
     before: _Kind = ("", "")
-    seen: float = 0.0
+    """The state and the cause of the last report; of a fault that has begun, the earlier ones, or empty."""
+    seen: float = 0.0  # s since the epoch, the first snapshot with the reported state and cause
 
     @property
     def key(self) -> _Key:
@@ -165,26 +155,17 @@ class FaultChange:
 
 @dataclass(slots=True)
 class _Watched:
-    """A link, a route or a pattern with a fault, past or present.
-
-    Attributes:
-        since: s, when the fault began; once it is reported, when `next` began.
-        seen: the same in s since the epoch.
-        reported: the state and cause of the last report, or None before the first.
-        next: the state and cause to report next, or None for the fault's end; used after the first report.
-        before: the state before the fault began.
-        owes: whether a fault of a topic's messages was reported, so that only a message proves its end.
-        well_since: s, before the first report: since when nothing is wrong, or None.
-    """
+    """A link, a route or a pattern with a fault, past or present."""
 
     subject: Faulty
-    since: float
-    seen: float
-    before: _Kind
-    reported: _Kind | None = None
+    since: float  # s, when the fault began; once it is reported, when `next` began
+    seen: float  # the same in s since the epoch
+    before: _Kind  # the state before the fault began
+    reported: _Kind | None = None  # the state and cause of the last report, or None before the first
     next: _Kind | None = None
-    owes: bool = False
-    well_since: float | None = None
+    """The state and cause to report next, or None for the fault's end; used after the first report."""
+    owes: bool = False  # whether a fault of a topic's messages was reported, so that only a message proves its end
+    well_since: float | None = None  # s, before the first report: since when nothing is wrong, or None
 
     def report(self, kind: _Kind) -> None:
         """Take note that a state and a cause are reported."""

@@ -49,28 +49,22 @@ _PARTS = {Of.LINK: "", Of.ROUTE: "", Of.MESSAGES: "ledger.", Of.CALLS: "calls."}
 
 @dataclass(frozen=True)  # no slots: a cached property needs a dict
 class Figure:
-    """A figure of a link or a route.
-
-    Attributes:
-        metric: its name in Prometheus after the subject, or empty if it is no metric. A counter's ends in ``_total``.
-        help: in Prometheus; figures with the same metric share the first one's.
-        shown: its name on ``/diagnostics`` without the unit, or empty for the words of `name`.
-        source: an attribute of the `LinkSnapshot` or `RouteSnapshot`, or a function of it; empty for `name` in the
-            subject's part.
-        by: an additional label of the metric. Its values are the keys of the dict that is read, or the text that is
-            read, or `at`.
-        at: the value of `by`, if it is always the same.
-    """
+    """A figure of a link or a route."""
 
     of: Of
     name: str
     metric: str = ""
-    help: str = ""
+    """Its name in Prometheus after the subject, or empty if it is no metric. A counter's ends in ``_total``."""
+    help: str = ""  # in Prometheus; figures with the same metric share the first one's
     unit: Unit = Unit.NONE
-    shown: str = ""
+    shown: str = ""  # its name on ``/diagnostics`` without the unit, or empty for the words of `name`
     source: str | Callable[[Any], Any] = ""
+    """An attribute of the `LinkSnapshot` or `RouteSnapshot`, or a function of it; empty for `name` in the subject's
+    part."""
     by: str = ""
-    at: str = ""
+    """An additional label of the metric. Its values are the keys of the dict that is read, or the text that is read, or
+    `at`."""
+    at: str = ""  # the value of `by`, if it is always the same
 
     @cached_property
     def read(self) -> Callable[[Any], Any]:

@@ -28,15 +28,10 @@ K = TypeVar("K", bound="Hashable")
 
 
 class TopicDemand(NamedTuple):
-    """The demand of one topic.
+    """The demand of one topic."""
 
-    Attributes:
-        rank: rank of its priority; higher ranks are served first.
-        bytes_per_second: rate on the wire.
-    """
-
-    rank: int
-    bytes_per_second: float
+    rank: int  # rank of its priority; higher ranks are served first
+    bytes_per_second: float  # rate on the wire
 
 
 def allot(capacity: float, wishes: Mapping[K, TopicDemand]) -> dict[K, float]:
@@ -103,17 +98,12 @@ class LoadSource(StrEnum):
 
 
 class LinkLoad(NamedTuple):
-    """The load that a topic puts on a link.
-
-    Attributes:
-        size: bytes of a message.
-        like: the topic it was measured on, or an empty string if it was not measured.
-    """
+    """The load that a topic puts on a link."""
 
     rate: float
-    size: float
+    size: float  # bytes of a message
     source: LoadSource
-    like: str = ""
+    like: str = ""  # the topic it was measured on, or an empty string if it was not measured
 
     @property
     def bytes_per_second(self) -> float:
@@ -121,35 +111,21 @@ class LinkLoad(NamedTuple):
 
 
 class Sufferer(NamedTuple):
-    """A topic that would get less.
+    """A topic that would get less."""
 
-    Attributes:
-        topic: its name on this side.
-        before: bytes/s that it gets now.
-        after: bytes/s that it would get.
-    """
-
-    topic: str
-    before: float
-    after: float
+    topic: str  # its name on this side
+    before: float  # bytes/s that it gets now
+    after: float  # bytes/s that it would get
 
 
 class Cost(NamedTuple):
-    """The cost of a topic on a link.
+    """The cost of a topic on a link."""
 
-    Attributes:
-        load: the topic's load; its source may be `LoadSource.UNKNOWN`.
-        used: bytes/s that cross now in the same direction.
-        capacity: the link's capacity in that direction, or None if unknown.
-        gets: bytes/s that the topic itself would get.
-        sufferers: topics that would get less.
-    """
-
-    load: LinkLoad
-    used: float
-    capacity: Capacity | None
-    gets: float
-    sufferers: tuple[Sufferer, ...] = ()
+    load: LinkLoad  # the topic's load; its source may be `LoadSource.UNKNOWN`
+    used: float  # bytes/s that cross now in the same direction
+    capacity: Capacity | None  # the link's capacity in that direction, or None if unknown
+    gets: float  # bytes/s that the topic itself would get
+    sufferers: tuple[Sufferer, ...] = ()  # topics that would get less
 
     @property
     def over(self) -> float:

@@ -22,28 +22,18 @@ Liveliness = Literal["automatic", "manual_by_topic"]
 
 
 class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The policies a bridged endpoint is created with.
+    """The policies a bridged endpoint is created with."""
 
-    Attributes:
-        reliability: whether lost samples are sent again.
-        durability: ``transient_local`` keeps the last ``depth`` messages for subscriptions that join late.
-        history: ``keep_last`` keeps ``depth`` messages, ``keep_all`` as many as the middleware can.
-        depth: messages (`rsb_bridge.model.limits.DEPTH`).
-        deadline: s (`rsb_bridge.model.limits.QOS_TIME`); 0 is no deadline.
-        lifespan: s, as the deadline; 0 is no expiry.
-        liveliness: who asserts that a publisher is alive: its process, or the publisher itself.
-        liveliness_lease_duration: s, as the deadline, after which a publisher that is not asserted is not alive; 0 is
-            no limit.
-    """
-
-    reliability: Reliability = "reliable"
+    reliability: Reliability = "reliable"  # whether lost samples are sent again
     durability: Durability = "volatile"
-    history: History = "keep_last"
-    depth: int = 10
-    deadline: float = 0.0
-    lifespan: float = 0.0
-    liveliness: Liveliness = "automatic"
+    """``transient_local`` keeps the last ``depth`` messages for subscriptions that join late."""
+    history: History = "keep_last"  # ``keep_last`` keeps ``depth`` messages, ``keep_all`` as many as the middleware can
+    depth: int = 10  # messages (`rsb_bridge.model.limits.DEPTH`)
+    deadline: float = 0.0  # s (`rsb_bridge.model.limits.QOS_TIME`); 0 is no deadline
+    lifespan: float = 0.0  # s, as the deadline; 0 is no expiry
+    liveliness: Liveliness = "automatic"  # who asserts that a publisher is alive: its process, or the publisher itself
     liveliness_lease_duration: float = 0.0
+    """s, as the deadline, after which a publisher that is not asserted is not alive; 0 is no limit."""
 
     @property
     def latched(self) -> bool:

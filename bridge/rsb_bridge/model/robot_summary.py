@@ -79,75 +79,45 @@ _RANKS = {state: rank for rank, state in enumerate(RobotState)}
 
 
 class Battery(NamedTuple):
-    """A battery, as its robot published it last.
+    """A battery, as its robot published it last."""
 
-    Attributes:
-        charge: 0 to 1.
-        time: s since the epoch, when it was published here.
-    """
-
-    charge: float
-    time: float
+    charge: float  # 0 to 1
+    time: float  # s since the epoch, when it was published here
 
 
 class LostMessages(NamedTuple):
-    """Messages that did not arrive.
+    """Messages that did not arrive."""
 
-    Attributes:
-        share: lost messages of all that were delivered or lost, 0 to 1, in both directions together.
-        span: the last s, which this share is computed over.
-    """
-
-    share: float
-    span: float
+    share: float  # lost messages of all that were delivered or lost, 0 to 1, in both directions together
+    span: float  # the last s, which this share is computed over
 
 
 class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The figures of one robot.
-
-    Attributes:
-        role: of its session: ``client``, ``server``, or empty if unknown.
-        why: the worst verdict in words and the number of the others, or empty.
-        since: s since the epoch, when the fault in `why` began, or without a fault, when the state began.
-        seen: s since the epoch, when it was last connected, or None if it never was.
-        host: the address of its link, or its machine's name.
-        version: of its rsb-console, or empty if unknown.
-        flowing: number of routes that carry messages or calls.
-        states: number of routes in each state; the robot's own console shows the same figures.
-        wrong_clients: of a server, names of clients with a fault, as many as fit.
-        clients_wrong: number of clients with a fault.
-        acknowledged: number of acknowledged faults.
-        messages_from_robot: Hz, of all topics that it sends.
-        messages_to_robot: Hz, of all topics that it receives.
-        bytes_from_robot: bytes/s that it sends over its links.
-        bytes_to_robot: bytes/s that it receives over its links.
-        loss: of its messages, or None before the first message was delivered or lost.
-        battery: its battery, or None if no topic reports it.
-    """
+    """The figures of one robot."""
 
     name: str
     group: str = ""
-    role: str = ""
+    role: str = ""  # of its session: ``client``, ``server``, or empty if unknown
     state: RobotState = RobotState.WAITING
-    why: str = ""
-    since: float = 0.0
-    seen: float | None = None
-    host: str = ""
-    version: str = ""
+    why: str = ""  # the worst verdict in words and the number of the others, or empty
+    since: float = 0.0  # s since the epoch, when the fault in `why` began, or without a fault, when the state began
+    seen: float | None = None  # s since the epoch, when it was last connected, or None if it never was
+    host: str = ""  # the address of its link, or its machine's name
+    version: str = ""  # of its rsb-console, or empty if unknown
     links_up: int = 0
     links: int = 0
-    flowing: int = 0
+    flowing: int = 0  # number of routes that carry messages or calls
     routes: int = 0
-    states: dict[str, int] = {}
-    wrong_clients: tuple[str, ...] = ()
-    clients_wrong: int = 0
-    acknowledged: int = 0
-    messages_from_robot: float = 0.0
-    messages_to_robot: float = 0.0
-    bytes_from_robot: float = 0.0
-    bytes_to_robot: float = 0.0
-    loss: LostMessages | None = None
-    battery: Battery | None = None
+    states: dict[str, int] = {}  # number of routes in each state; the robot's own console shows the same figures
+    wrong_clients: tuple[str, ...] = ()  # of a server, names of clients with a fault, as many as fit
+    clients_wrong: int = 0  # number of clients with a fault
+    acknowledged: int = 0  # number of acknowledged faults
+    messages_from_robot: float = 0.0  # Hz, of all topics that it sends
+    messages_to_robot: float = 0.0  # Hz, of all topics that it receives
+    bytes_from_robot: float = 0.0  # bytes/s that it sends over its links
+    bytes_to_robot: float = 0.0  # bytes/s that it receives over its links
+    loss: LostMessages | None = None  # of its messages, or None before the first message was delivered or lost
+    battery: Battery | None = None  # its battery, or None if no topic reports it
 
 
 class _Mark(NamedTuple):

@@ -80,39 +80,25 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An entry of the log for operators.
+    """An entry of the log for operators."""
 
-    Attributes:
-        number: counts from 1, without gaps.
-        time: s since the epoch.
-        code: its kind, an `rsb_bridge.model.codes.EventCode`; stable, unlike the text.
-        text: one line, complete in itself.
-        link: the peer's name, or empty.
-        who: the operator who caused it, or empty.
-        old: the value before an operator's change, or empty.
-        new: the value after an operator's change, or empty.
-        cause: of a fault, an `rsb_bridge.model.verdict.Cause`, or a newer peer's; of a link that is not up, an
-            `rsb_bridge.model.verdict.LinkCause`; of a topic that disarms, an `rsb_bridge.route.arming.Disarmed`; else
-            empty.
-        state: the new `State` of the route or the link, or empty if the event is not about a state.
-        since: s since the epoch, when that state began, or None if the event is not about a state.
-        from_peer: whether the other side reports it.
-    """
-
-    number: int
-    time: float
+    number: int  # counts from 1, without gaps
+    time: float  # s since the epoch
     level: Level
-    code: str
-    text: str
-    link: str = ""
+    code: str  # its kind, an `rsb_bridge.model.codes.EventCode`; stable, unlike the text
+    text: str  # one line, complete in itself
+    link: str = ""  # the peer's name, or empty
     topic: str = ""
-    who: str = ""
-    old: str = ""
-    new: str = ""
+    who: str = ""  # the operator who caused it, or empty
+    old: str = ""  # the value before an operator's change, or empty
+    new: str = ""  # the value after an operator's change, or empty
     cause: str = ""
-    state: str = ""
-    since: float | None = None
-    from_peer: bool = False
+    """A fault has an `rsb_bridge.model.verdict.Cause`, or a newer peer's, a link that is not up an
+    `rsb_bridge.model.verdict.LinkCause`, a topic that disarms an `rsb_bridge.route.arming.Disarmed`; else it is empty.
+    """
+    state: str = ""  # the new `State` of the route or the link, or empty if the event is not about a state
+    since: float | None = None  # s since the epoch, when that state began, or None if the event is not about a state
+    from_peer: bool = False  # whether the other side reports it
 
     @property
     def source(self) -> str:
@@ -121,17 +107,11 @@ class Event:
 
 
 class Stage(msgspec.Struct, frozen=True, array_like=True, gc=False):
-    """One step on a message's way. The first one that is not `done` is the reason why nothing flows.
+    """One step on a message's way. The first one that is not `done` is the reason why nothing flows."""
 
-    Attributes:
-        name: ``publisher seen``, ``type known``, ... (`rsb_bridge.route.route.Route.stages`).
-        done: whether the step has passed or failed, or None if it is unknown yet.
-        detail: the reason in words, or empty.
-    """
-
-    name: str
-    done: bool | None
-    detail: str = ""
+    name: str  # ``publisher seen``, ``type known``, ... (`rsb_bridge.route.route.Route.stages`)
+    done: bool | None  # whether the step has passed or failed, or None if it is unknown yet
+    detail: str = ""  # the reason in words, or empty
 
 
 _MEANT = frozenset({"already published", "would loop", "paused", "disarmed"})
@@ -144,27 +124,18 @@ class Ledger:
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
     ``malformed``, ``too complex``, ``would loop``, ``paused``, ``disarmed``, ``incomplete``.
-
-    Attributes:
-        offered: taken from ROS on the sending side.
-        delivered: given to DDS on the receiving side.
-        throttled: left out for a highest rate.
-        expired: dropped because they were older than `max_age`, or than their publisher's lifespan.
-        in_flight: not accounted for yet.
-        unknown: sent to a process that ended before it reported whether they arrived.
-        lost_in_dds: lost before the bridge could take them; not part of `offered`.
-        missed_while_down: published while the route was down, estimated from the usual rate; not part of `offered`.
     """
 
-    offered: int = 0
-    delivered: int = 0
-    throttled: int = 0
-    expired: int = 0
-    in_flight: int = 0
+    offered: int = 0  # taken from ROS on the sending side
+    delivered: int = 0  # given to DDS on the receiving side
+    throttled: int = 0  # left out for a highest rate
+    expired: int = 0  # dropped because they were older than `max_age`, or than their publisher's lifespan
+    in_flight: int = 0  # not accounted for yet
     dropped: dict[str, int] = field(default_factory=dict)
-    unknown: int = 0
-    lost_in_dds: int = 0
+    unknown: int = 0  # sent to a process that ended before it reported whether they arrived
+    lost_in_dds: int = 0  # lost before the bridge could take them; not part of `offered`
     missed_while_down: int = 0
+    """Published while the route was down, estimated from the usual rate; not part of `offered`."""
 
     @property
     def dropped_total(self) -> int:
@@ -178,151 +149,99 @@ class Ledger:
 
 @dataclass(frozen=True, slots=True)
 class ArmingSnapshot:
-    """Whether a topic that requires arming is armed.
+    """Whether a topic that requires arming is armed."""
 
-    Attributes:
-        armed: whether it is armed on this side.
-        by: the operator who armed it, or empty. An operator of the other side has that side's name before.
-        here: whether it was armed on this side.
-        left: s until it disarms unless that operator presses a key, or None if it is not armed or has no deadman.
-        deadman: s, or 0 for none.
-        demanded_by: the lines that demand arming: ``robot.yaml:14``.
-        why: the cause why it is not armed, as of `EventCode.ROUTE_DISARMED`, or "operator" or "not_yet"; empty while it
-            is armed.
-        reason: the same in words, with the operator who disarmed it.
-        on_end: what the robot gets when the arming ends: ``zero``, ``none``, or a message as JSON; of what is no topic,
-            and while the type is unknown, empty.
-        velocity: that the robot's side has given the robot last: forward in m/s, and turn in rad/s; both are 0 after
-            the end of an arming. None if nobody hears it, or it is unknown, as of types that are not Twist or
-            TwistStamped.
-        asked_by: the operator who asks the holder for it, or empty.
-        goes_in: s until it goes over to that operator without an answer, or None if nobody asks.
-    """
-
-    armed: bool
-    by: str = ""
-    here: bool = False
+    armed: bool  # on this side
+    by: str = ""  # the operator who armed it, or empty. An operator of the other side has that side's name before
+    here: bool = False  # whether it was armed on this side
     left: float | None = None
-    deadman: float = 0.0
-    demanded_by: tuple[str, ...] = ()
+    """s until it disarms unless that operator presses a key, or None if it is not armed or has no deadman."""
+    deadman: float = 0.0  # s, or 0 for none
+    demanded_by: tuple[str, ...] = ()  # the lines that demand arming: ``robot.yaml:14``
     why: str = ""
-    reason: str = ""
+    """The cause why it is not armed, as of `EventCode.ROUTE_DISARMED`, or "operator" or "not_yet"; empty while it is
+    armed."""
+    reason: str = ""  # the same in words, with the operator who disarmed it
     on_end: str = ""
+    """The robot gets this when the arming ends: ``zero``, ``none``, or a message as JSON. It is empty for what is no
+    topic, and while the type is unknown."""
     velocity: tuple[float, float] | None = None
-    asked_by: str = ""
-    goes_in: float | None = None
+    """The velocity that the robot's side has given the robot last: forward in m/s, and turn in rad/s; both are 0 after
+    the end of an arming. None if nobody hears it, or it is unknown, as of types that are not Twist or TwistStamped."""
+    asked_by: str = ""  # the operator who asks the holder for it, or empty
+    goes_in: float | None = None  # s until it goes over to that operator without an answer, or None if nobody asks
 
 
 @dataclass(frozen=True, slots=True)
 class Acknowledgement:
-    """An operator has acknowledged a fault: it does not count until its state or its cause changes.
+    """An operator has acknowledged a fault: it does not count until its state or its cause changes."""
 
-    Attributes:
-        by: the operator, in words.
-        at: s since the epoch.
-    """
-
-    by: str
-    at: float
+    by: str  # the operator, in words
+    at: float  # s since the epoch
 
 
 @dataclass(frozen=True, slots=True)
 class RouteSnapshot:
-    """One topic in one direction over one link, or one service, action or node's parameters (`spec.kind`).
+    """One topic in one direction over one link, or one service, action or node's parameters (`spec.kind`)."""
 
-    Attributes:
-        key: names the route in commands; stable across reconnects.
-        topic: its name on this side.
-        remote_topic: its name on the other side.
-        outgoing: whether this side sends; of a service, action or parameters, whether the callers are here.
-        spec: the topic as it was asked for, as the client sees it.
-        state: the worse of both sides' states; `reason` explains it and names the other side if that reports it.
-        type_name: or empty if it is unknown yet.
-        type_hash: or empty if it is unknown yet.
-        qos: of the bridge's endpoints on both sides, or None if it is unknown yet.
-        publisher_qos: combined offer of its publishers, without depths, or None without publishers.
-        subscriber_qos: combined request of its subscriptions, without depths, or None without subscriptions.
-        transport: ``tcp``, ``udp`` or ``bluetooth``.
-        port: the port or channel that carries it.
-        rate: Hz, over the last seconds.
-        expected_rate: Hz, given or learned, or None if it is unknown yet.
-        latency_p50: s, one way, or None without a figure.
-        latency_uncertainty: s, the uncertainty of the clock offset that they contain.
-        jitter: s (RFC 3550 section 6.4.1), or None without a figure.
-        last_at: s since the epoch, when the last message came, or None before the first. No age, which would be of the
-            moment at which the route was looked at.
-        history: messages in each of the last seconds, up to 120, oldest first.
-        last_error_at: s since the epoch, its time, or 0 without one.
-        cause: of the state, an `rsb_bridge.model.verdict.Cause`, one of a newer peer, or empty.
-        from_peer: whether the other side reports the state.
-        since: s since the epoch, the beginning of this state and cause, as far as this process knows.
-        publishers: known nodes that publish it on the sending side.
-        subscribers: known nodes that subscribe to it on the receiving side, whether they hear it or not.
-        audience: the subscriptions on the receiving side; empty of what is no topic.
-        arming: whether it is armed, or None if arming is not required.
-        allowed_rate: Hz that the rights of the two sides allow, or None for any rate.
-        calls: its calls, which `rate`, `history` and `age` then count, or None for a topic.
-        goals: the newest goals of an action, unfinished ones first.
-        lanes: names that can be called by hand, such as ``set_parameters``; a service has one, ``""``; a topic none.
-        pattern: of this side's session that made it, or empty.
-        messages_total: messages or calls that `rate` and `bytes_total` count: on the sending side those given to the
-            link, on the receiving side those published.
-        acknowledged: the acknowledgement of its fault, or None. A link's covers the routes that are down with it.
-        max_age: s after which a message or a request is dropped, as the two sides' sessions say, or 0 for no limit.
-        limits: what a hand may ask, as the two sides' sessions say, or None for any velocity.
-        limited_by: the lines that have a number of `limits`: ``robot.yaml:14``.
-        purpose: what it carries, as in `rsb_bridge.model.purposes`.
-        features: what features show of it, by name (`rsb_bridge.feature.ShownField.of`).
-    """
-
-    key: str
+    key: str  # names the route in commands; stable across reconnects
     link: str
-    topic: str
-    remote_topic: str
-    outgoing: bool
-    spec: Topic
-    state: State
+    topic: str  # its name on this side
+    remote_topic: str  # its name on the other side
+    outgoing: bool  # whether this side sends; of a service, action or parameters, whether the callers are here
+    spec: Topic  # the topic as it was asked for, as the client sees it
+    state: State  # the worse of both sides' states; `reason` explains it and names the other side if that reports it
     reason: str
-    type_name: str
-    type_hash: str
-    qos: Qos | None
-    publisher_qos: Qos | None
-    subscriber_qos: Qos | None
-    transport: str
-    port: int
+    type_name: str  # or empty if it is unknown yet
+    type_hash: str  # or empty if it is unknown yet
+    qos: Qos | None  # of the bridge's endpoints on both sides, or None if it is unknown yet
+    publisher_qos: Qos | None  # combined offer of its publishers, without depths, or None without publishers
+    subscriber_qos: Qos | None  # combined request of its subscriptions, without depths, or None without subscriptions
+    transport: str  # ``tcp``, ``udp`` or ``bluetooth``
+    port: int  # the port or channel that carries it
     stages: tuple[Stage, ...]
     ledger: Ledger
-    rate: float
-    expected_rate: float | None
+    rate: float  # Hz, over the last seconds
+    expected_rate: float | None  # Hz, given or learned, or None if it is unknown yet
     bytes_per_second: float
     bytes_total: int
-    latency_p50: float | None
+    latency_p50: float | None  # s, one way, or None without a figure
     latency_p99: float | None
-    latency_uncertainty: float | None
-    jitter: float | None
+    latency_uncertainty: float | None  # s, the uncertainty of the clock offset that they contain
+    jitter: float | None  # s (RFC 3550 section 6.4.1), or None without a figure
     last_at: float | None
-    history: tuple[int, ...]
+    """s since the epoch, when the last message came, or None before the first. No age, which would be of the moment at
+    which the route was looked at."""
+    history: tuple[int, ...]  # messages in each of the last seconds, up to 120, oldest first
     last_error: str
-    cause: str = ""
-    from_peer: bool = False
-    since: float = 0.0
-    publishers: tuple[str, ...] = ()
+    cause: str = ""  # of the state, an `rsb_bridge.model.verdict.Cause`, one of a newer peer, or empty
+    from_peer: bool = False  # whether the other side reports the state
+    since: float = 0.0  # s since the epoch, the beginning of this state and cause, as far as this process knows
+    publishers: tuple[str, ...] = ()  # known nodes that publish it on the sending side
     subscribers: tuple[str, ...] = ()
-    audience: Audience = NOBODY
-    arming: ArmingSnapshot | None = None
-    allowed_rate: float | None = None
-    calls: CallsSnapshot | None = None
-    goals: tuple[GoalSnapshot, ...] = ()
+    """Known nodes that subscribe to it on the receiving side, whether they hear it or not."""
+    audience: Audience = NOBODY  # the subscriptions on the receiving side; empty of what is no topic
+    arming: ArmingSnapshot | None = None  # whether it is armed, or None if arming is not required
+    allowed_rate: float | None = None  # Hz that the rights of the two sides allow, or None for any rate
+    calls: CallsSnapshot | None = None  # its calls, which `rate`, `history` and `age` then count, or None for a topic
+    goals: tuple[GoalSnapshot, ...] = ()  # the newest goals of an action, unfinished ones first
     lanes: tuple[str, ...] = ()
-    pattern: str = ""
+    """Names that can be called by hand, such as ``set_parameters``; a service has one, ``""``; a topic none."""
+    pattern: str = ""  # of this side's session that made it, or empty
     messages_total: int = 0
-    last_error_at: float = 0.0
+    """Messages or calls that `rate` and `bytes_total` count: on the sending side those given to the link, on the
+    receiving side those published."""
+    last_error_at: float = 0.0  # s since the epoch, its time, or 0 without one
     acknowledged: Acknowledgement | None = None
+    """The acknowledgement of its fault, or None. A link's covers the routes that are down with it."""
     max_age: float = 0.0
+    """s after which a message or a request is dropped, as the two sides' sessions say, or 0 for no limit."""
     limits: VelocityLimits | None = None
-    limited_by: tuple[str, ...] = ()
-    purpose: str = "topic"
+    """The most that a hand may ask, as the two sides' sessions say, or None for any velocity."""
+    limited_by: tuple[str, ...] = ()  # the lines that have a number of `limits`: ``robot.yaml:14``
+    purpose: str = "topic"  # what it carries, as in `rsb_bridge.model.purposes`
     features: dict[str, Any] = field(default_factory=dict)
+    """The values that features show of it, by name (`rsb_bridge.feature.ShownField.of`)."""
 
     @property
     def max_rate(self) -> float | None:
@@ -336,30 +255,18 @@ class RouteSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class PatternSnapshot:
-    """A pattern of a session, which makes a route of each name that matches.
+    """A pattern of a session, which makes a route of each name that matches."""
 
-    Attributes:
-        key: identifies it in commands, as `RouteSnapshot.key` does a route.
-        spec: its entry in the session.
-        state: WAITING while nothing matches, DOWN if something that matches is not bridged, else OK.
-        reason: how many names are bridged, and why others are not.
-        here: whether it follows this side's graph, not the other side's.
-        source: the pattern for the names of that graph.
-        routes: number of routes that it has made.
-        gone: number of these routes without a publisher now.
-        beyond: number of matching names beyond the limit, which are not bridged.
-    """
-
-    key: str
+    key: str  # identifies it in commands, as `RouteSnapshot.key` does a route
     link: str
-    spec: Topic
-    state: State
-    reason: str
-    here: bool
-    source: str
-    routes: int = 0
-    gone: int = 0
-    beyond: int = 0
+    spec: Topic  # its entry in the session
+    state: State  # WAITING while nothing matches, DOWN if something that matches is not bridged, else OK
+    reason: str  # how many names are bridged, and why others are not
+    here: bool  # whether it follows this side's graph, not the other side's
+    source: str  # the pattern for the names of that graph
+    routes: int = 0  # number of routes that it has made
+    gone: int = 0  # number of these routes without a publisher now
+    beyond: int = 0  # number of matching names beyond the limit, which are not bridged
     acknowledged: Acknowledgement | None = None
 
     @property
@@ -370,74 +277,43 @@ class PatternSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class LinkSnapshot:
-    """One peer.
+    """One peer."""
 
-    Attributes:
-        name: the client's name (on a client: its own, which is the link's).
-        peer: address of the other side, ``host:port`` or ``MAC channel n``; while it is down, where it was last seen.
-        state: OK if linked, WAITING before the first attempt, else DOWN; `reason` says why.
-        since: s since the epoch, when this state began.
-        retry_in: s until the next attempt, 0 during an attempt, or None if none is planned.
-        attempts: failed attempts since it was last linked.
-        encrypted: False must be shown in red.
-        cipher: ``AESGCM``, ``ChaChaPoly``, or empty.
-        fingerprint: of the key in use, or of this side's key while the link is down.
-        rtt: s, or None without a figure.
-        clock_offset: s, peer's clock minus ours, or None without a figure.
-        loss_out: share of the packets from here that is lost, 0 to 1, or None without a figure.
-        loss_in: the same to here, as the peer reports it.
-        rx_bytes_per_second: wire bytes received.
-        tx_bytes_per_second: wire bytes sent.
-        peer_version: the other side's rsb-console version, or empty.
-        peer_domain: the other side's ROS domain, or None before the first connection.
-        use_name: whether the client's name prefixes its topics on the server.
-        cause: of a fault, an `rsb_bridge.model.verdict.LinkCause`, or empty.
-        warning: a fault that does not take the link down, for an operator, or empty.
-        next_fingerprint: on a server, of the client's next key, which is valid already, or empty.
-        capacity_out: measured capacity from here, or None if it is unknown.
-        capacity_in: measured capacity to here, or None if it is unknown.
-        rx_bytes_total: wire bytes received in this process, over all connections.
-        tx_bytes_total: wire bytes sent in this process, over all connections.
-        patterns: of this side's session, in its order.
-        full_out: the rates from here, or None if the link is not full.
-        full_in: the rates to here, as the peer reports them, or None if the link is not full.
-        warning_since: s since the epoch, when `warning` or its cause began, or None without a warning.
-        features: what features show of it, by name (`rsb_bridge.feature.ShownField.of`).
-    """
-
-    name: str
-    peer: str
-    state: State
+    name: str  # the client's name (on a client: its own, which is the link's)
+    peer: str  # address of the other side, ``host:port`` or ``MAC channel n``; while it is down, where it was last seen
+    state: State  # OK if linked, WAITING before the first attempt, else DOWN; `reason` says why
     reason: str
-    since: float
-    retry_in: float | None
-    attempts: int
-    encrypted: bool
-    cipher: str
-    fingerprint: str
-    rtt: float | None
-    clock_offset: float | None
+    since: float  # s since the epoch, when this state began
+    retry_in: float | None  # s until the next attempt, 0 during an attempt, or None if none is planned
+    attempts: int  # failed attempts since it was last linked
+    encrypted: bool  # False must be shown in red
+    cipher: str  # ``AESGCM``, ``ChaChaPoly``, or empty
+    fingerprint: str  # of the key in use, or of this side's key while the link is down
+    rtt: float | None  # s, or None without a figure
+    clock_offset: float | None  # s, peer's clock minus ours, or None without a figure
     clock_uncertainty: float | None
-    rx_bytes_per_second: float
-    tx_bytes_per_second: float
-    peer_version: str
-    peer_domain: int | None
-    use_name: bool = False
-    cause: str = ""
-    warning: str = ""
-    next_fingerprint: str = ""
-    capacity_out: Capacity | None = None
-    capacity_in: Capacity | None = None
-    rx_bytes_total: int = 0
-    tx_bytes_total: int = 0
-    patterns: tuple[PatternSnapshot, ...] = ()
-    full_out: Fullness | None = None
-    full_in: Fullness | None = None
-    loss_out: float | None = None
-    loss_in: float | None = None
+    rx_bytes_per_second: float  # wire bytes received
+    tx_bytes_per_second: float  # wire bytes sent
+    peer_version: str  # the other side's rsb-console version, or empty
+    peer_domain: int | None  # the other side's ROS domain, or None before the first connection
+    use_name: bool = False  # whether the client's name prefixes its topics on the server
+    cause: str = ""  # of a fault, an `rsb_bridge.model.verdict.LinkCause`, or empty
+    warning: str = ""  # a fault that does not take the link down, for an operator, or empty
+    next_fingerprint: str = ""  # on a server, of the client's next key, which is valid already, or empty
+    capacity_out: Capacity | None = None  # measured capacity from here, or None if it is unknown
+    capacity_in: Capacity | None = None  # measured capacity to here, or None if it is unknown
+    rx_bytes_total: int = 0  # wire bytes received in this process, over all connections
+    tx_bytes_total: int = 0  # wire bytes sent in this process, over all connections
+    patterns: tuple[PatternSnapshot, ...] = ()  # of this side's session, in its order
+    full_out: Fullness | None = None  # the rates from here, or None if the link is not full
+    full_in: Fullness | None = None  # the rates to here, as the peer reports them, or None if the link is not full
+    loss_out: float | None = None  # share of the packets from here that is lost, 0 to 1, or None without a figure
+    loss_in: float | None = None  # the same to here, as the peer reports it
     warning_since: float | None = None
+    """s since the epoch, when `warning` or its cause began, or None without a warning."""
     acknowledged: Acknowledgement | None = None
     features: dict[str, Any] = field(default_factory=dict)
+    """The values that features show of it, by name (`rsb_bridge.feature.ShownField.of`)."""
 
     @property
     def fault_since(self) -> float:
@@ -447,85 +323,54 @@ class LinkSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class RefusedClient:
-    """A refused client that no link of its server shows.
+    """A refused client that no link of its server shows."""
 
-    Attributes:
-        name: that the client gave, or empty.
-        cause: the reason as an `rsb_bridge.model.verdict.LinkCause`.
-        reason: the same in words, with the remedy.
-        since: s since the epoch, when it was first refused.
-    """
-
-    name: str
+    name: str  # that the client gave, or empty
     host: str
-    cause: str
-    reason: str
-    since: float
+    cause: str  # the reason as an `rsb_bridge.model.verdict.LinkCause`
+    reason: str  # the same in words, with the remedy
+    since: float  # s since the epoch, when it was first refused
     attempts: int
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The whole engine at one moment.
+    """The whole engine at one moment."""
 
-    Attributes:
-        time: s since the epoch.
-        address: the address that is bound or called.
-        running: False: stopped, or not started.
-        links: on a server, one for each known client.
-        last_event: number of the newest event.
-        unsaved: whether the running session differs from its file; False without a file.
-    """
-
-    time: float
+    time: float  # s since the epoch
     name: str
     role: str
-    address: str
+    address: str  # the address that is bound or called
     domain_id: int
-    running: bool
-    links: tuple[LinkSnapshot, ...] = ()
+    running: bool  # False: stopped, or not started
+    links: tuple[LinkSnapshot, ...] = ()  # on a server, one for each known client
     routes: tuple[RouteSnapshot, ...] = ()
-    last_event: int = 0
+    last_event: int = 0  # number of the newest event
     refused: tuple[RefusedClient, ...] = ()
-    unsaved: bool = False
+    unsaved: bool = False  # whether the running session differs from its file; False without a file
 
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """A topic of one side's graph, or a service, an action or a node with parameters.
-
-    Attributes:
-        type_name: its type, or empty if its endpoints disagree.
-        type_hash: of its type, or empty.
-        qos: combined offer of its publishers, or None without publishers and for other kinds.
-        publishers: number of publishers, or of providers.
-        subscriptions: number of subscriptions, or of callers.
-    """
+    """A topic of one side's graph, or a service, an action or a node with parameters."""
 
     topic: str
-    type_name: str
-    type_hash: str
-    qos: Qos | None
-    publishers: int
-    subscriptions: int
+    type_name: str  # its type, or empty if its endpoints disagree
+    type_hash: str  # of its type, or empty
+    qos: Qos | None  # combined offer of its publishers, or None without publishers and for other kinds
+    publishers: int  # number of publishers, or of providers
+    subscriptions: int  # number of subscriptions, or of callers
     kind: Kind = "topic"
 
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """Differences between the session file and the running session, in words.
+    """Differences between the session file and the running session, in words."""
 
-    Attributes:
-        changed: changes that the bridge has made, or would make if it was only asked.
-        left: changes that need a restart, with the remedy.
-        failed: changes that failed, with the reason.
-        digest: identifies `changed`, which may be cut on the way to a console; empty if `changed` is.
-    """
-
-    changed: tuple[str, ...] = ()
-    left: tuple[str, ...] = ()
-    failed: tuple[str, ...] = ()
-    digest: str = ""
+    changed: tuple[str, ...] = ()  # changes that the bridge has made, or would make if it was only asked
+    left: tuple[str, ...] = ()  # changes that need a restart, with the remedy
+    failed: tuple[str, ...] = ()  # changes that failed, with the reason
+    digest: str = ""  # identifies `changed`, which may be cut on the way to a console; empty if `changed` is
 
 
 PEEK_LIMIT = 1 << 20
@@ -534,28 +379,20 @@ PEEK_LIMIT = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class PeekedMessage:
-    """A message of a route, as it passed this side.
-
-    Attributes:
-        payload: the serialized message with its encapsulation header; of a longer one, the first `PEEK_LIMIT` bytes.
-        size: bytes of the whole message.
-        type_hash: ``RIHS01_...``, or empty.
-        time: s since the epoch on this machine's clock, when DDS received it (sending side), or when it came over the
-            link (receiving side).
-        outgoing: whether this side sends it.
-        is_kept: whether it is a latched topic's earlier message, as a late joiner gets it; `time` is then
-            that of the request.
-        latency: s that it took over the link, by the clock offset, or None if it is unknown or this side sends it.
-        clock_offset: s, the peer's clock minus this machine's, or None if it is unknown.
-    """
+    """A message of a route, as it passed this side."""
 
     payload: bytes
-    size: int
+    """The serialized message with its encapsulation header; of a longer one, the first `PEEK_LIMIT` bytes."""
+    size: int  # bytes of the whole message
     type_name: str
-    type_hash: str
+    type_hash: str  # ``RIHS01_...``, or empty
     time: float
-    outgoing: bool
+    """s since the epoch on this machine's clock, when DDS received it (sending side), or when it came over the link
+    (receiving side)."""
+    outgoing: bool  # whether this side sends it
     is_kept: bool = False
+    """Whether it is a latched topic's earlier message, as a late joiner gets it; `time` is then that of the request."""
     latency: float | None = None
-    clock_offset: float | None = None
+    """s that it took over the link, by the clock offset, or None if it is unknown or this side sends it."""
+    clock_offset: float | None = None  # s, the peer's clock minus this machine's, or None if it is unknown
     clock_uncertainty: float | None = None

@@ -65,37 +65,24 @@ class RangeText(Wording):
 
 @dataclass(frozen=True, slots=True)
 class TopicKey:
-    """A key of an entry in a session.
+    """A key of an entry in a session."""
 
-    Attributes:
-        name: the field of `rsb_bridge.model.session.Topic`.
-        value: what an operator gives for it.
-        kinds: the entries that may have it.
-        limits: the range of a number, or None if other rules apply; `range_text` tells it to an operator.
-        zero: whether 0 is allowed, too.
-        sentence: the key with its value, for a person; `zero_sentence` if that is 0.
-        live: whether a change leaves the route open.
-        label: of its field in the form, or empty if the form makes the field itself.
-        help: the form's help for a topic, and `help_of_calls` if that differs for other kinds.
-        blank: the meaning of an empty field, a template with the session.
-        options: the choices of its field, each a value and a label.
-    """
-
-    name: str
-    value: Value = "text"
-    kinds: Literal["all", "topics", "calls"] = "all"
+    name: str  # the field of `rsb_bridge.model.session.Topic`
+    value: Value = "text"  # what an operator gives for it
+    kinds: Literal["all", "topics", "calls"] = "all"  # the entries that may have it
     limits: Range | None = None
+    """The range of a number, or None if other rules apply; `range_text` tells it to an operator."""
     range_text: RangeText | None = None
     unit: str = ""
-    zero: bool = False
-    sentence: str = ""
+    zero: bool = False  # whether 0 is allowed, too
+    sentence: str = ""  # the key with its value, for a person; `zero_sentence` if that is 0
     zero_sentence: str = ""
-    live: bool = False
-    label: str = ""
-    help: str = ""
+    live: bool = False  # whether a change leaves the route open
+    label: str = ""  # of its field in the form, or empty if the form makes the field itself
+    help: str = ""  # the form's help for a topic, and `help_of_calls` if that differs for other kinds
     help_of_calls: str = ""
-    blank: str = ""
-    options: tuple[tuple[str, str], ...] = ()
+    blank: str = ""  # the meaning of an empty field, a template with the session
+    options: tuple[tuple[str, str], ...] = ()  # the choices of its field, each a value and a label
 
     def is_of(self, kind: Kind) -> bool:
         return self.kinds == "all" or (self.kinds == "topics") == (kind == "topic")

@@ -45,15 +45,10 @@ def by_addressee(datagrams: Iterable[tuple[Buffer, Origin]]) -> dict[tuple[int, 
 
 
 class Probe(NamedTuple):
-    """The payload of `PROBE_ROUTE`'s messages, which test whether datagrams get through.
+    """The payload of `PROBE_ROUTE`'s messages, which test whether datagrams get through."""
 
-    Attributes:
-        pong: this answers a probe.
-        opaque: 0 to 2**64 - 1, chosen by the asker and echoed.
-    """
-
-    pong: bool
-    opaque: int
+    pong: bool  # this answers a probe
+    opaque: int  # 0 to 2**64 - 1, chosen by the asker and echoed
 
     def pack(self) -> bytes:
         return _PROBE.pack(*self)
@@ -71,30 +66,19 @@ class Probe(NamedTuple):
 
 
 class Arrived(NamedTuple):
-    """The datagrams of one route that a receiver has.
-
-    Attributes:
-        newest: the highest sequence number opened.
-        opened: datagrams opened so far.
-    """
+    """The datagrams of one route that a receiver has."""
 
     route: int
-    newest: int
-    opened: int
+    newest: int  # the highest sequence number opened
+    opened: int  # datagrams opened so far
 
 
 class Receipt(NamedTuple):
-    """Another payload of `PROBE_ROUTE`'s messages: what a receiver has of some routes, for their sender's pace.
+    """Another payload of `PROBE_ROUTE`'s messages: what a receiver has of some routes, for their sender's pace."""
 
-    Attributes:
-        buffer: bytes of the kernel's receive buffer on the receiver's side, at most 2**32 - 1.
-        at: when the newest datagram reached the receiver's kernel, in µs on the receiver's clock, at most 2**64 - 1.
-        arrived: of at most `MOST_ARRIVED` routes.
-    """
-
-    buffer: int
-    at: int
-    arrived: tuple[Arrived, ...]
+    buffer: int  # bytes of the kernel's receive buffer on the receiver's side, at most 2**32 - 1
+    at: int  # when the newest datagram reached the receiver's kernel, in µs on the receiver's clock, at most 2**64 - 1
+    arrived: tuple[Arrived, ...]  # of at most `MOST_ARRIVED` routes
 
     def pack(self) -> bytes:
         arrived = b"".join([_ARRIVED.pack(*each) for each in self.arrived])
@@ -131,18 +115,12 @@ def unpack_probe(payload: bytes) -> OfProbeRoute:
 
 
 class Cut(NamedTuple):
-    """A message in pieces, each for a datagram.
-
-    Attributes:
-        pieces: all but the last of one size.
-        stamp: ns since the epoch.
-        flags: as of `rsb_bridge.wire.framing.Message`.
-    """
+    """A message in pieces, each for a datagram."""
 
     number: int
-    pieces: Sequence[Buffer]
-    stamp: int
-    flags: int
+    pieces: Sequence[Buffer]  # all but the last of one size
+    stamp: int  # ns since the epoch
+    flags: int  # as of `rsb_bridge.wire.framing.Message`
 
 
 class DatagramWriter:

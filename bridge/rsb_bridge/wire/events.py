@@ -26,13 +26,9 @@ class RefusalCode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Established:
-    """The control connection is up, and the peer has proven that it has the key.
+    """The control connection is up, and the peer has proven that it has the key."""
 
-    Attributes:
-        peer: its `Welcome` on the client, its `Hello` on the server.
-    """
-
-    peer: Hello | Welcome
+    peer: Hello | Welcome  # its `Welcome` on the client, its `Hello` on the server
     keys: SessionKeys
 
 
@@ -45,42 +41,28 @@ class MessageReceived:
 
 @dataclass(frozen=True, slots=True)
 class DataFrame:
-    """A data frame came on a multiplexed control stream.
+    """A data frame came on a multiplexed control stream."""
 
-    Attributes:
-        frame: for the route's `rsb_bridge.wire.framing.DataReader.open_frames`.
-    """
-
-    frame: memoryview
+    frame: memoryview  # for the route's `rsb_bridge.wire.framing.DataReader.open_frames`
 
 
 class StreamName(NamedTuple):
-    """The place of a data stream in its link.
-
-    Attributes:
-        number: counts the data streams of the link's life, from 1; a later stream of one place replaces an earlier one.
-        port: that its routes name, or 0 for the link's own.
-    """
+    """The place of a data stream in its link."""
 
     number: int
-    port: int = 0
+    """Counts the data streams of the link's life, from 1; a later stream of one place replaces an earlier one."""
+    port: int = 0  # that its routes name, or 0 for the link's own
     large: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Attach:
-    """Server: the client asks to use the stream for data. Answer with `ServerConnection.accept_attach` or `refuse`.
+    """Server: the client asks to use the stream for data. Answer with `ServerConnection.accept_attach` or `refuse`."""
 
-    Attributes:
-        link_id: 8 bytes.
-        proof: for `rsb_bridge.wire.sealing.SessionKeys.check_attach_proof`.
-        header: what the proof authenticates.
-    """
-
-    link_id: bytes
+    link_id: bytes  # 8 bytes
     name: StreamName
-    proof: bytes
-    header: bytes
+    proof: bytes  # for `rsb_bridge.wire.sealing.SessionKeys.check_attach_proof`
+    header: bytes  # what the proof authenticates
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,40 +72,29 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True)
 class StreamRefused:
-    """One side refused the stream. Send the remaining bytes, then close it.
-
-    Attributes:
-        message: the reason in words, for an operator.
-        peer: the refused client if it has proven that it has the key, or None.
-    """
+    """One side refused the stream. Send the remaining bytes, then close it."""
 
     code: RefusalCode
-    message: str
-    peer: Hello | None = None
+    message: str  # the reason in words, for an operator
+    peer: Hello | None = None  # the refused client if it has proven that it has the key, or None
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The peer broke the format, or a seal is invalid. Send the remaining bytes, then close the stream.
-
-    Attributes:
-        foreign: the other program's protocol, empty if it is unknown, or None if the peer is an rsb-console.
-    """
+    """The peer broke the format, or a seal is invalid. Send the remaining bytes, then close the stream."""
 
     reason: str
     foreign: str | None = None
+    """The other program's protocol, empty if it is unknown, or None if the peer is an rsb-console."""
 
 
 @dataclass(frozen=True, slots=True)
 class Admitted:
-    """An operator's connection is up, and the peer has proven that it has the operator's key.
-
-    Attributes:
-        host: on the engine, the machine that they come from, as their console says; this and the key are empty on the
-            console.
-    """
+    """An operator's connection is up, and the peer has proven that it has the operator's key."""
 
     host: str = ""
+    """On the engine, the machine that they come from, as their console says; this and the key are empty on the
+    console."""
     key: bytes = field(default=b"", repr=False)  # not in a log
 
 

@@ -39,17 +39,11 @@ _HISTORY_HEADER = struct.Struct(f">{PUBLISHER_ID_LENGTH}sQI")
 
 
 class HistoryHeader(NamedTuple):
-    """The header of messages with the flag `rsb_bridge.wire.framing.HISTORY`, before the content.
+    """The header of messages with the flag `rsb_bridge.wire.framing.HISTORY`, before the content."""
 
-    Attributes:
-        publisher: the id (16 bytes) of the publisher on the sending side.
-        number: the message's among that publisher's, from 1, or 0 if the middleware does not number them.
-        depth: messages that the publisher keeps for late joiners, as far as the sender knows by now; at least 1.
-    """
-
-    publisher: bytes
-    number: int
-    depth: int
+    publisher: bytes  # the id (16 bytes) of the publisher on the sending side
+    number: int  # the message's among that publisher's, from 1, or 0 if the middleware does not number them
+    depth: int  # messages that the publisher keeps for late joiners, as far as the sender knows by now; at least 1
 
     def pack(self) -> bytes:
         return _HISTORY_HEADER.pack(*self)
@@ -104,25 +98,17 @@ def frame_size(content: bytes) -> int:
 
 
 class CallFrame(NamedTuple):
-    """One frame.
-
-    Attributes:
-        lane: its place among the lanes of the route's kind.
-        call: the callers' side's number, from 1 in each opening of the route, or 0 for a message.
-        took: of an answer, ns that the providing node took for it, as that side's bridge measured it; else 0.
-        content: the serialized message (CDR with its encapsulation header), or the reason why a call is refused.
-        lease: the number in the lease header before the frame, or 0 without one.
-        stamp: ns, from which the age of a request counts, by its sender's clock, or 0 for none. It is the stamp
-            of the message that carries the frame.
-    """
+    """One frame."""
 
     what: What
-    lane: int
-    call: int
-    took: int
-    content: bytes
-    lease: int = 0
+    lane: int  # its place among the lanes of the route's kind
+    call: int  # the callers' side's number, from 1 in each opening of the route, or 0 for a message
+    took: int  # of an answer, ns that the providing node took for it, as that side's bridge measured it; else 0
+    content: bytes  # the serialized message (CDR with its encapsulation header), or the reason why a call is refused
+    lease: int = 0  # the number in the lease header before the frame, or 0 without one
     stamp: int = 0
+    """ns, from which the age of a request counts, by its sender's clock, or 0 for none. It is the stamp of the message
+    that carries the frame."""
 
     def pack(self) -> bytes:
         return _CALL_HEADER.pack(self.what, self.lane, self.call, self.took) + self.content

@@ -53,109 +53,68 @@ class ControlMessageBase(msgspec.Struct, frozen=True, tag_field="message", tag=s
 
 
 class Hello(ControlMessageBase, frozen=True):
-    """The client, in the handshake.
-
-    Attributes:
-        name: of its session; the same as in the preamble.
-        instance: random, new with each start of the process.
-        host: its machine's host name, for operators, or empty if unknown.
-        features: the names of its features (`rsb_bridge.feature`); only what both sides have is used.
-    """
+    """The client, in the handshake."""
 
     version: Name
-    name: Name
-    instance: Name
+    name: Name  # of its session; the same as in the preamble
+    instance: Name  # random, new with each start of the process
     domain_id: Count
-    host: Name = ""
-    features: FeatureNames = ()
+    host: Name = ""  # its machine's host name, for operators, or empty if unknown
+    features: FeatureNames = ()  # the names of its features (`rsb_bridge.feature`); only what both sides have is used
 
 
 class Welcome(ControlMessageBase, frozen=True):
-    """The server, in the handshake.
-
-    Attributes:
-        link_id: 8 random bytes that name this link.
-        instance: random, new with each start of the process.
-        use_name: whether it puts the client's name before the names of this client's topics.
-        taken: text on the client that has the name already, or empty. This client confirms, and is refused.
-        shut_down: text on the operator who has shut the link down, or empty. The client confirms, and is refused.
-        at: its address in a Zenoh network, or empty. A client that reached it at another address was misled.
-        features: as in `Hello`.
-    """
+    """The server, in the handshake."""
 
     version: Name
     name: Name
-    link_id: LinkId
-    instance: Name
+    link_id: LinkId  # 8 random bytes that name this link
+    instance: Name  # random, new with each start of the process
     domain_id: Count
-    use_name: bool = False
-    taken: Reason = ""
+    use_name: bool = False  # whether it puts the client's name before the names of this client's topics
+    taken: Reason = ""  # text on the client that has the name already, or empty. This client confirms, and is refused
     shut_down: Reason = ""
-    at: Name = ""
-    features: FeatureNames = ()
+    """Text on the operator who has shut the link down, or empty. The client confirms, and is refused."""
+    at: Name = ""  # its address in a Zenoh network, or empty. A client that reached it at another address was misled
+    features: FeatureNames = ()  # as in `Hello`
 
 
 class Propose(ControlMessageBase, frozen=True, kw_only=True):
-    """Either side: bridge this topic. Answered by `Accept` or `Refuse`.
+    """Either side: bridge this topic. Answered by `Accept` or `Refuse`."""
 
-    Attributes:
-        route: its id from now on; a client's are odd, a server's even, and none is used twice in a link's life.
-        topic: its name on the sending side.
-        remote_topic: its name on the receiving side.
-        from_client: whether the client sends; else the server does.
-        type: ``pkg/msg/Name``, or empty for the type in either side's graph.
-        port: the port of its own socket, or 0 for the shared one.
-        qos: the QoS, or None for the publishers' offer.
-        compression: the sender's, for each message.
-        max_rate: Hz, or 0 for no limit.
-        expected_rate: Hz, shown to operators, or 0 if each side learns it.
-        stale_after: s, 0 to never warn, or None for each side's own default.
-        late_after: s, 0 for no limit, or None for each side's own default.
-        max_age: s that a message may be old when it is published, 0 for no limit, or None if the proposer's session
-            sets none.
-        pause_revision: of `paused`; see `Pause`.
-        arm: whether the proposer's session requires arming before anything crosses.
-        deadman: s without a key after which it disarms, or 0 for none.
-        on_end: the message that the receiving side publishes once an arming ends, by the proposer's session: ``zero``,
-            ``none``, the JSON of its fields, or empty if the session says nothing.
-        limits: what a hand may ask, by the proposer's session, or None for any velocity.
-        who: the operator who has just added or edited the topic, or empty if unknown.
-        place: where the proposer's session lists it, for operators: ``topics[2] of robot1.yaml``.
-        by_pattern: whether a pattern of the proposer's has made it. An entry that names it goes before it.
-        kind: a key of `rsb_bridge.model.calls.LANES`; another kind is a newer peer's, and refused. For calls, the
-            "sending side" is the callers'.
-        timeout: s until a call without an answer is given up, or 0 for 30 s and for topics.
-        priority: of a topic, `rsb_bridge.model.session.RANKS`.
-        purpose: a name of `rsb_bridge.model.purposes.purposes`; another one is a newer peer's, and refused.
-    """
-
-    route: RouteId
-    topic: Name
-    remote_topic: Name
-    from_client: bool
-    type: Name = ""
+    route: RouteId  # its id from now on; a client's are odd, a server's even, and none is used twice in a link's life
+    topic: Name  # its name on the sending side
+    remote_topic: Name  # its name on the receiving side
+    from_client: bool  # whether the client sends; else the server does
+    type: Name = ""  # ``pkg/msg/Name``, or empty for the type in either side's graph
     transport: Protocol = "tcp"
-    port: Port = 0
-    qos: Qos | None = None
-    compression: Compression = "none"
-    max_rate: Hertz = 0.0
-    expected_rate: Hertz = 0.0
-    stale_after: Seconds | None = None
+    port: Port = 0  # the port of its own socket, or 0 for the shared one
+    qos: Qos | None = None  # the QoS, or None for the publishers' offer
+    compression: Compression = "none"  # the sender's, for each message
+    max_rate: Hertz = 0.0  # Hz, or 0 for no limit
+    expected_rate: Hertz = 0.0  # Hz, shown to operators, or 0 if each side learns it
+    stale_after: Seconds | None = None  # s, 0 to never warn, or None for each side's own default
     paused: bool = False
-    pause_revision: Count = 0
-    arm: bool = False
-    deadman: Seconds = 0.0
-    who: Name = ""
-    place: Name = ""
-    by_pattern: bool = False
+    pause_revision: Count = 0  # of `paused`; see `Pause`
+    arm: bool = False  # whether the proposer's session requires arming before anything crosses
+    deadman: Seconds = 0.0  # s without a key after which it disarms, or 0 for none
+    who: Name = ""  # the operator who has just added or edited the topic, or empty if unknown
+    place: Name = ""  # where the proposer's session lists it, for operators: ``topics[2] of robot1.yaml``
+    by_pattern: bool = False  # whether a pattern of the proposer's has made it. An entry that names it goes before it
     kind: Name = "topic"
-    timeout: Seconds = 0.0
-    priority: Rank = 0
-    late_after: Seconds | None = None
+    """A key of `rsb_bridge.model.calls.LANES`; another kind is a newer peer's, and refused. For calls, the "sending
+    side" is the callers'."""
+    timeout: Seconds = 0.0  # s until a call without an answer is given up, or 0 for 30 s and for topics
+    priority: Rank = 0  # of a topic, `rsb_bridge.model.session.RANKS`
+    late_after: Seconds | None = None  # s, 0 for no limit, or None for each side's own default
     max_age: Seconds | None = None
+    """s that a message may be old when it is published, 0 for no limit, or None if the proposer's session sets none."""
     on_end: Name = ""
-    limits: VelocityLimits | None = None
+    """The message that the receiving side publishes once an arming ends, by the proposer's session: ``zero``, ``none``,
+    the JSON of its fields, or empty if the session says nothing."""
+    limits: VelocityLimits | None = None  # what a hand may ask, by the proposer's session, or None for any velocity
     purpose: Name = "topic"
+    """A name of `rsb_bridge.model.purposes.purposes`; another one is a newer peer's, and refused."""
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
@@ -163,15 +122,10 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
 
 
 class Accept(ControlMessageBase, frozen=True):
-    """A `Propose` is accepted.
-
-    Attributes:
-        topic: its name on the acceptor's side, which may add a prefix to the proposed one.
-        arm, deadman, max_age, on_end, limits: as in `Propose`, by the acceptor's session.
-    """
+    """A `Propose` is accepted. The demands on an arming are as there, by the acceptor's session."""
 
     route: RouteId
-    topic: Name
+    topic: Name  # its name on the acceptor's side, which may add a prefix to the proposed one
     arm: bool = False
     deadman: Seconds = 0.0
     max_age: Seconds | None = None
@@ -191,165 +145,113 @@ class Refuse(ControlMessageBase, frozen=True):
 
 
 class Describe(ControlMessageBase, frozen=True):
-    """The sending side describes the messages that it will send.
-
-    Attributes:
-        type_hash: ``RIHS01_...``; may be empty.
-        qos: to publish with; a depth of 0: as the messages themselves say (`rsb_bridge.wire.headers`), or as the
-            receiver likes.
-        sources: what to have publishers for, by number. Described again, there may be more of them, never fewer.
-    """
+    """The sending side describes the messages that it will send."""
 
     route: RouteId
     type: Name
-    type_hash: Name
+    type_hash: Name  # ``RIHS01_...``; may be empty
     qos: Qos
+    """The QoS to publish with. A depth of 0 means as the messages themselves say (`rsb_bridge.wire.headers`), or as the
+    receiver likes."""
     sources: Annotated[tuple[Source, ...], Meta(min_length=1, max_length=MOST_SOURCES)]
+    """Each gets a publisher, by its number. Described again, there may be more of them, never fewer."""
 
     def __post_init__(self) -> None:
         check_qos(self.qos)
 
 
 class Ready(ControlMessageBase, frozen=True):
-    """The receiving side has publishers, and the sending side may send. Answers each `Describe`.
-
-    Attributes:
-        sources: there are publishers for the first so many of them.
-        before: counts of the last incarnation in which anything came from this process of the peer; its route id names
-            that incarnation.
-        newest: of a latched topic's publishers on the sending side, the number of the newest message published here.
-    """
+    """The receiving side has publishers, and the sending side may send. Answers each `Describe`."""
 
     route: RouteId
-    sources: Count
+    sources: Count  # there are publishers for the first so many of them
     before: ReceivedReport | None = None
+    """Counts of the last incarnation in which anything came from this process of the peer; its route id names that
+    incarnation."""
     newest: NewestNumbers = msgspec.field(default_factory=dict)
+    """The number of the newest message published here, of each publisher of a latched topic on the sending side."""
 
 
 class Publishers(ControlMessageBase, frozen=True):
-    """The sending side's publishers, if they are latched or have a lease; after each `Ready`, and when they change.
-
-    Attributes:
-        present: how many messages each latched one keeps for late joiners, by its id, or 0 while that is unknown. The
-            histories of others may be dropped after a while.
-        alive: whether one of them is alive, by its liveliness lease: then the receiving side asserts its own.
-    """
+    """The sending side's publishers, if they are latched or have a lease; after each `Ready`, and when they change."""
 
     route: RouteId
     present: HistoryDepths
+    """The messages that each latched one keeps for late joiners, by its id, or 0 while that is unknown. The histories
+    of others may be dropped after a while."""
     alive: bool = False
+    """Whether one of them is alive, by its liveliness lease: then the receiving side asserts its own."""
 
 
 class Provide(ControlMessageBase, frozen=True):
-    """The providing side of a route of calls: its providers; after `Accept`, and whenever they change.
-
-    Attributes:
-        lanes: in the order of the kind (`rsb_bridge.model.calls`), or empty if nothing can be called now.
-        nodes: some of the providing nodes.
-        via: if the provider is a bridge itself, the hops between it and the answering node (section 5).
-        pause_revision: the revision of the sender's pause; see `Pause`.
-    """
+    """The providing side of a route of calls: its providers; after `Accept`, and whenever they change."""
 
     route: RouteId
     lanes: Annotated[tuple[LaneEntry, ...], Meta(max_length=MOST_LANES)] = ()
-    nodes: NodeNames = ()
-    via: MaybeHops = ()
-    pause_revision: Count = 0
+    """The lanes in the order of the kind (`rsb_bridge.model.calls`), or empty if nothing can be called now."""
+    nodes: NodeNames = ()  # some of the providing nodes
+    via: MaybeHops = ()  # if the provider is a bridge itself, the hops between it and the answering node (section 5)
+    pause_revision: Count = 0  # the revision of the sender's pause; see `Pause`
 
 
 class Neighbours(ControlMessageBase, frozen=True):
-    """Either side, before anything else and again when it changes: which bridges are in its domain.
+    """Either side, before anything else and again when it changes: which bridges are in its domain."""
 
-    Attributes:
-        bridges: the names of their nodes, its own first.
-    """
-
-    bridges: Bridges
+    bridges: Bridges  # the names of their nodes, its own first
 
 
 class Close(ControlMessageBase, frozen=True):
-    """Either side: the route ends.
-
-    Attributes:
-        code: whether it is removed, or edited, or its data connection has ended, and how.
-        who: the operator who has removed it, or empty if unknown.
-    """
+    """Either side: the route ends."""
 
     route: RouteId
     reason: Reason
-    code: EndCode = EndCode.DECIDED
-    who: Name = ""
+    code: EndCode = EndCode.DECIDED  # whether it is removed, or edited, or its data connection has ended, and how
+    who: Name = ""  # the operator who has removed it, or empty if unknown
 
 
 class Ping(ControlMessageBase, frozen=True):
-    """A question of either side: whether the peer is alive, and its time.
-
-    Attributes:
-        sent: ns since the epoch on the sender's clock.
-    """
+    """A question of either side: whether the peer is alive, and its time."""
 
     n: Count
-    sent: Nanoseconds
+    sent: Nanoseconds  # ns since the epoch on the sender's clock
 
 
 class Pong(ControlMessageBase, frozen=True):
-    """The answer to a `Ping`: the first three of an exchange's four times (RFC 5905, section 8).
-
-    Attributes:
-        received: ns since the epoch on the answerer's clock, when the ping came.
-        answered: ns since the epoch on the answerer's clock, when this was sent.
-        shift: ns to add to the answerer's times. The sums follow a clock that is never set, as do the stamps of its
-            messages.
-    """
+    """The answer to a `Ping`: the first three of an exchange's four times (RFC 5905, section 8)."""
 
     n: Count
     sent: Nanoseconds
-    received: Nanoseconds
-    answered: Nanoseconds
+    received: Nanoseconds  # ns since the epoch on the answerer's clock, when the ping came
+    answered: Nanoseconds  # ns since the epoch on the answerer's clock, when this was sent
     shift: Shift = 0
+    """ns to add to the answerer's times. The sums follow a clock that is never set, as do the stamps of its
+    messages."""
 
 
 class Report(ControlMessageBase, frozen=True):
-    """Either side: its counts, once a second.
+    """Either side: its counts, once a second."""
 
-    Attributes:
-        sent: counts of the routes that it sends on.
-        received: counts of the routes that it receives on.
-        calls: counts of the routes of calls, in both directions.
-        full: the rates of a full link in the direction of the message, or None if unchanged.
-        path: what the path loses in the direction of the message, or None if unchanged.
-    """
-
-    sent: tuple[SentReport, ...]
-    received: tuple[ReceivedReport, ...]
-    calls: tuple[CallsReport, ...] = ()
-    full: FullRecord | None = None
-    path: PathRecord | None = None
+    sent: tuple[SentReport, ...]  # counts of the routes that it sends on
+    received: tuple[ReceivedReport, ...]  # counts of the routes that it receives on
+    calls: tuple[CallsReport, ...] = ()  # counts of the routes of calls, in both directions
+    full: FullRecord | None = None  # the rates of a full link in the direction of the message, or None if unchanged
+    path: PathRecord | None = None  # what the path loses in the direction of the message, or None if unchanged
 
 
 class Duplicate(ControlMessageBase, frozen=True):
-    """The server: a second client has the name and the key of this one, and is refused.
+    """The server: a second client has the name and the key of this one, and is refused."""
 
-    Attributes:
-        address: the second client's, or empty once it no longer tries.
-        host: its machine's host name, or empty.
-        others: number of further such clients, as far as the server counts.
-    """
-
-    address: Name = ""
-    host: Name = ""
-    others: Count = 0
+    address: Name = ""  # the second client's, or empty once it no longer tries
+    host: Name = ""  # its machine's host name, or empty
+    others: Count = 0  # number of further such clients, as far as the server counts
 
 
 class Shutdown(ControlMessageBase, frozen=True):
-    """Either side: this link ends on purpose.
-
-    Attributes:
-        retry_after: s until the client may call again, or None if an operator has shut the link down.
-    """
+    """Either side: this link ends on purpose."""
 
     reason: Reason
     retry_after: Seconds | None = 0.0
+    """s until the client may call again, or None if an operator has shut the link down."""
 
 
 class ListTopics(ControlMessageBase, frozen=True):
@@ -362,14 +264,10 @@ class ListTopics(ControlMessageBase, frozen=True):
 
 
 class TopicList(ControlMessageBase, frozen=True):
-    """The answer to `ListTopics`.
-
-    Attributes:
-        topics: the entries (`rsb_bridge.wire.codec.pack_topics`).
-    """
+    """The answer to `ListTopics`."""
 
     request: Count
-    topics: Annotated[bytes, Meta(max_length=CONTROL_LIMIT)]
+    topics: Annotated[bytes, Meta(max_length=CONTROL_LIMIT)]  # the entries (`rsb_bridge.wire.codec.pack_topics`)
 
 
 class AskType(ControlMessageBase, frozen=True):
@@ -379,14 +277,11 @@ class AskType(ControlMessageBase, frozen=True):
 
 
 class TypeText(ControlMessageBase, frozen=True):
-    """The answer to `AskType`.
-
-    Attributes:
-        text: the descriptions (`rsb_bridge.cdr.description`), one a line, zstd-compressed, or empty if there are none.
-    """
+    """The answer to `AskType`."""
 
     route: RouteId
     text: DescriptionText = b""
+    """The descriptions (`rsb_bridge.cdr.description`), one a line, zstd-compressed, or empty if there are none."""
 
 
 class Amend(ControlMessageBase, frozen=True):
@@ -410,77 +305,53 @@ class Amend(ControlMessageBase, frozen=True):
 
 
 class Edit(ControlMessageBase, frozen=True, kw_only=True):
-    """The side that did not propose a route asks its proposer to change the entry. Answered by `EditAnswer`.
+    """The side that did not propose a route asks its proposer to change the entry. Answered by `EditAnswer`."""
 
-    Attributes:
-        number: of this question among its sender's.
-        route: the route's present or last opening.
-        seen: a proposal of the entry as the sender sees it.
-        wanted: the same with changes. What differs is changed, except `arm`, `deadman`, `on_end` and `limits`, which
-            each session demands for itself.
-        who: the operator who edits it, or empty if unknown.
-    """
-
-    number: Count
-    route: RouteId
-    seen: Propose
+    number: Count  # of this question among its sender's
+    route: RouteId  # the route's present or last opening
+    seen: Propose  # a proposal of the entry as the sender sees it
     wanted: Propose
-    who: Name = ""
+    """The same with changes. What differs is changed, except `arm`, `deadman`, `on_end` and `limits`, which each
+    session demands for itself."""
+    who: Name = ""  # the operator who edits it, or empty if unknown
 
 
 class EditAnswer(ControlMessageBase, frozen=True):
-    """The answer to `Edit`.
-
-    Attributes:
-        problem: the reason why the entry stays as it was, or empty if it was changed.
-    """
+    """The answer to `Edit`."""
 
     number: Count
-    problem: Reason = ""
+    problem: Reason = ""  # the reason why the entry stays as it was, or empty if it was changed
 
 
 class Limit(ControlMessageBase, frozen=True):
-    """Either side: a limit of its own on the route's rate, in addition to the proposer's.
-
-    Attributes:
-        max_rate: Hz, or 0 for no limit.
-    """
+    """Either side: a limit of its own on the route's rate, in addition to the proposer's."""
 
     route: RouteId
-    max_rate: Hertz = 0.0
+    max_rate: Hertz = 0.0  # Hz, or 0 for no limit
 
     def __post_init__(self) -> None:
         check_limits(self)
 
 
 class Pause(ControlMessageBase, frozen=True):
-    """Either side: the route pauses or resumes.
-
-    Attributes:
-        paused: whether it pauses; else it resumes.
-        revision: the change's number, above all numbers that its side had seen. The highest revision counts on both
-            sides, and of two equal ones the client's.
-        who: the operator who made the change, or empty if no longer known.
-    """
+    """Either side: the route pauses or resumes."""
 
     route: RouteId
-    paused: bool
+    paused: bool  # whether it pauses; else it resumes
     revision: Count
-    who: Name = ""
+    """The change's number, above all numbers that its side had seen. The highest revision counts on both sides, and of
+    two equal ones the client's."""
+    who: Name = ""  # the operator who made the change, or empty if no longer known
 
 
 class Arm(ControlMessageBase, frozen=True):
     """Either side: an operator arms the route, which the other side answers by `Armed`.
 
     Sent again, once a second at most, when that operator has pressed a key.
-
-    Attributes:
-        route: route id. Under one id a route is armed once.
-        who: the operator, in words.
     """
 
-    route: RouteId
-    who: Name = ""
+    route: RouteId  # route id. Under one id a route is armed once
+    who: Name = ""  # the operator, in words
 
 
 class Armed(ControlMessageBase, frozen=True):
@@ -490,51 +361,36 @@ class Armed(ControlMessageBase, frozen=True):
 
 
 class Disarm(ControlMessageBase, frozen=True):
-    """Either side: the route is not armed any more, or cannot be armed under this id. Its proposer opens it again.
-
-    Attributes:
-        cause: the reason's stable name.
-        who: the operator who disarmed it, or empty if no operator did.
-    """
+    """Either side: the route is not armed any more, or cannot be armed under this id. Its proposer opens it again."""
 
     route: RouteId
-    cause: Name
-    who: Name = ""
+    cause: Name  # the reason's stable name
+    who: Name = ""  # the operator who disarmed it, or empty if no operator did
 
 
 ArmingMessage: TypeAlias = Arm | Armed | Disarm
 
 
 class AskForArming(ControlMessageBase, frozen=True):
-    """Either side: an operator asks the holder, an operator of either side, for the arming of a route.
-
-    Attributes:
-        number: of this question among its sender's.
-        who: the operator who asks, in words.
-    """
+    """Either side: an operator asks the holder, an operator of either side, for the arming of a route."""
 
     route: RouteId
-    number: Count
-    who: Name = ""
+    number: Count  # of this question among its sender's
+    who: Name = ""  # the operator who asks, in words
 
 
 HowAsked: TypeAlias = Literal["kept", "given", "unanswered", "withdrawn"]
 
 
 class AskEnded(ControlMessageBase, frozen=True):
-    """Either side: a question for the arming of a route is over. The asker's side disarms it, then arms it.
-
-    Attributes:
-        number: of the question.
-        how: the holder keeps or gives it, as the holder's side says, or has not answered in time; or the operator who
-            asked is gone, as that one's side says.
-        own: whether an operator of the side that sends this had asked.
-    """
+    """Either side: a question for the arming of a route is over. The asker's side disarms it, then arms it."""
 
     route: RouteId
-    number: Count
+    number: Count  # of the question
     how: HowAsked
-    own: bool = False
+    """The holder keeps or gives it, as the holder's side says, or has not answered in time; or the operator who asked
+    is gone, as that one's side says."""
+    own: bool = False  # whether an operator of the side that sends this had asked
 
 
 HolderMessage: TypeAlias = AskForArming | AskEnded
@@ -561,42 +417,27 @@ _Counts: TypeAlias = Annotated[tuple[tuple[Count, Count], ...], Meta(max_length=
 
 
 class Receipts(ControlMessageBase, frozen=True, omit_defaults=True):
-    """Receipts for data streams, from either side. An entry for a stream that is over is ignored.
+    """Receipts for data streams, from either side. An entry for a stream that is over is ignored."""
 
-    Attributes:
-        received: numbers of streams with the bytes that the sender of the message has received on them.
-        every: numbers of streams with the bytes after which the sender of the message wants a receipt.
-        given_up: numbers of streams that are over at the sender of the message, as nothing gets through.
-    """
-
-    received: _Counts = ()
-    every: _Counts = ()
+    received: _Counts = ()  # numbers of streams with the bytes that the sender of the message has received on them
+    every: _Counts = ()  # numbers of streams with the bytes after which the sender of the message wants a receipt
     given_up: Annotated[tuple[Count, ...], Meta(max_length=MOST_RECEIPTS)] = ()
+    """Numbers of streams that are over at the sender of the message, as nothing gets through."""
 
 
 class NamePattern(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A pattern of wanted names.
+    """A pattern of wanted names."""
 
-    Attributes:
-        pattern: of names on the asked side (`rsb_bridge.model.patterns`); an invalid one matches nothing.
-        kind: the kind of the named entries; an unknown kind is a newer peer's, and ignored.
-    """
-
-    pattern: Name
-    kind: Name = "topic"
+    pattern: Name  # of names on the asked side (`rsb_bridge.model.patterns`); an invalid one matches nothing
+    kind: Name = "topic"  # the kind of the named entries; an unknown kind is a newer peer's, and ignored
 
 
 class FoundName(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A name that matches.
-
-    Attributes:
-        type: empty where its endpoints disagree, or it has none.
-        kind: what it is; another one is a newer peer's.
-    """
+    """A name that matches."""
 
     name: Name
-    type: Name = ""
-    kind: Name = "topic"
+    type: Name = ""  # empty where its endpoints disagree, or it has none
+    kind: Name = "topic"  # what it is; another one is a newer peer's
 
 
 Patterns: TypeAlias = Annotated[tuple[NamePattern, ...], Meta(max_length=PATTERNS_PER_LINK)]
@@ -604,41 +445,26 @@ Names: TypeAlias = Annotated[tuple[FoundName, ...], Meta(max_length=NAMES_FOLLOW
 
 
 class Follow(ControlMessageBase, frozen=True):
-    """Either side asks for reports of matching names in the peer's graph, from now on. Replaces an earlier `Follow`.
-
-    Attributes:
-        patterns: the wanted names; without any, reports end.
-    """
+    """Either side asks for reports of matching names in the peer's graph, from now on. Replaces an earlier `Follow`."""
 
     request: Count
-    patterns: Patterns = ()
+    patterns: Patterns = ()  # the wanted names; without any, reports end
 
 
 class Followed(ControlMessageBase, frozen=True):
-    """Changes since the last answer to a `Follow`; the first answer has all matches, and may have none.
+    """Changes since the last answer to a `Follow`; the first answer has all matches, and may have none."""
 
-    Attributes:
-        request: the `Follow`'s.
-        present: new matches, and matches of another type than before.
-        more: number of further matches that the message leaves out.
-    """
-
-    request: Count
-    present: Names = ()
+    request: Count  # the `Follow`'s
+    present: Names = ()  # new matches, and matches of another type than before
     gone: Names = ()
-    more: Count = 0
+    more: Count = 0  # number of further matches that the message leaves out
 
 
 class Lease(ControlMessageBase, frozen=True):
-    """A number from either side, sent several times a second while a route is armed or an operator asks for that.
+    """A number from either side, sent several times a second while a route is armed or an operator asks for that."""
 
-    Attributes:
-        number: of this message among its sender's, counting up.
-        echo: the newest number that its sender has heard from the other side, or 0 before the first.
-    """
-
-    number: LeaseNumber
-    echo: LeaseNumber = 0
+    number: LeaseNumber  # of this message among its sender's, counting up
+    echo: LeaseNumber = 0  # the newest number that its sender has heard from the other side, or 0 before the first
 
 
 class Settled(ControlMessageBase, frozen=True):

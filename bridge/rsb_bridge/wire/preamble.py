@@ -103,38 +103,24 @@ def key_of(keys: tuple[bytes, ...], offered: bytes, name: str, there: str, here:
 
 
 class ControlPreamble(NamedTuple):
-    """A client's request for a control connection.
-
-    Attributes:
-        fingerprint: of its key, unproven: 8 bytes, or zeros for no key.
-        header: the frame up to the handshake message: the handshake's prologue.
-        message: the first handshake message.
-    """
+    """A client's request for a control connection."""
 
     suite: CipherSuite
     name: str
-    fingerprint: bytes
-    header: bytes
-    message: bytes
+    fingerprint: bytes  # of its key, unproven: 8 bytes, or zeros for no key
+    header: bytes  # the frame up to the handshake message: the handshake's prologue
+    message: bytes  # the first handshake message
 
 
 class OperatorPreamble(NamedTuple):
-    """A console's request for a connection.
+    """A console's request for a connection."""
 
-    Attributes:
-        version: of the control protocol that the console speaks.
-        engine: the engine that is meant.
-        fingerprint: of the operator's key, as the console says: 8 bytes.
-        header: the frame up to the handshake message: the handshake's prologue.
-        message: the first handshake message.
-    """
-
-    version: int
+    version: int  # of the control protocol that the console speaks
     operator: str
-    engine: str
-    fingerprint: bytes
-    header: bytes
-    message: bytes
+    engine: str  # the engine that is meant
+    fingerprint: bytes  # of the operator's key, as the console says: 8 bytes
+    header: bytes  # the frame up to the handshake message: the handshake's prologue
+    message: bytes  # the first handshake message
 
 
 def take_frame(stream: bytearray) -> bytes | None:

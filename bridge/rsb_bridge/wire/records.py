@@ -56,66 +56,41 @@ RefuseCode = Literal["type_differs", "denied", "port_taken", "listed_too", "list
 
 
 class Source(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The messages of a route that crossed the same bridges; the receiving side publishes them apart from others.
-
-    Attributes:
-        via: the bridges that they have crossed when they arrive, the first one first, the sending side last. Of each,
-            its node's name and the topic that it took them from: ``_rsb_robot1_1a2b3c4d/scan``.
-        live: False: for now none of its messages will come.
-    """
+    """The messages of a route that crossed the same bridges; the receiving side publishes them apart from others."""
 
     via: Hops
-    live: bool = True
+    """The bridges that they have crossed when they arrive, the first one first, the sending side last. Of each, its
+    node's name and the topic that it took them from: ``_rsb_robot1_1a2b3c4d/scan``."""
+    live: bool = True  # False: for now none of its messages will come
 
 
 class VerdictRecord(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A side's verdict on a route that is not simply fine (`rsb_bridge.model.verdict.Verdict`).
+    """A side's verdict on a route that is not simply fine (`rsb_bridge.model.verdict.Verdict`)."""
 
-    Attributes:
-        state: one of `rsb_bridge.model.snapshot.State`; another one is a newer peer's.
-        cause: one of `rsb_bridge.model.verdict.Cause` or a newer peer's, or empty.
-        text: for an operator, with the remedy; ``{lasting}`` is a placeholder for its duration.
-        lasting: its duration so far, s. It is sent with other news only: the receiver counts on.
-    """
-
-    state: Name
-    cause: Name = ""
-    text: Reason = ""
-    lasting: float = 0.0
+    state: Name  # one of `rsb_bridge.model.snapshot.State`; another one is a newer peer's
+    cause: Name = ""  # one of `rsb_bridge.model.verdict.Cause` or a newer peer's, or empty
+    text: Reason = ""  # for an operator, with the remedy; ``{lasting}`` is a placeholder for its duration
+    lasting: float = 0.0  # its duration so far, s. It is sent with other news only: the receiver counts on
 
 
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The sending side's ledger of a route: offered = delivered + throttled + expired + dropped + unknown + in flight.
-
-    Attributes:
-        offered: messages taken from ROS since the route was made, as for all counts here.
-        delivered: published by the receiver, according to its last report.
-        throttled: left out because of `Propose.max_rate`.
-        expired: datagram messages that the receiver gave up incomplete.
-        dropped: by cause.
-        unknown: sent to a process that ended before it reported whether they arrived.
-        lost_in_dds: lost before the bridge could take them.
-        missed_while_down: published while the route was down, estimated; not part of `offered`.
-        publisher_qos: their combined offer, or None without publishers.
-        subscribed: whether the sender takes messages from ROS.
-        nodes: some of the nodes that publish the topic.
-    """
+    """The sender's ledger of a route: offered = delivered + throttled + expired + dropped + unknown + in flight."""
 
     route: RouteId
-    offered: int = 0
-    delivered: int = 0
-    throttled: int = 0
-    expired: int = 0
+    offered: int = 0  # messages taken from ROS since the route was made, as for all counts here
+    delivered: int = 0  # published by the receiver, according to its last report
+    throttled: int = 0  # left out because of `Propose.max_rate`
+    expired: int = 0  # datagram messages that the receiver gave up incomplete
     in_flight: int = 0
-    dropped: Causes = {}  # msgspec makes a new one for each message
-    unknown: int = 0
-    lost_in_dds: int = 0
-    missed_while_down: int = 0
+    dropped: Causes = {}  # by cause; msgspec makes a new one for each message
+    unknown: int = 0  # sent to a process that ended before it reported whether they arrived
+    lost_in_dds: int = 0  # lost before the bridge could take them
+    missed_while_down: int = 0  # published while the route was down, estimated; not part of `offered`
     publishers: int = 0
-    publisher_qos: Qos | None = None
-    subscribed: bool = False
+    publisher_qos: Qos | None = None  # their combined offer, or None without publishers
+    subscribed: bool = False  # whether the sender takes messages from ROS
     verdict: VerdictRecord | None = None
-    nodes: NodeNames = ()
+    nodes: NodeNames = ()  # some of the nodes that publish the topic
 
     def __post_init__(self) -> None:
         check_qos(self.publisher_qos)
@@ -133,137 +108,85 @@ DeafNodes: TypeAlias = Annotated[tuple[DeafRecord, ...], Meta(max_length=16)]
 
 
 class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The receiving side's counts of one incarnation of a route.
+    """The receiving side's counts of one incarnation of a route."""
 
-    Attributes:
-        route: route id, which names the incarnation.
-        received: whole messages that arrived.
-        expired: datagram messages given up incomplete.
-        incomplete: datagram messages that wait for fragments.
-        newest: the highest message number seen on datagrams; on streams, the messages that came or were lost.
-        subscribers: subscriptions that DDS has matched.
-        subscriber_qos: the combined request of all subscriptions, or None without any.
-        type: the topic's type in the receiver's graph; once the sender has described one, of the subscriptions there.
-        latency: s, one way, of the last second's messages, corrected by the clock offset, or None without a figure.
-        latency_p50: s, one way, of the last messages, or None without a figure.
-        latency_p99: s, one way, of the last messages, or None without a figure.
-        jitter: s (RFC 3550, 6.4.1), or None without a figure.
-        nodes: some of the nodes that hear the topic.
-        deaf: some of the other subscriptions.
-        came_before: whether messages came in an earlier incarnation, and none in this one.
-        malformed: the field of the last malformed message, and what is wrong with it, or empty.
-        velocity: that this side has published last on an armed topic: forward in m/s, and turn in rad/s; None if it is
-            unknown.
-    """
-
-    route: RouteId
-    received: int = 0
+    route: RouteId  # route id, which names the incarnation
+    received: int = 0  # whole messages that arrived
     delivered: int = 0
-    expired: int = 0
-    incomplete: int = 0
-    newest: int = 0
+    expired: int = 0  # datagram messages given up incomplete
+    incomplete: int = 0  # datagram messages that wait for fragments
+    newest: int = 0  # the highest message number seen on datagrams; on streams, the messages that came or were lost
     dropped: Causes = {}
-    subscribers: int = 0
-    subscriber_qos: Qos | None = None
+    subscribers: int = 0  # subscriptions that DDS has matched
+    subscriber_qos: Qos | None = None  # the combined request of all subscriptions, or None without any
     type: Name = ""
+    """The topic's type in the receiver's graph; once the sender has described one, of the subscriptions there."""
     type_hash: Name = ""
     latency: float | None = None
-    latency_p50: float | None = None
-    latency_p99: float | None = None
-    jitter: float | None = None
+    """s, one way, of the last second's messages, corrected by the clock offset, or None without a figure."""
+    latency_p50: float | None = None  # s, one way, of the last messages, or None without a figure
+    latency_p99: float | None = None  # s, one way, of the last messages, or None without a figure
+    jitter: float | None = None  # s (RFC 3550, 6.4.1), or None without a figure
     verdict: VerdictRecord | None = None
-    nodes: NodeNames = ()
-    deaf: DeafNodes = ()
-    came_before: bool = False
-    malformed: Reason = ""
+    nodes: NodeNames = ()  # some of the nodes that hear the topic
+    deaf: DeafNodes = ()  # some of the other subscriptions
+    came_before: bool = False  # whether messages came in an earlier incarnation, and none in this one
+    malformed: Reason = ""  # the field of the last malformed message, and what is wrong with it, or empty
     velocity: tuple[float, float] | None = None
+    """The velocity that this side has published last on an armed topic: forward in m/s, and turn in rad/s, or None."""
 
     def __post_init__(self) -> None:
         check_qos(self.subscriber_qos)
 
 
 class FullRecord(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Rates of a full link in the direction of the report (`rsb_bridge.model.capacity.Fullness`).
+    """Rates of a full link in the direction of the report (`rsb_bridge.model.capacity.Fullness`)."""
 
-    Attributes:
-        carried: bytes/s that arrive.
-        asked: bytes/s that the sender's topics ask for, or 0 if the link is no longer full.
-        topics: names on the receiving side of the topics that ask for the most.
-    """
-
-    carried: float = 0.0
-    asked: float = 0.0
-    topics: NodeNames = ()
+    carried: float = 0.0  # bytes/s that arrive
+    asked: float = 0.0  # bytes/s that the sender's topics ask for, or 0 if the link is no longer full
+    topics: NodeNames = ()  # names on the receiving side of the topics that ask for the most
 
 
 class PathRecord(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Loss of packets in the direction of the report (`rsb_bridge.link.path_watch`).
+    """Loss of packets in the direction of the report (`rsb_bridge.link.path_watch`)."""
 
-    Attributes:
-        lost: share of the packets, 0 to 1, or None without a figure.
-        lossy: the same, rounded, if it is a fault, else 0.
-        large: whether large packets are lost while small ones arrive.
-    """
-
-    lost: Share | None = None
-    lossy: Share = 0.0
-    large: bool = False
+    lost: Share | None = None  # share of the packets, 0 to 1, or None without a figure
+    lossy: Share = 0.0  # the same, rounded, if it is a fault, else 0
+    large: bool = False  # whether large packets are lost while small ones arrive
 
 
 class LaneEntry(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One of the services or topics that a route of calls consists of.
+    """One of the services or topics that a route of calls consists of."""
 
-    Attributes:
-        type: ``pkg/srv/Name``, of a service that belongs to an action ``pkg/action/Name_SendGoal``, or a message's.
-        type_hash: ``RIHS01_...``; of a service, its own, which covers request and response; may be empty.
-        providers: number of nodes that serve or publish it.
-    """
-
-    type: Name
-    type_hash: Name = ""
-    providers: Count = 0
+    type: Name  # ``pkg/srv/Name``, of a service that belongs to an action ``pkg/action/Name_SendGoal``, or a message's
+    type_hash: Name = ""  # ``RIHS01_...``; of a service, its own, which covers request and response; may be empty
+    providers: Count = 0  # number of nodes that serve or publish it
 
 
 class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A side's report of a route of calls.
-
-    Attributes:
-        given: of the providing side, the number of the newest call of this opening that it gave to DDS, with all before
-            it, or 0 for none.
-        waiting: of the providing side, calls that wait until their node has read earlier ones.
-        offered: whether the callers' side offers it.
-        nodes: some of the calling or providing nodes.
-        malformed_type: of the last malformed request, response or message, or empty.
-        malformed: its field, and what is wrong with it, or empty.
-    """
+    """A side's report of a route of calls."""
 
     route: RouteId
     given: int = 0
-    waiting: int = 0
-    offered: bool = False
+    """The number of the newest call of this opening that the providing side gave to DDS, with all before it, or 0."""
+    waiting: int = 0  # of the providing side, calls that wait until their node has read earlier ones
+    offered: bool = False  # whether the callers' side offers it
     verdict: VerdictRecord | None = None
-    nodes: NodeNames = ()
-    malformed_type: Name = ""
-    malformed: Reason = ""
+    nodes: NodeNames = ()  # some of the calling or providing nodes
+    malformed_type: Name = ""  # of the last malformed request, response or message, or empty
+    malformed: Reason = ""  # its field, and what is wrong with it, or empty
 
 
 class TopicEntry(msgspec.Struct, frozen=True):
-    """An entry of a side's graph: a topic, or an entry of another requested kind.
-
-    Attributes:
-        type: empty if its endpoints disagree.
-        type_hash: or empty.
-        qos: the publishers' offer, or None without publishers.
-        kind: its kind; an unknown kind is a newer peer's.
-    """
+    """An entry of a side's graph: a topic, or an entry of another requested kind."""
 
     topic: Name
-    type: Name
-    type_hash: Name
-    qos: Qos | None
+    type: Name  # empty if its endpoints disagree
+    type_hash: Name  # or empty
+    qos: Qos | None  # the publishers' offer, or None without publishers
     publishers: Count
     subscriptions: Count
-    kind: Name = "topic"
+    kind: Name = "topic"  # its kind; an unknown kind is a newer peer's
 
     def __post_init__(self) -> None:
         check_qos(self.qos)

@@ -47,17 +47,11 @@ _MOST_REPLAYS = 512
 
 
 class HandshakeKeys(NamedTuple):
-    """The keys that a handshake gives; all None without encryption.
+    """The keys that a handshake gives; all None without encryption."""
 
-    Attributes:
-        client: 32 bytes; seals the control frames from client to server.
-        server: 32 bytes; seals those from server to client.
-        export: 32 bytes; data keys are derived from it.
-    """
-
-    client: bytes | None
-    server: bytes | None
-    export: bytes | None
+    client: bytes | None  # 32 bytes; seals the control frames from client to server
+    server: bytes | None  # 32 bytes; seals those from server to client
+    export: bytes | None  # 32 bytes; data keys are derived from it
 
 
 class PlainHandshake:
@@ -197,15 +191,10 @@ class ReplayCache:
 
 
 class Credential(NamedTuple):
-    """The proof that a client or an operator of a certain name owes.
+    """The proof that a client or an operator of a certain name owes."""
 
-    Attributes:
-        keys: 32 bytes each, of which it must have one, or empty without encryption.
-        replays: remembers its first messages under all keys.
-    """
-
-    keys: tuple[bytes, ...]
-    replays: ReplayCache
+    keys: tuple[bytes, ...]  # 32 bytes each, of which it must have one, or empty without encryption
+    replays: ReplayCache  # remembers its first messages under all keys
 
 
 class SealedStream(PreambleStream):

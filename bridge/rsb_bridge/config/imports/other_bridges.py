@@ -21,38 +21,25 @@ class OtherBridge(Enum):
 
 
 class Choices(NamedTuple):
-    """The caller's choices, which come before the file's.
+    """The caller's choices, which come before the file's."""
 
-    Attributes:
-        name: of the bridge, or None for the file's, if it has one.
-        role: or None for the file's.
-        server_port: or None for the file's. Text that is no number is a problem like any other.
-        key_file: the key's path, relative to the session's future file.
-        use_name: prefix the client's topics on the server.
-        domain_id: None: the file's, or `$ROS_DOMAIN_ID`. Text as for `server_port`.
-    """
-
-    name: str | None = None
-    role: Role | None = None
-    server_port: int | str | None = None
-    key_file: str | None = None
-    use_name: bool = False
+    name: str | None = None  # of the bridge, or None for the file's, if it has one
+    role: Role | None = None  # or None for the file's
+    server_port: int | str | None = None  # or None for the file's. Text that is no number is a problem like any other
+    key_file: str | None = None  # the key's path, relative to the session's future file
+    use_name: bool = False  # prefix the client's topics on the server
     use_encryption: bool = True
-    domain_id: int | str | None = None
+    domain_id: int | str | None = None  # None: the file's, or `$ROS_DOMAIN_ID`. Text as for `server_port`
 
 
 class Imported(NamedTuple):
-    """The sessions of a file.
-
-    Attributes:
-        sessions: by the name of their file without ``.yaml``. A file of one session has none to propose: it is empty.
-        notes: what differs from the other bridge, or could not be carried over, one line each.
-        new_keys: key files that the sessions name and that do not exist yet, relative to the sessions' folder.
-    """
+    """The sessions of a file."""
 
     sessions: dict[str, Session]
-    notes: list[str]
+    """By the name of their file without ``.yaml``. A file of one session has none to propose: it is empty."""
+    notes: list[str]  # what differs from the other bridge, or could not be carried over, one line each
     new_keys: tuple[str, ...] = ()
+    """Key files that the sessions name and that do not exist yet, relative to the sessions' folder."""
 
 
 def origin_of(data: object) -> OtherBridge | None:
