@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.by_hand import Draft, Held, Published
     from rsb_bridge.model.commands import Command, R
-    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, State, TopicInfo
 
@@ -212,9 +211,6 @@ class EngineApi(ABC):
 
     def call(self, key: str, request: str, lane: str = "") -> Future[str]:
         return self.do(commands.Call(key, request, lane))
-
-    def history(self, seconds: float) -> Future[HistoryReport]:
-        return self.do(commands.History(seconds))
 
     def stop_bridge(self) -> Future[None]:
         return self.do(commands.Stop())

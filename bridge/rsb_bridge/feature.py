@@ -27,9 +27,9 @@ BRINGS: Mapping[str, str] = {
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
 }
 """Keys of session files, and the feature of this project that brings each: an installation without it says so."""
-BRINGS_COMMANDS: Mapping[str, str] = {"bench": "bench", "doctor": "doctor", "look": "pictures"}
+BRINGS_COMMANDS: Mapping[str, str] = {"bench": "bench", "doctor": "doctor", "look": "pictures", "report": "history"}
 """The same of subcommands."""
-BRINGS_ACTIONS: Mapping[str, str] = {"drive": "driving", "look": "pictures"}
+BRINGS_ACTIONS: Mapping[str, str] = {"drive": "driving", "history": "history", "look": "pictures"}
 """The same of actions of the console, by their ids in ``keys.yaml``."""
 
 T = TypeVar("T")
@@ -175,6 +175,25 @@ class Feature:
 
         Returns:
             `rsb_bridge.engine.part.EnginePart`s.
+        """
+        return ()
+
+    def observers(self, engine: Any) -> Iterable[Any]:
+        """Return what watches an engine from outside, also one whose bridge hangs or has ended.
+
+        Args:
+            engine: the `rsb_bridge.engine.engine.Engine`.
+
+        Returns:
+            `rsb_bridge.engine.part.EngineObserver`s.
+        """
+        return ()
+
+    def kept_logs(self, name: str) -> Iterable[Iterable[Any]]:
+        """Return what bridges of a session's name have logged on this machine, as far as this user may read it.
+
+        Returns:
+            A log for each bridge: `rsb_bridge.model.snapshot.Event`s, in their order.
         """
         return ()
 

@@ -162,8 +162,6 @@ _OF_CORE: tuple[Action, ...] = (
     Action("reload", "f6", "reload", "Read the session file again, and change what differs",
            Group.OPERATE, changes=True),
     Action("links", "c", "links", "Show the links; a server has one per robot", Group.SESSION, in_footer=True),
-    Action("history", "h", "history", "Show the last hours: outages, and what operators did",
-           Group.SESSION, in_footer=True),
     Action("bluetooth", "b", "bluetooth", "Find Bluetooth adapters, devices and free channels",
            Group.SESSION, in_footer=True),
     Action("keys", "K", "keys", "Show the key files, or make a key", Group.SESSION, in_footer=True),

@@ -206,8 +206,8 @@ class ConsoleApp(TerminalApp[None]):
         self.pull()
 
     def _new_engine(self, session: Session, base: Path) -> EngineApi:
+        from rsb_bridge.config.state_folder import state_folder  # noqa: PLC0415 -- keeps the start short
         from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
-        from rsb_bridge.history.state_folder import state_folder  # noqa: PLC0415 -- keeps the start short
 
         return Engine(session, base=base, state=None if self.temporary else state_folder(os.environ))
 

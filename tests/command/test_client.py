@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias, get_args
 import pytest
 from msgspec.structs import replace
 from tests.console.scripted import LINK, ScriptedEngine
-from tests.support import surroundings
+from tests.support import replaced, surroundings
 from tests.support.wording import says
 
 from rsb_bridge.config.decoding import ValueMistake
@@ -20,8 +20,7 @@ from rsb_bridge.config.keys import KeyFileProblem, fingerprint, read_key, write_
 from rsb_bridge.config.session_changes import ClientProblem
 from rsb_bridge.config.session_file import SavingProblem, dump, load, parse, save
 from rsb_bridge.config.validation import SessionMistake
-from rsb_bridge.history.history_files import EventFile
-from rsb_bridge.history.state_folder import state_folder
+from rsb_bridge.feature import Feature
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, May, Session, Topic, ZenohSettings
 from rsb_bridge.model.snapshot import Event, Level, State
@@ -256,26 +255,32 @@ def test_a_finish_asks_if_the_client_may_not_have_the_new_key(
         assert run("rekey", str(path), "robot1", "--finish", "--json").code == 2
 
 
+class _Logs(Feature):
+    name = "logs"
+
+    def __init__(self, events: list[Event]) -> None:
+        self.events = events
+
+    def kept_logs(self, name: str) -> list[list[Event]]:
+        return [self.events if name == "pc" else [], []]
+
+
 @pytest.mark.parametrize(("used", "code"), [(("old", "next"), 0), (("next", "old"), 2), (("next of robot2",), 2)])
 def test_a_finish_knows_from_the_servers_log_which_key_was_used_last(
-    path: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, used: tuple[str, ...], code: int
+    path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, used: tuple[str, ...], code: int
 ) -> None:
     run("rekey", str(path), "robot1", "--keep-old")
     marks = {
         name: fingerprint(read_key(path.with_name(f"robot1{end}.key")))
         for name, end in (("old", ""), ("next", "-next"))
     }
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    folder = state_folder({"XDG_STATE_HOME": str(tmp_path / "state")})
-    folder.mkdir(parents=True)
-    log = EventFile(folder / "pc.jsonl")
+    events = []
     for number, key in enumerate(used):
         which, _, of = key.partition(" of ")
-        event = Event(
-            number + 1, 1e9 - number, Level.INFO, EventCode.KEY_USED, "linked", of or "robot1", new=marks[which]
-        )  # the clock is set back in between
-        log.write([event])
-    log.close()
+        link, new = of or "robot1", marks[which]
+        # The clock is set back in between.
+        events.append(Event(number + 1, 1e9 - number, Level.INFO, EventCode.KEY_USED, "linked", link, new=new))
+    replaced.FEATURES_OF_CLIENT_COMMAND.set(monkeypatch, lambda: (_Logs(events),))
     ran = run("rekey", str(path), "robot1", "--finish", "--json")
     assert (ran.code, path.read_text() == TEXT) == (code, code == 0)
     assert says(ran.err, ClientEffect.USED, name="robot1", when=clock(1e9 - 1)) is (code == 0)

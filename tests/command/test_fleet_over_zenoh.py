@@ -124,9 +124,3 @@ def test_a_robot_that_is_not_reached_is_not_done(fleet: Fleet, anna: Run) -> Non
     assert edited.code == 1
     assert edited.json["ok"] is False
     assert [name for name, *_ in fleet.engines["robot2"].commands] == []
-
-
-def test_a_report_is_of_the_robot_and_of_no_file_here(fleet: Fleet, anna: Run) -> None:
-    fleet.add("robot1")
-    assert anna("report", "robot1", "--json").code == 0
-    assert [name for name, *_ in fleet.engines["robot1"].commands] == ["history"]

@@ -16,12 +16,10 @@ from tests.console.scripted import ROUTES, route
 
 from rsb_bridge.config.files import new_file, replace_file, write_whole
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.history.history_files import EventFile
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import is_clean
-from rsb_console.session.history_report import export_history, export_log, export_topics
+from rsb_console.session.exports import export_log, export_topics
 from rsb_console.terminal.driver import terminal_to_itself
 
 EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r"
@@ -112,12 +110,9 @@ def test_exports_are_the_owners_and_clean(tmp_path: Path, monkeypatch: pytest.Mo
     event = Event(1, 1_700_000_000.0, Level.INFO, EventCode.LINK_UP, EVIL, link=EVIL, topic=EVIL, who=EVIL)
     export_log([event])
     export_topics([replace(route(f"/{EVIL}", outgoing=True), reason=EVIL, type_name=f"={EVIL}"), *ROUTES])
-    export_history(
-        HistoryReport(name=EVIL, role="client", time=1_700_000_100.0, span=100.0, running=True, actions=(event,))
-    )
     write_whole(folder / "plot.svg", f"<svg>{EVIL}</svg>")
     paths = list(folder.iterdir())
-    assert len(paths) == 5
+    assert len(paths) == 3
     for path in paths:
         assert mode(path) == 0o600
         text = path.read_bytes().decode()
@@ -129,12 +124,8 @@ def test_exports_are_the_owners_and_clean(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_files_of_before_are_closed_to_others(tmp_path: Path) -> None:
-    for name in ("a.events.jsonl", "output.txt"):
-        (tmp_path / name).write_text("")
-        (tmp_path / name).chmod(0o666)
-    file = EventFile(tmp_path / "a.events.jsonl")
-    file.write([Event(1, 1_700_000_000.0, Level.INFO, EventCode.LINK_UP, EVIL)])
-    file.close()
+    (tmp_path / "output.txt").write_text("")
+    (tmp_path / "output.txt").chmod(0o666)
     with terminal_to_itself(tmp_path / "output.txt"):
         pass
     assert {mode(path) for path in tmp_path.iterdir()} == {0o600}

@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -13,7 +15,6 @@ from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import Held
 from rsb_bridge.model.calls import LANES, CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.commands import Command, R
-from rsb_bridge.model.history import HistoryReport, Outage, Track
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind, Session, Topic
 from rsb_bridge.model.snapshot import (
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import PeekedMessage
 
 T = TypeVar("T")
+_ROOT = Path(__file__).parents[2]
 NOW = 1_800_000_000.0
 STAGES = (
     "publisher seen", "type known", "QoS compatible", "subscribed", "link up", "peer accepted", "sent", "received",
@@ -149,27 +151,6 @@ EVENTS = (
 FAULTY = ["/robot2/scan", "/robot1/map"]
 """Of these, the worst first."""
 
-
-REMEMBERED = HistoryReport(
-    "robot1", "client", NOW, 3600.0, True,
-    (
-        Track("robot1", "", False, 3370.0, 230.0, 1, (4e5,) * 40 + (None,) * 4 + (4e5,) * 4),
-        Track("robot1", "/robot1/map", False, 3100.0, 500.0, 2, (1.0,) * 48),
-        Track("robot1", "/robot1/scan", False, 3370.0, 230.0, 1, (10.0,) * 48),
-    ),
-    (
-        Outage(NOW - 3000, 230.0, "robot1", "", False, "down", "the server does not answer"),
-        Outage(NOW - 2999, 232.0, "robot1", "/robot1/map", False, "down", "no link", with_link=True),
-        Outage(NOW - 2999, 232.0, "robot1", "/robot1/scan", False, "down", "no link", with_link=True),
-        Outage(NOW - 268, 268.0, "robot1", "/robot1/map", False, "stale", "=nothing for 15 s", ongoing=True),
-    ),
-    (
-        Event(0, NOW - 1200, Level.INFO, "route.paused", "/robot1/odom: paused", "robot1", "/robot1/odom", "anna"),
-        Event(0, NOW - 600, Level.INFO, "topic.edited", "/robot1/scan: edited", "robot1", "/robot1/scan", "anna",
-              "max_rate: 5", "max_rate: 2"),
-    ),
-)  # fmt: skip
-
 CALL_STAGES = (
     "server seen", "type known", "link up", "peer accepted", "offered", "called", "answered",
 )  # fmt: skip
@@ -231,7 +212,6 @@ class ScriptedEngine(EngineApi):
         self.now = Snapshot(NOW, session.name, session.role, "10.0.0.20:49152", 3, True, (LINK,), routes, len(EVENTS))
         self.happened = list(EVENTS)
         self.in_file = SessionInFile()
-        self.remembered = REMEMBERED
         self.commands: list[tuple[object, ...]] = []
         self.given: list[Command[Any]] = []  # the same as they came, without signs of life
         self.kept: list[bool] = []
@@ -311,8 +291,6 @@ class ScriptedEngine(EngineApi):
                         step(words)
             case commands.Reload(dry_run, drop_arm):
                 return self._done(self.reloads, "reload", dry_run, *["drop_arm"] * drop_arm)
-            case commands.History(seconds):
-                return self._done(replace(self.remembered, span=seconds), "history", seconds)
             case commands.Topics(link):
                 return self._done((SUGGESTION,), "topics", link)
             case commands.Peek(key, kept):
@@ -348,7 +326,18 @@ class ScriptedEngine(EngineApi):
             case commands.Stop():
                 return self._done(None, "told to stop")
         name = str(command.__struct_config__.tag).replace("_", " ")
-        return self._done(None, name, *(getattr(command, field) for field in command.__struct_fields__))
+        result = answers().get(type(command), lambda _: None)(command)
+        if isinstance(result, Future):
+            return result
+        return self._done(result, name, *(getattr(command, field) for field in command.__struct_fields__))
+
+
+@cache
+def answers() -> dict[type[Command[Any]], Callable[[Any], object]]:
+    """Return the answers of features' commands, or futures of these, which their tests have in `scripted_answers`."""
+    files = sorted(_ROOT.glob("extras/rsb_extras/*/tests/scripted_answers.py"))
+    modules = [import_module(f"rsb_extras.{path.parts[-3]}.tests.scripted_answers") for path in files]
+    return {kind: answer for module in modules for kind, answer in module.ANSWERS.items()}
 
 
 def answered(result: T) -> Future[T]:

@@ -36,7 +36,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import EmptyTable
-from rsb_console.session.history_report import export_topics
+from rsb_console.session.exports import export_topics
 
 if TYPE_CHECKING:
     from rsb_bridge.control.control_server import ControlServer

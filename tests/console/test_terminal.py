@@ -23,7 +23,6 @@ from tests.support.long import long
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import load
-from rsb_bridge.history.state_folder import EVENTS
 from rsb_bridge.model.session import Topic
 from rsb_console.command.shell import prefers_ascii
 
@@ -181,7 +180,7 @@ def test_stopped_and_continued_it_draws_again_and_leaves_nothing_behind(pair: Pa
     with console(pair, XDG_STATE_HOME=str(state)) as terminal:
         terminal.wait_for("retry")
         deadline = time.monotonic() + 60
-        while not [*state.rglob(f"*{EVENTS}")]:  # the engine's last thread opens it
+        while not [*state.rglob("*.jsonl")]:  # the engine's last thread opens it
             assert time.monotonic() < deadline, "no file of events"
             terminal.read(0.05)
         threads = terminal.threads

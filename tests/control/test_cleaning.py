@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import msgspec
 import pytest
-from tests.console.scripted import CALL_ROUTES, EVENTS, LINK, REMEMBERED, ROUTES, SESSION
+from tests.console.scripted import CALL_ROUTES, EVENTS, LINK, ROUTES, SESSION
 from tests.support import constants
 from tests.support.operators import BOB, Reachable, Stranger
 from tests.support.waiting import eventually
@@ -113,7 +113,7 @@ def test_every_text_and_figure_of_every_message_is_cleaned(kind: type, figure: f
 
 
 @pytest.mark.parametrize(
-    "value", [ROUTES, CALL_ROUTES, LINK, SESSION, REMEMBERED, EVENTS, BRIDGE], ids=lambda value: type(value).__name__
+    "value", [ROUTES, CALL_ROUTES, LINK, SESSION, EVENTS, BRIDGE], ids=lambda value: type(value).__name__
 )
 def test_what_an_honest_engine_says_is_as_it_was(value: object) -> None:
     assert clean(value) == value
@@ -207,7 +207,7 @@ def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(reachab
 
 
 def test_an_answer_of_another_kind_is_no_answer(reachable: Reachable) -> None:
-    reachable.engine.described = REMEMBERED  # what only a rogue sends
+    reachable.engine.described = LINK  # what only a rogue sends
     remote = reachable.attach()
     with pytest.raises(EngineError):
         remote.describe("/robot1/scan").result(60)

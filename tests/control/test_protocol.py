@@ -36,7 +36,6 @@ COMMANDS: tuple[AnyCommand, ...] = (
     commands.DraftMessage("/t", "T"),
     commands.DescribeType("k"),
     commands.Template("k", "send_goal"),
-    commands.History(60.0),
 )
 
 

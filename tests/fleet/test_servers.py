@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.console.scripted import NOW, REMEMBERED
+from tests.console.scripted import NOW
 from tests.support.fleet import ServerEngine
 from tests.support.waiting import eventually
 
@@ -75,19 +75,6 @@ def test_an_opened_robot_is_all_there_is(robot2: RobotEngine, engine: ServerEngi
     assert [event.link for event in robot2.events()] == ["robot2", ""]
     assert [event.link for event in robot2.wait_for_events(0, 1.0)] == ["robot2", ""]
     assert [event.link for event in robot2.remembered_events(1.0)][-2:] == ["robot2", ""]
-
-
-def test_the_history_of_an_opened_robot(fleet: ServerFleet, robot2: RobotEngine) -> None:
-    nothing = robot2.history(3600.0).result(30)
-    assert (nothing.tracks, nothing.outages, nothing.actions) == ((), (), ())
-    robot1 = fleet.open("robot1", read_only=True)
-    try:
-        whole = robot1.history(3600.0).result(30)
-    finally:
-        robot1.stop()
-    assert (whole.tracks, whole.outages, whole.actions) == (REMEMBERED.tracks, REMEMBERED.outages, REMEMBERED.actions)
-    with pytest.raises(EngineError):
-        robot1.history(3600.0).result(30)  # it is detached
 
 
 def test_what_is_added_is_added_to_the_opened_robot(robot2: RobotEngine, engine: ServerEngine) -> None:

@@ -17,10 +17,8 @@ if TYPE_CHECKING:
     import pytest
 
 COMPUTING = {"simulation": "simulation", "checks": "checks"} | dict.fromkeys(
-    ("cdr", "channel", "config", "fleet", "fuzz", "history", "model", "route", "wire"), "pure"
+    ("cdr", "channel", "config", "fleet", "fuzz", "model", "route", "wire"), "pure"
 )
-WITH_DDS = {"tests/history/test_engine.py"}
-"""Files of these folders that do not only compute."""
 ALONE = {"bluetooth", "network", "release"}
 """Folders whose tests share machines, hosts or builds."""
 SHARED = {"calls": 3}
@@ -36,7 +34,7 @@ def folder_of(nodeid: str) -> str:
 
 def lane_of(nodeid: str) -> str:
     folder, file = folder_of(nodeid), nodeid.split("::", 1)[0]
-    if folder in COMPUTING and file not in WITH_DDS:
+    if folder in COMPUTING:
         return COMPUTING[folder]
     if folder in ALONE:
         return folder

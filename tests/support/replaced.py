@@ -12,6 +12,7 @@ CONSOLE_SHOW = Place("rsb_bridge.control.attached_console", "AttachedConsole._sh
 CONSOLE_CONNECTED = Place("rsb_bridge.control.sealed", "SealedConsole.connection_made")
 FLEET_TRIALS = Place("rsb_bridge.control.zenoh_fleet", "Trials")
 FEATURES_OF_ENGINE = Place("rsb_bridge.engine.bridge", "installed")
+FEATURES_OF_CLIENT_COMMAND = Place("rsb_console.command.client_command", "installed")
 ENGINE_LOAD = Place("rsb_bridge.engine.file_commands", "load_file")
 PUBLISHING_READ_FIELDS = Place("rsb_bridge.engine.publishing", "read_fields")
 LOOP_DO_NOW = Place("rsb_bridge.engine.io_loop", "IoLoop.do_now")

@@ -17,7 +17,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.telemetry.event_log import EVENT_LENGTH, EventLog
 from rsb_console.command.formatting import StatusLines, json_status, text_event
-from rsb_console.session.history_report import export_log
+from rsb_console.session.exports import export_log
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -20,11 +20,10 @@ from rsb_bridge.engine.access import Access, load_keys
 from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.engine.file_commands import EngineFile, FileCommands
 from rsb_bridge.engine.io_loop import IoLoop
-from rsb_bridge.history.history_files import Disk
-from rsb_bridge.history.recorder import Recorder
+from rsb_bridge.feature import installed
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import History, Stop, operator
+from rsb_bridge.model.commands import Stop, operator
 from rsb_bridge.model.snapshot import Event, Level, Snapshot
 from rsb_bridge.ros.ros_interface import RosError, RosInterface
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
@@ -33,8 +32,9 @@ from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable, Coroutine, Iterator
 
+    from rsb_bridge.engine.part import EngineObserver
     from rsb_bridge.link.roles import Keys
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Session
@@ -143,9 +143,8 @@ _STOP_WITHIN = 5.0
 """s that `stop` takes at most. A round figure, below the 10 s after which systemd kills a service (configs/)."""
 _ROS_STOPS_WITHIN = 1.0
 """s of these that `ros.node.RosNode.stop` may take."""
-_RECORDED_WITHIN = 0.5
-"""s for the recorder, and for its files, even if a hanging I/O thread has used up all: else the history lacks the end.
-A round figure."""
+_OBSERVED_WITHIN = 0.5
+"""s for each observer, even if a hanging I/O thread has used up all: else a history lacks the end. A round figure."""
 
 _logger = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -162,11 +161,15 @@ class Engine(EngineApi):
         clock: the wall clock, or None for the machine's.
         random: for jitter, or None for one that the system seeds.
         transports: carry the links, or None for the kernel's sockets.
-        state: the folder for events and the time line, or None to keep them in memory only.
+        state: the folder for what outlives the engine, or None if nothing is to be kept.
 
     Attributes:
         access: the operators that may attach over a network.
+        clock: the wall clock.
+        log: its events.
         network: the Zenoh network in which the engine announces itself, or None.
+        snapshots: has the newest snapshot.
+        state: as above.
     """
 
     def __init__(
@@ -182,12 +185,13 @@ class Engine(EngineApi):
     ) -> None:
         self._file = EngineFile(session, base)
         self._ros = ros
-        self._clock = clock or Clock()
+        self.clock = clock or Clock()
+        self.state = state
         self._random = random or Random()  # noqa: S311 — jitter, no secret
         self._transports = transports or transports_of(session, base, self._random)
         self.network = self._transports.network
-        self._events = EventLog(self._clock)
-        self.access = Access(session.name, self._events, self._clock, self._transports.strangers)
+        self.log = EventLog(self.clock)
+        self.access = Access(session.name, self.log, self.clock, self._transports.strangers)
         self._starting = threading.Lock()
         """Held while threads start or end."""
         self._stop_wanted = False
@@ -196,15 +200,11 @@ class Engine(EngineApi):
         self._bridge: Bridge | None = None
         transport = self._transports.of_link(session.server_ip)
         address = transport.format_address((session.server_ip, session.server_port))
-        started = self._clock.time_ns() / 1e9
+        started = self.clock.time_ns() / 1e9
         blank = Snapshot(started, session.name, session.role, address, session.domain_id or 0, running=False)
-        self._snapshots = SnapshotPublisher(blank, self._events, self._clock)
-        self._recorder = Recorder(session.name, session.role, self._events, lambda: self._snapshots.latest, self._clock)
-        self._disk = (
-            None
-            if state is None
-            else Disk(state, session.name, session.role, self._events, self._recorder, self._clock)
-        )
+        self.snapshots = SnapshotPublisher(blank, self.log, self.clock)
+        self._observers: list[EngineObserver] = [each for feature in installed() for each in feature.observers(self)]
+        self._answers = {kind: answer for each in self._observers for kind, answer in each.answers.items()}
 
     # --- from any thread
 
@@ -226,7 +226,7 @@ class Engine(EngineApi):
             try:
                 self._start()
             except EngineError as error:
-                self._events.add(Level.ERROR, EventCode.ENGINE_NOT_STARTED, str(error))
+                self.log.add(Level.ERROR, EventCode.ENGINE_NOT_STARTED, str(error))
                 raise
             try:
                 self._check_not_stopped()
@@ -255,10 +255,10 @@ class Engine(EngineApi):
             domain = domain_of(session, os.environ.get("ROS_DOMAIN_ID"))
         except ValueError as error:
             raise EngineError(str(error)) from None
-        self._snapshots.latest = dataclasses.replace(self._snapshots.latest, domain_id=domain)
+        self.snapshots.latest = dataclasses.replace(self.snapshots.latest, domain_id=domain)
         if not session.use_encryption:
             text = "encryption is off: all data crosses unencrypted"
-            self._events.add(Level.WARNING, EventCode.KEY_UNENCRYPTED, text)
+            self.log.add(Level.WARNING, EventCode.KEY_UNENCRYPTED, text)
         keys, granted = load_keys(session, self._file.base)
         self.access.warn_of(keys, granted)
         self.access.grant(granted)
@@ -268,7 +268,7 @@ class Engine(EngineApi):
         except RosError as error:
             raise EngineError(str(error)) from None
         for shortfall in ros.shortfalls:
-            self._events.add(Level.INFO, EventCode.ENGINE_ROS_LIMITED, shortfall)
+            self.log.add(Level.INFO, EventCode.ENGINE_ROS_LIMITED, shortfall)
         started: Future[None] = Future()
         self._thread = threading.Thread(
             target=self._run_thread, args=(ros, domain, keys, started), name="rsb-io", daemon=True
@@ -282,40 +282,50 @@ class Engine(EngineApi):
             self._thread = None
             ros.stop()
             raise
-        self._recorder.start()
-        if self._disk is not None:
-            self._disk.start()
+        for each in self._observers:
+            with self._guarded(each):
+                each.start()
 
     def _end(self, timeout: float) -> None:
         """End what `_start` has begun; nothing happens where that is nothing."""
         thread, bridge = self._thread, self._bridge
         if thread is None or bridge is None:
             return
-        deadline = self._clock.steady() + timeout
+        deadline = self.clock.steady() + timeout
         self._commands.refuse()
         bridge.context.call(bridge.stop)
-        # The rest of the time belongs to ROS and to the history, even if the I/O thread hangs.
-        thread.join(max(0.0, timeout - _ROS_STOPS_WITHIN - _RECORDED_WITHIN))
+        # The rest of the time belongs to ROS and to the observers, even if the I/O thread hangs.
+        thread.join(max(0.0, timeout - _ROS_STOPS_WITHIN - _OBSERVED_WITHIN))
         self._commands.end()  # the thread does so itself, unless it hangs
         bridge.context.ros.stop()
-        # In this order: the disk writes what the recorder notes last.
-        self._recorder.stop(max(_RECORDED_WITHIN, deadline - self._clock.steady()))
-        if self._disk is not None:
-            self._disk.stop(max(_RECORDED_WITHIN, deadline - self._clock.steady()))
+        for each in self._observers:
+            with self._guarded(each):
+                each.stop(max(_OBSERVED_WITHIN, deadline - self.clock.steady()))
         self._thread = None
+
+    @contextlib.contextmanager
+    def _guarded(self, observer: EngineObserver) -> Iterator[None]:
+        """Do work of an observer; a failure of it is logged, and ends nothing else."""
+        try:
+            yield
+        except Exception as error:  # of code that is not ours
+            what = f"the observer {type(observer).__name__} of a feature failed"
+            _logger.exception("%s", what)
+            message = f"internal error, please report it: {what}: {error}"
+            self.log.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
 
     def snapshot(self) -> Snapshot:
         """Return the engine as it was at most 1 s ago; while somebody asks more often than that, 0.25 s.
 
         While nobody does, routes to which nothing has happened for minutes are as they were at most 15 s ago.
         """
-        return self._snapshots.newest()
+        return self.snapshots.newest()
 
     def events(self, after: int = 0) -> list[Event]:
-        return self._events.after(after)
+        return self.log.after(after)
 
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
-        return self._events.wait(after, timeout)
+        return self.log.wait(after, timeout)
 
     def use_file(self, path: Path | None, holds: Session | None = None) -> None:
         self._file.use(path, holds or self.session)
@@ -330,14 +340,13 @@ class Engine(EngineApi):
             return cast("Future[R]", self._record_stop())
         if bridge is None:
             return not_running()
-        if isinstance(command, History):  # the history outlives the bridge
-            seconds = command.seconds if command.seconds > 0 else 0.0  # NaN is not greater than 0, either
-            return cast("Future[R]", self._recorder.history(seconds))
+        if (answer := self._answers.get(type(command))) is not None:
+            return answer(command)
         return self._commands.run(lambda: bridge.do(command, step))
 
     def _record_stop(self) -> Future[None]:
         who = operator()
-        self._events.add(Level.INFO, EventCode.OPERATOR_STOPPED, f"stopped by {who}", who=who)
+        self.log.add(Level.INFO, EventCode.OPERATOR_STOPPED, f"stopped by {who}", who=who)
         done: Future[None] = Future()
         done.set_result(None)
         return done
@@ -351,7 +360,7 @@ class Engine(EngineApi):
         except Exception as error:
             _logger.exception("internal error of the engine")
             message = f"internal error, please report it: {error}"
-            self._events.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
+            self.log.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
             # `start` waits for this without a limit.
             if not started.done():
                 started.set_exception(EngineError(message))
@@ -363,16 +372,16 @@ class Engine(EngineApi):
             self._file.session,
             domain,
             ros,
-            self._events,
+            self.log,
             queue,
             loop,
-            self._clock,
+            self.clock,
             self._random,
             self._transports,
             self._file.contents,
         )
         context.demands.set_places(self._file.places)
-        self._bridge = bridge = Bridge(context, keys, self._snapshots, self._file.folder)
+        self._bridge = bridge = Bridge(context, keys, self.snapshots, self._file.folder)
         bridge.handlers |= FileCommands(bridge, self._file, self.access).handlers
         loop.set_exception_handler(bridge.internal_error)
         self._commands.open(loop)

@@ -1,11 +1,12 @@
-"""The parts of an engine: what answers commands and works beside the links."""
+"""The parts of an engine: what answers commands, works beside the links, or watches from outside."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Sequence
+    from collections.abc import Callable, Coroutine, Mapping, Sequence
+    from concurrent.futures import Future
 
     from rsb_bridge.model.commands import Command
     from rsb_bridge.model.snapshot import Snapshot
@@ -39,3 +40,25 @@ class EnginePart:
 
     def join(self) -> None:
         """Wait for its threads, at the very end."""
+
+
+class EngineObserver:
+    """What a feature has watch an engine, on threads of its own. It outlives the bridge, and overrides what it needs.
+
+    It may read the engine's `log`, `snapshots.latest`, `clock` and `state` on any thread.
+
+    Attributes:
+        answers: answer commands on any thread, by the command's type, also while the I/O thread hangs.
+    """
+
+    answers: Mapping[type[Command[Any]], Callable[[Any], Future[Any]]] = {}
+
+    def start(self) -> None:
+        """Begin: the bridge has started."""
+
+    def stop(self, timeout: float) -> None:
+        """End, after the bridge.
+
+        Args:
+            timeout: within so many s, as far as it can.
+        """

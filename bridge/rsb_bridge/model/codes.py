@@ -83,10 +83,6 @@ class EventCode(StrEnum):
     OPERATOR_CLIENTS = "operator.clients"
     """A client was added, changed or removed on a server that runs."""
     OPERATOR_STOPPED = "operator.stopped"
-    ENGINE_CLOCK_SET = "engine.clock_set"
-    """The wall clock jumped by more than 2 s."""
-    ENGINE_GAP = "engine.gap"
-    """The machine slept, or the process could not run."""
 
     ATTACH_LOST = "attach.lost"
     """An attached console has lost its bridge; it tries again."""
@@ -104,13 +100,6 @@ class EventCode(StrEnum):
 
     LOG_LINES_LOST = "log.lines_lost"
     """Standard output did not take some lines of the log; the text says how many, and why."""
-
-    LOG_FILE_FAILED = "log.file_failed"
-    """The state folder cannot be written to; reported once."""
-    LOG_FILE_AGAIN = "log.file_again"
-    """The state folder can be written to again."""
-    LOG_HISTORY_SET_ASIDE = "log.history_set_aside"
-    """The file of the time line is damaged, or of another version."""
 
     KEY_UNENCRYPTED = "key.unencrypted"
     KEY_WARNING = "key.warning"

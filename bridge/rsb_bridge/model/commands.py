@@ -17,7 +17,6 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER, Draft, Held, Published
-from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, State, TopicInfo
 
@@ -63,6 +62,8 @@ class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_d
         one_at_a_time: whether the command waits for the earlier ones of its kind, because it changes the session.
         refreshes: whether the next snapshot is made at once, to show the effect.
         cancellable: whether the engine stops working on the command when nobody waits for the result any more.
+        is_of_links: whether it concerns all links, or the one that its field `link` names. An operator of one robot of
+            a server has it concern that robot.
     """
 
     right: ClassVar[Right] = Right.CHANGE
@@ -70,6 +71,7 @@ class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_d
     one_at_a_time: ClassVar[bool] = False
     refreshes: ClassVar[bool] = True
     cancellable: ClassVar[bool] = False
+    is_of_links: ClassVar[bool] = False
 
     @property
     def effect(self) -> Effect:
@@ -99,6 +101,7 @@ class AddTopic(Command[str], frozen=True, tag="add"):
     """
 
     one_at_a_time = True
+    is_of_links = True
     topic: Topic
     link: str = ""
 
@@ -295,6 +298,7 @@ class Retry(Command[None], frozen=True, tag="retry"):
     """Connect now instead of later, and open refused topics again."""
 
     always = Effect.MOVES  # also what somebody has shut down
+    is_of_links = True
     link: str = ""
 
 
@@ -446,14 +450,6 @@ class Call(Command[str], frozen=True, tag="call"):
     key: str
     request: str
     lane: str = ""
-
-
-class History(Command[HistoryReport], frozen=True, tag="history"):
-    """Report the outages, rates and operators' commands of the last so many s, 24 h at most."""
-
-    right = Right.LOOK
-    refreshes = False
-    seconds: float
 
 
 class Stop(Command[None], frozen=True, tag="stop"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +14,8 @@ from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.config.session_changes import ClientError, client_named
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.remote_engine import attach
+from rsb_bridge.feature import installed
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
@@ -181,12 +182,11 @@ def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
 
 def _last_key(server: str, name: str, fingerprints: set[str]) -> Event | None:
     """Return the last event on the server's disk about the use of these keys by a client, or None."""
-    from rsb_bridge.history.history_files import last_key, read_events  # noqa: PLC0415 (only here)
-    from rsb_bridge.history.state_folder import files_of  # noqa: PLC0415
-
-    logs = (read_events(files.events, 0.0) for files in files_of(server, os.environ))
-    used = (last_key(events, name, fingerprints) for events in logs)
-    return max(filter(None, used), key=lambda each: each.time, default=None)
+    found: list[Event] = []
+    for events in (log for feature in installed() for log in feature.kept_logs(server)):
+        used = [e for e in events if (e.code, e.link) == (EventCode.KEY_USED, name) and e.new in fingerprints]
+        found += used[-1:]  # in the log's order, as a clock that is set back dates later events earlier
+    return max(found, key=lambda each: each.time, default=None)
 
 
 def _rotated(arguments: Namespace, changed: ChangedFile, told: str, what: str, steps: Sequence[str] = ()) -> int:

@@ -13,10 +13,10 @@ from collections import deque
 from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.state_folder import state_folder
 from rsb_bridge.control.bridges import AlreadyRunningError, serve
 from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.engine import Engine
-from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import acting
 from rsb_bridge.model.snapshot import Event, Level

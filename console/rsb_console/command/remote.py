@@ -8,13 +8,10 @@ import os
 import sys
 import time
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_changes import changes, described
-from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.feature import installed
 from rsb_bridge.model.by_hand import ASKED_FOR
 from rsb_bridge.model.commands import Save
 from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
@@ -35,11 +32,10 @@ from rsb_console.command.formatting import (
     text_event,
 )
 from rsb_console.command.info import print_info
-from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
+from rsb_console.command.shell import FAILURE, OK, print_error, print_line
 from rsb_console.command.status import print_status
 from rsb_console.command.target import (
     ANSWERED_WITHIN,
-    NoBridgeError,
     RouteChoice,
     UsageError,
     all_chosen,
@@ -64,8 +60,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.feature import MachineReport
-    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.model.snapshot import PatternSnapshot, RouteSnapshot, Snapshot, TopicInfo
 
@@ -83,7 +77,6 @@ class RemoteProblem(Wording):
     """Reasons why a command for a running bridge is refused, or fails."""
 
     STILL_DEMANDED = "; it still has to be armed, under armed ({lines}): rsb-console reload --drop-arm ends that"
-    OPERATOR_MACHINE = "The machine of this command, {host}, now ({source}):"
     NOT_REACHED = "not {condition} within {seconds:g} s{reason}"
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
     NOT_BROUGHT = "no client has brought {topic} so far{hint}"
@@ -114,7 +107,6 @@ class RemoteProblem(Wording):
     HELD_BY_ANOTHER = "{topic} has gone over to {who}"
     ASKED_FOR = "{who} asks for {topic}: Enter keeps it; without an answer it goes over in {seconds:g} s"
     NO_MORE_MESSAGES = "no more messages of {topic} within {seconds:g} s{reason}"
-    NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of that name"
 
 
 # --- looking
@@ -578,80 +570,6 @@ def _disarm(arguments: Namespace) -> int:
         return done_with(arguments, routes, "disarmed")
 
 
-# --- what happened
-
-
-def _report(arguments: Namespace) -> int:
-    from rsb_console.session.history_report import (  # noqa: PLC0415 (only here)
-        csv_report,
-        json_report,
-        parse_span,
-        text_report,
-    )
-
-    try:
-        seconds = parse_span(arguments.last)
-    except ValueError as error:
-        raise UsageError(f"--last {error}") from None
-    report = _report_of(arguments, seconds)
-    host = os.uname().nodename  # `platform.node` has the same name, but is one more module to load
-    if arguments.json:
-        found = {key: value for each in _examined() for key, value in each.data.items()}
-        print_line(json_report(report, operator_machine={"host": host, **found}))
-    elif arguments.csv:
-        print_lines(csv_report(report).removesuffix("\r\n"))
-    else:
-        for line in text_report(report):
-            print_line(line)
-        for each in _examined():
-            print_line("")
-            print_line(RemoteProblem.OPERATOR_MACHINE(host=host, source=each.source))
-            for line in each.lines:
-                print_line(line)
-    return OK
-
-
-def _examined() -> list[MachineReport]:
-    return [report for feature in installed() for report in feature.machine(_REPORT_WIDTH)]
-
-
-def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
-    """Return the history report of the bridge that the arguments name.
-
-    Raises:
-        NoBridgeError: no bridge runs or has left history files.
-        UsageError: the arguments leave several bridges to choose from.
-    """
-    from rsb_bridge.history import history_files  # noqa: PLC0415 (only here)
-    from rsb_bridge.history.history_files import HistoryFileError  # noqa: PLC0415
-    from rsb_bridge.history.state_folder import EVENTS, Files, kept_bridges  # noqa: PLC0415
-
-    name = arguments.bridge
-    named = arguments.control is not None or arguments.fleet is not None
-    # A bridge that runs is asked: its files may be two minutes old (docs/history.md).
-    if named or any(name in (None, bridge.name) for bridge in running_bridges()):
-        with attached(arguments, read_only=True) as engine:
-            return result(engine.history(seconds))
-    # This is a path to the bridge's files. One without a folder differs from a name by its ending only.
-    if name is not None and (os.sep in name or name.endswith(EVENTS)):
-        path = Path(name)
-        kept = [Files(path.parent, path.name.partition(".")[0])]
-    else:
-        kept = [files for files in kept_bridges(os.environ) if name in (None, files.stem)]
-    if not kept:
-        if name is None:
-            raise NoBridgeError("no bridge runs here, and there is no history file that you may read")
-        raise NoBridgeError(RemoteProblem.NOTHING_OF_BRIDGE_TO_REPORT(name=name))
-    if len(kept) > 1:
-        found = "".join(f"\n  {files.stem}: {files.history}" for files in kept)
-        raise UsageError(f"no bridge runs here, but several have history files; choose one:{found}")
-    try:
-        return history_files.report(kept[0], time.time(), seconds)
-    except HistoryFileError as error:
-        raise NoBridgeError(str(error)) from None
-
-
-_REPORT_WIDTH = 100  # columns: a round figure
 COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "status": print_status,
     "topics": _topics,
@@ -668,7 +586,6 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "reload": _reload,
     "save": _save,
     "events": _events,
-    "report": _report,
     "wait": _wait,
     "echo": _echo,
     "hz": hz,

@@ -34,7 +34,7 @@ class AddCommand(Protocol):
 NO_BRIDGE = """\
   2  wrong usage: bad arguments, no such topic, or several bridges and no --bridge
   3  no such bridge runs, or it cannot be reached"""
-_EXIT = f"""\
+EXIT = f"""\
 exit codes:
   0  done
   1  the bridge refused, or did not answer
@@ -127,7 +127,7 @@ for example:
   rsb-console add --action /navigate_to_pose --provider client
   rsb-console add --parameters /controller_server --provider client
 
-{_EXIT}"""
+{EXIT}"""
 _WAIT = f"""\
   flowing TOPIC     messages of the topic cross, over every link that has it; of
                     a service, an action or a node's parameters: it can be called
@@ -159,13 +159,9 @@ def add_remote_commands(
 
     def remote(name: str, summary: str, more: str = "", *, about_topic: bool = False) -> argparse.ArgumentParser:
         """Add a command for a running bridge, named by ``--bridge`` or, if it takes no other name, by a plain word."""
-        parser = command(name, lazily(name, "local_commands" if name == "attach" else "remote"), summary, more or _EXIT)
-        if not about_topic:
-            alone = parser.add_argument(
-                "bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help="short for --bridge NAME"
-            )
-            complete(alone, "bridge_names")
-        bridge_options(parser, complete, json=name != "attach")
+        parser = command(name, lazily(name, "local_commands" if name == "attach" else "remote"), summary, more or EXIT)
+        options = bridge_options if about_topic else named_bridge_options
+        options(parser, complete, json=name != "attach")
         return parser
 
     console_options(remote("attach", "open the console on a bridge that runs already"))
@@ -230,11 +226,6 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     """Add the commands that print messages, events or figures until an interrupt."""
     events = remote("events", "print the events of a running bridge")
     events.add_argument("--follow", action="store_true", help="continue with new events")
-    report = remote("report", "print the history of the last hours, even of a bridge that has ended")
-    report.add_argument(
-        "--last", default="8h", metavar="SPAN", help="time span: 8h, 30m, ...; at most 24h (%(default)s)"
-    )
-    report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT)
     wanted = wait.add_argument(
         "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
@@ -310,6 +301,15 @@ def bridge_options(
     place_options(parser, complete, over)
     if json:
         parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+
+
+def named_bridge_options(parser: argparse.ArgumentParser, complete: Complete, *, json: bool = True) -> None:
+    """Add the same, and the bridge's name as a plain word, to a command that takes no other one."""
+    alone = parser.add_argument(
+        "bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help="short for --bridge NAME"
+    )
+    complete(alone, "bridge_names")
+    bridge_options(parser, complete, json=json)
 
 
 def add_client_commands(command: AddCommand, complete: Complete) -> None:

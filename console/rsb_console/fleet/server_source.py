@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from concurrent.futures import Future
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import Batteries
-from rsb_bridge.model.commands import AddTopic, History, Reload, Restart, Retry, ShutDownLinks, Stop
+from rsb_bridge.model.commands import Reload, Restart, ShutDownLinks, Stop
 from rsb_bridge.model.robot_summary import LossWindow, of_clients
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.model.commands import Command, R
-    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.robot_summary import LostMessages, RobotSummary
     from rsb_bridge.model.snapshot import Event, Snapshot
 
@@ -117,36 +116,9 @@ class RobotEngine(RemoteEngine):
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         if what := _CONCERNS_ALL.get(type(command)):
             return self._concerns_all(what)
-        # Without a link, Retry would mean all robots, and AddTopic would name none.
-        if isinstance(command, AddTopic | Retry) and not command.link:
-            command = cast("Command[R]", msgspec.structs.replace(command, link=self._robot))
-        future = super().do(command, step)
-        return self._own_history_of(future) if isinstance(command, History) else future
-
-    def _own_history_of(self, whole: Future[Any]) -> Future[Any]:
-        """Return the history of the robot and of the server as a whole."""
-        own: Future[HistoryReport] = Future()
-
-        def take(asked: Future[HistoryReport]) -> None:
-            # The caller may have cancelled it, and then a result raises an error.
-            if own.set_running_or_notify_cancel():
-                try:
-                    own.set_result(self._own_history(asked.result()))
-                except EngineError as error:
-                    own.set_exception(error)
-
-        whole.add_done_callback(take)
-        return own
-
-    def _own_history(self, whole: HistoryReport) -> HistoryReport:
-        robot = self._robot
-        return replace(
-            whole,
-            name=f"{robot} at {whole.name}",
-            tracks=tuple(each for each in whole.tracks if each.link == robot),
-            outages=tuple(each for each in whole.outages if each.link == robot),
-            actions=tuple(self._own([*whole.actions])),
-        )
+        if command.is_of_links and not command.link:  # type: ignore[attr-defined]  # it has one then
+            command = msgspec.structs.replace(command, link=self._robot)
+        return super().do(command, step)
 
     def _concerns_all(self, what: str) -> Future[Any]:
         refused: Future[Any] = Future()

@@ -292,11 +292,6 @@ class SessionOperations:
 
         await self._console.ask(LinksScreen(self._console))
 
-    async def history(self) -> None:
-        from rsb_console.screens.history_screen import HistoryScreen  # noqa: PLC0415 -- keeps the start short
-
-        await self._console.ask(HistoryScreen(self._console))
-
     async def bluetooth(self) -> None:
         """Scan for Bluetooth; a device that is picked becomes the server of a new session."""
         from rsb_console.screens.bluetooth_screen import BluetoothScreen  # noqa: PLC0415 -- needs D-Bus

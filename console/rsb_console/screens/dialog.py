@@ -64,7 +64,7 @@ class Dialog(Vertical):
 
     Args:
         keys: keys to press, shown in the last line.
-        shape: a further CSS class: ``-wide`` or ``-history``.
+        shape: a further CSS class: ``-wide`` or ``-high``.
     """
 
     def __init__(self, title: str, *widgets: Widget, keys: str, shape: str = "-wide") -> None:

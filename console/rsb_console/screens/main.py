@@ -435,7 +435,7 @@ class MainScreen(Screen[None]):
 
     def action_export(self) -> None:
         """Export the focused list to a file in the working folder."""
-        from rsb_console.session.history_report import export_log, export_topics  # noqa: PLC0415 -- seldom needed
+        from rsb_console.session.exports import export_log, export_topics  # noqa: PLC0415 -- seldom needed
 
         log = self._list is self.log_pane
         try:

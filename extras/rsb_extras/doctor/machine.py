@@ -28,8 +28,8 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.config.files import why_not_written
+from rsb_bridge.config.state_folder import state_folder
 from rsb_bridge.feature import installed
-from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording

@@ -72,7 +72,7 @@ class LookScreen(ModalScreen[Subject]):
 
     def compose(self) -> ComposeResult:
         self.text, self.list = Input(id="look-search"), SuggestionList()
-        yield Dialog("Look at a topic", self.text, self.list, keys=_KEYS, shape="-history")
+        yield Dialog("Look at a topic", self.text, self.list, keys=_KEYS, shape="-high")
 
     def on_mount(self) -> None:
         self._list()

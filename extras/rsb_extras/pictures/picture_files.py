@@ -9,7 +9,7 @@ import zlib
 from html import escape
 from typing import TYPE_CHECKING
 
-from rsb_console.session.history_report import cell
+from rsb_console.session.exports import cell
 from rsb_extras.pictures.picture import Cells, Pixels, Series
 from rsb_extras.pictures.picture_rows import picture_rows, rgb_of
 

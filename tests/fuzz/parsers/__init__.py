@@ -17,7 +17,6 @@ FAMILIES = (
     "descriptions",
     "fields",
     "session_files",
-    "kept_files",
     "control_socket",
     "operators",
     "announcements",

@@ -29,7 +29,7 @@ from rsb_bridge.control.protocol import (
     Watch,
 )
 from rsb_bridge.control.states import StateReceiver
-from rsb_bridge.model.commands import AddTopic, History, PauseTopics, Restart, Topics
+from rsb_bridge.model.commands import AddTopic, PauseTopics, Peek, Restart, Topics
 from rsb_bridge.model.session import Topic
 
 _INFO = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
@@ -75,7 +75,7 @@ _TO_BRIDGE = (
     CommandRequest(2, PauseTopics("/scan", paused=True)),
     CommandRequest(3, Restart()),
     CommandRequest(4, Topics()),
-    CommandRequest(5, History(3600.0)),
+    CommandRequest(5, Peek("/scan")),
     CommandWithdrawn(5),
     PollState(),
     FollowEvents(7),

@@ -18,8 +18,8 @@ from tests.support.commands import parser_and_commands
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.model.finding import Finding, Grade
-from rsb_console.command.remote import RemoteProblem
 from rsb_extras.doctor.doctor_command import lines, terminal_check
+from rsb_extras.history.report_command import ReportProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,7 +102,7 @@ def test_terminals(
 def test_a_report_ends_with_this_machine(ran: Callable[..., Ran], machine: Machine) -> None:
     machine.serve(ScriptedEngine())
     lines = ran("report").out.splitlines()
-    heading = RemoteProblem.OPERATOR_MACHINE(host=platform.node(), source="rsb-console doctor")
+    heading = ReportProblem.OPERATOR_MACHINE(host=platform.node(), source="rsb-console doctor")
     assert any(line.startswith("ok       program") for line in lines[lines.index(heading) + 1 :])
     found = ran("report", "--json").json["operator_machine"]
     assert [*found] == ["host", "worst", "findings"]

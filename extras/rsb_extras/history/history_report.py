@@ -1,4 +1,4 @@
-"""Reports of a bridge's history, in words and as tables, and the files that panes are exported to."""
+"""Reports of a bridge's history, in words and as tables, and their files."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import re
 import time
 from collections import Counter
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import new_file
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.text import escape_json, one_line, plural
 from rsb_bridge.model.wording import Wording
-from rsb_console.look.formats import PatternRow, Row
+from rsb_console.session.exports import cell, export_path, full_time
+from rsb_extras.history.history_data import KEPT_FOR
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
-    from rsb_bridge.model.history import HistoryReport, Outage, Track
     from rsb_bridge.model.snapshot import Event
+    from rsb_extras.history.history_data import HistoryReport, Outage, Track
 
 CSV_COLUMNS = (
     "kind", "start", "end", "seconds", "robot", "topic", "direction", "state", "cause", "who", "old", "new", "is_a",
@@ -35,20 +35,8 @@ _WORST_TOPICS = 10
 _KINDS = ("topic", "service", "action", "parameters")
 # The texts of these events have their values, which would appear twice.
 _SAID_IN_WORDS = (EventCode.OPERATOR_PAUSED, EventCode.OPERATOR_RESUMED, EventCode.OPERATOR_CALL_ENDED)
-_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
-"""What a cell begins with that a spreadsheet may take for a formula; the last four are the signs in full width."""
 _SHORT_WAIT = 60.0
 """Seconds of waiting that are too few to mention. A round figure."""
-# The names are as in `status --json`. A topic has the fields of `Ledger`, other kinds of `CallsSnapshot`.
-_ROUTE = (
-    "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
-    "latency_p50", "latency_p99", "age", "cause", "reason",
-)  # fmt: skip
-_COUNTS = (
-    "offered", "delivered", "throttled", "expired", "in_flight", "dropped_total", "unknown", "lost_in_dds",
-    "missed_while_down",
-    "asked", "answered", "refused", "lost", "late", "node_p50", "node_p99", "way_p50", "way_p99", "last_failure",
-)  # fmt: skip
 
 
 class ReportText(Wording):
@@ -310,63 +298,10 @@ def csv_report(report: HistoryReport) -> str:
     table.writerow(CSV_COLUMNS)
     # Rows are sorted by time alone, since cells of two kinds of rows do not compare.
     for _, row in sorted(rows, key=lambda each: each[0]):
-        stamps = ["" if each is None else _iso(each) for each in (row[1], row[2])]  # type: ignore[arg-type]
+        stamps = ["" if each is None else full_time(each) for each in (row[1], row[2])]  # type: ignore[arg-type]
         seconds = "" if row[3] is None else f"{row[3]:.1f}"
         table.writerow([row[0], *stamps, seconds, *map(cell, row[4:])])
     return made.getvalue()
-
-
-def cell(value: object) -> object:
-    """Escape a value for a spreadsheet: no formula in foreign text, and no control characters."""
-    if not isinstance(value, str):
-        return value
-    text = one_line(value)
-    return f"'{text}" if text.startswith(_FORMULAS) else text
-
-
-def _iso(moment: float) -> str:
-    return time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(moment))
-
-
-def _new_file(kind: str, suffix: str) -> Path:
-    return Path.cwd() / f"rsb-{kind}-{time.strftime('%Y%m%d-%H%M%S')}.{suffix}"
-
-
-def export_log(events: Sequence[Event]) -> Path:
-    """Write `events`, oldest first, one a line with its full time.
-
-    Returns:
-        The file, in the working folder.
-    """
-    path = _new_file("log", "txt")
-    with new_file(path) as file:
-        for event in events:
-            line = f"{_iso(event.time)} {event.level} {event.source} {event.link or '-'} {event.text}"
-            file.write(f"{one_line(line)}\n")
-    return path
-
-
-def export_topics(rows: Sequence[Row]) -> Path:
-    """Write `rows` with their figures (Hz, bytes/s, s) and counts as CSV. What one has no figure of is left empty.
-
-    Returns:
-        The file, in the working folder.
-    """
-    path = _new_file("topics", "csv")
-    with new_file(path, newline="") as file:
-        table = csv.writer(file)
-        table.writerow(("state", "kind", *_ROUTE, *_COUNTS))
-        for row in rows:
-            figures = [getattr(row, name, None) for name in _ROUTE]
-            table.writerow([cell(each) for each in (row.state, row.spec.kind, *figures, *_counts(row))])
-    return path
-
-
-def _counts(row: Row) -> Iterator[object]:
-    counts = None if isinstance(row, PatternRow) else row.calls or row.ledger
-    for name in _COUNTS:
-        value = getattr(counts, name, None)
-        yield sum(value.values()) if isinstance(value, dict) else value
 
 
 def export_history(report: HistoryReport) -> tuple[Path, Path]:
@@ -375,7 +310,7 @@ def export_history(report: HistoryReport) -> tuple[Path, Path]:
     Returns:
         Both files, in the working folder.
     """
-    text, table = _new_file("history", "txt"), _new_file("history", "csv")
+    text, table = export_path("history", "txt"), export_path("history", "csv")
     with new_file(text) as file:
         file.writelines(f"{one_line(line)}\n" for line in text_report(report))
     with new_file(table, newline="") as file:

@@ -7,19 +7,19 @@ import threading
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, TypeVar
 
-from rsb_bridge.history.timeline import FROM_THE_FUTURE, Timeline, is_from_the_future
-from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.snapshot import Level
+from rsb_extras.history.history_codes import HistoryCode
+from rsb_extras.history.history_data import KEPT_FOR
+from rsb_extras.history.timeline import FROM_THE_FUTURE, Timeline, is_from_the_future
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from rsb_bridge.history.timeline import Saved
     from rsb_bridge.model.clock import Clock
-    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.snapshot import Event, Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
+    from rsb_extras.history.history_data import HistoryReport
+    from rsb_extras.history.timeline import Saved
 
 _SET_BY = 2.0
 """s by which the wall clock must jump to count as set."""
@@ -126,9 +126,14 @@ class Recorder:
         if self._thread.is_alive():
             self._thread.join(timeout)
 
-    def history(self, seconds: float) -> Future[HistoryReport]:
-        """Report on the last `seconds`, 24 h at most."""
-        return self.ask(lambda: self.report(min(seconds, KEPT_FOR)))
+    def history(self, seconds: float, link: str = "") -> Future[HistoryReport]:
+        """Report on the last `seconds`, 24 h at most, of one link or of all."""
+
+        def report() -> HistoryReport:
+            whole = self.report(min(seconds, KEPT_FOR))
+            return whole.of_link(link) if link else whole
+
+        return self.ask(report)
 
     def ask(self, question: Callable[[], T]) -> Future[T]:
         """Have a method of this called on its thread; on the calling one, while that does not run.
@@ -246,7 +251,7 @@ class Recorder:
 
     def _slept(self, seconds: float) -> None:
         text = f"no history of the last {_span(seconds)}: the machine slept, or the process could not run"
-        self._events.add(Level.WARNING, EventCode.ENGINE_GAP, text)
+        self._events.add(Level.WARNING, HistoryCode.GAP, text)
 
     def _clock_set(self, wall: float) -> None:
         jump = self._axis.jump
@@ -255,7 +260,7 @@ class Recorder:
         self._observed += moved
         direction = "forward" if jump > 0 else "back"
         text = f"the clock was set {direction} by {_span(abs(jump))}; the time line since the start moves with it"
-        self._events.add(Level.WARNING, EventCode.ENGINE_CLOCK_SET, text)
+        self._events.add(Level.WARNING, HistoryCode.CLOCK_SET, text)
 
 
 def _span(seconds: float) -> str:

@@ -1,10 +1,11 @@
-"""The history of the last 24 hours as immutable data: outages, tracks, gaps."""
+"""The history of the last 24 hours as immutable data, outages, tracks and gaps, and the command that asks for it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
+from rsb_bridge.model.commands import Command, Right
 from rsb_bridge.model.snapshot import Event  # noqa: TC001 -- these types must be known where an answer is decoded
 
 KEPT_FOR = 86400.0
@@ -140,3 +141,27 @@ class HistoryReport:
     def watched(self) -> float:
         """Recorded seconds of the span."""
         return max(0.0, self.span - sum(gap.seconds for gap in self.gaps))
+
+    def of_link(self, link: str) -> HistoryReport:
+        """Return the part about one link and about the bridge as a whole."""
+        return replace(
+            self,
+            name=f"{link} at {self.name}",
+            tracks=tuple(each for each in self.tracks if each.link == link),
+            outages=tuple(each for each in self.outages if each.link == link),
+            actions=tuple(each for each in self.actions if each.link in ("", link)),
+        )
+
+
+class ReportHistory(Command[HistoryReport], frozen=True, tag="history"):
+    """Report the outages, rates and operators' commands of the last so many s, 24 h at most.
+
+    Attributes:
+        link: the link to report on, or an empty string for all.
+    """
+
+    right = Right.LOOK
+    refreshes = False
+    is_of_links = True
+    seconds: float
+    link: str = ""

@@ -11,21 +11,21 @@ import msgspec
 import zstandard
 
 from rsb_bridge.config.files import replace_file, why_not_written
-from rsb_bridge.history.state_folder import Claim, Files
-from rsb_bridge.history.timeline import FROM_THE_FUTURE, VERSION, Saved, Timeline, is_from_the_future
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.snapshot import Event, Level
+from rsb_extras.history.bridge_files import Claim, Files
+from rsb_extras.history.history_codes import HistoryCode
+from rsb_extras.history.timeline import FROM_THE_FUTURE, VERSION, Saved, Timeline, is_from_the_future
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from rsb_bridge.history.recorder import Recorder
     from rsb_bridge.model.clock import Clock
-    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.telemetry.event_log import EventLog
+    from rsb_extras.history.history_data import HistoryReport
+    from rsb_extras.history.recorder import Recorder
 
 FILE_BYTES = 2 << 20
 """Bytes; not measured. All files together have room for tens of thousands of usual events."""
@@ -144,15 +144,6 @@ def read_events(path: Path, since: float) -> Iterator[Event]:
                     event = msgspec.convert({**_line.decode(line), "number": 0}, Event)
                     if event.time >= since and _is_dated(event):
                         yield event
-
-
-def last_key(events: Iterable[Event], link: str, fingerprints: Collection[str]) -> Event | None:
-    """Return the last event of a log about a client's use of a key with one of these fingerprints, or None."""
-    last = None
-    for each in events:  # in their order, as a clock that is set back dates later events earlier
-        if (each.code, each.link) == (EventCode.KEY_USED, link) and each.new in fingerprints:
-            last = each
-    return last
 
 
 def _is_dated(event: Event) -> bool:
@@ -367,7 +358,7 @@ class Disk:
             with contextlib.suppress(OSError):  # then the first save replaces it, or says why it cannot
                 path.replace(aside)
             text = f"{path}: {error}. It is set aside as {aside.name}, and a new time line begins"
-            self._events.add(Level.WARNING, EventCode.LOG_HISTORY_SET_ASIDE, text)
+            self._events.add(Level.WARNING, HistoryCode.SET_ASIDE, text)
         self._is_restored, self._left = True, None
 
     def _write_events(self) -> None:
@@ -401,7 +392,7 @@ class Disk:
         if not self._trouble:
             text = f"{self._folder}: {reason}. Events and the time line are not kept on disk; the bridge goes on"
             self._trouble = reason
-            self._events.add(Level.WARNING, EventCode.LOG_FILE_FAILED, text)
+            self._events.add(Level.WARNING, HistoryCode.FILE_FAILED, text)
 
     def _works(self) -> None:
         if self._trouble:
@@ -409,4 +400,4 @@ class Disk:
             missing = f"; {self._missing:,} events are missing" if self._missing else ""
             self._missing = 0
             text = f"{self._folder}: events and the time line are kept on disk again{missing}"
-            self._events.add(Level.INFO, EventCode.LOG_FILE_AGAIN, text)
+            self._events.add(Level.INFO, HistoryCode.FILE_AGAIN, text)

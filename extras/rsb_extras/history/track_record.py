@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
 
 from msgspec import Meta
 
-from rsb_bridge.model.history import KEPT_FOR, Outage, Track
 from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import sanitize_text
+from rsb_extras.history.history_data import KEPT_FOR, Outage, Track
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -210,10 +210,10 @@ class _Open:
 class TrackRecord:
     """A link, or what it carries in one direction: a topic, a service, an action, or parameters of a node.
 
-    All times are s on the axis of `rsb_bridge.history.recorder.ClockAxis`.
+    All times are s on the axis of `rsb_extras.history.recorder.ClockAxis`.
 
     Args:
-        kind: `rsb_bridge.model.history.LINK`, or a `rsb_bridge.model.session.Kind`.
+        kind: `rsb_extras.history.history_data.LINK`, or a `rsb_bridge.model.session.Kind`.
         topic: its name on this side, or empty for the link itself.
         outgoing: whether this side sends it.
 

@@ -9,20 +9,20 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from tests.console.scripted import route
-from tests.history.world import World
 
-from rsb_bridge.history import history_files
-from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.session import Kind, Topic
 from rsb_bridge.model.snapshot import Ledger, State
-from rsb_console.screens.history_screen import rows_of
-from rsb_console.session.history_report import csv_report, json_report, text_report
+from rsb_extras.history import history_files
+from rsb_extras.history.history_report import csv_report, json_report, text_report
+from rsb_extras.history.history_screen import rows_of
+from rsb_extras.history.tests.world import World
+from rsb_extras.history.timeline import Timeline
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rsb_bridge.model.history import HistoryReport
+    from rsb_extras.history.history_data import HistoryReport
 
 NAME = "/planner"
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")

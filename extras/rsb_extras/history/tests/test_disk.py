@@ -15,15 +15,17 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 import zstandard
-from tests.history.world import World, brief
-from tests.support import constants
 from tests.support.waiting import eventually
 
-from rsb_bridge.history import history_files
-from rsb_bridge.history.history_files import Disk, EventFile, HistoryFileError
-from rsb_bridge.history.state_folder import Claim, Files, kept_bridges, searched_folders, state_folder
+from rsb_bridge.config.state_folder import state_folder
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level, State
+from rsb_extras.history import history_files
+from rsb_extras.history.bridge_files import Claim, Files, kept_bridges, searched_folders
+from rsb_extras.history.history_codes import HistoryCode
+from rsb_extras.history.history_files import Disk, EventFile, HistoryFileError
+from rsb_extras.history.tests import history_places
+from rsb_extras.history.tests.world import World, brief
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -98,7 +100,7 @@ def test_a_path_that_is_no_utf_8_ends_nothing(tmp_path: Path) -> None:
 
 
 def test_the_files_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.HISTORY_FILE_BYTES.set(monkeypatch, 2000)
+    history_places.HISTORY_FILE_BYTES.set(monkeypatch, 2000)
     file = EventFile(tmp_path / "robot1.jsonl")
     for number in range(1000):
         file.write([Event(number, float(number), Level.INFO, "x.y", f"event {number}")])
@@ -153,13 +155,13 @@ def test_a_full_disk_is_said_once_and_writing_goes_on_later(tmp_path: Path, no_r
         say(world, f"event {number} {'x' * 100}")
         world.go(1)
         disk.turn()
-    assert codes(world).count(EventCode.LOG_FILE_FAILED) == 1
-    told = next(event for event in world.events.after(0) if event.code == EventCode.LOG_FILE_FAILED)
+    assert codes(world).count(HistoryCode.FILE_FAILED) == 1
+    told = next(event for event in world.events.after(0) if event.code == HistoryCode.FILE_FAILED)
     assert f"{tmp_path}: File too large" in told.text
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     world.go(10)
     disk.turn()
-    assert codes(world).count(EventCode.LOG_FILE_AGAIN) == 1
+    assert codes(world).count(HistoryCode.FILE_AGAIN) == 1
     world.go(10)
     disk.turn()
     texts = [str(line["text"]) for line in lines(tmp_path / "robot1.jsonl")]
@@ -178,13 +180,13 @@ def test_a_time_line_that_was_not_saved_is_tried_again_soon(tmp_path: Path) -> N
     for _ in range(2):
         world.go(10)
         disk.turn()
-    assert codes(world).count(EventCode.LOG_FILE_FAILED) == 1
-    assert EventCode.LOG_FILE_AGAIN not in codes(world)
+    assert codes(world).count(HistoryCode.FILE_FAILED) == 1
+    assert HistoryCode.FILE_AGAIN not in codes(world)
     path.rmdir()
     world.go(10)
     disk.turn()
     assert path.is_file()
-    assert codes(world).count(EventCode.LOG_FILE_AGAIN) == 1
+    assert codes(world).count(HistoryCode.FILE_AGAIN) == 1
 
 
 def test_events_that_were_lost_meanwhile_are_counted(tmp_path: Path) -> None:
@@ -252,7 +254,7 @@ def test_a_bad_file_is_set_aside_with_a_warning(tmp_path: Path, content: bytes, 
     path.write_bytes(content)
     world = World("/scan")
     disk_of(world, tmp_path).turn()
-    (warning,) = (event for event in world.events.after(0) if event.code == EventCode.LOG_HISTORY_SET_ASIDE)
+    (warning,) = (event for event in world.events.after(0) if event.code == HistoryCode.SET_ASIDE)
     assert str(path) in warning.text
     assert why in warning.text
     assert (tmp_path / "robot1.history.bad").read_bytes() == content
@@ -278,7 +280,7 @@ def test_a_clock_that_is_days_behind_at_the_start_is_waited_for(tmp_path: Path, 
     world.go(10)
     assert len(world.outages(within + 200)) == (within == 60)
     assert (tmp_path / "robot1.history.bad").exists() == (within != 60)
-    assert codes(world).count(EventCode.ENGINE_CLOCK_SET) == 1
+    assert codes(world).count(HistoryCode.CLOCK_SET) == 1
 
 
 def test_a_torn_file_is_noticed(tmp_path: Path) -> None:
@@ -330,9 +332,9 @@ RUNS = """
 import sys, time
 from pathlib import Path
 from dataclasses import replace
-from rsb_bridge.history.history_files import Disk
-from tests.history.world import World
-from tests.history.clocks import HandClock
+from rsb_extras.history.history_files import Disk
+from rsb_extras.history.tests.world import World
+from rsb_extras.history.tests.hand_clock import HandClock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
 clock = HandClock()
@@ -356,8 +358,9 @@ while True:
 
 
 def test_killed_and_started_again(tmp_path: Path) -> None:
-    root = Path(__file__).parents[2]
-    environ = os.environ | {"PYTHONPATH": os.pathsep.join(str(root / name) for name in ("", "bridge", "console"))}
+    root = Path(__file__).parents[4]
+    path = os.pathsep.join(str(root / name) for name in ("", "bridge", "console", "extras"))
+    environ = os.environ | {"PYTHONPATH": path}
     kept = tmp_path / "robot1.history", tmp_path / "robot1.jsonl"
     for number in range(3):
         with subprocess.Popen(

@@ -6,17 +6,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from tests.console.scripted import LINK, route
-from tests.history.clocks import HandClock
 
-from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, RouteSnapshot, Snapshot, State
 from rsb_bridge.telemetry.event_log import EventLog
+from rsb_extras.history.recorder import Recorder
+from rsb_extras.history.tests.hand_clock import HandClock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.history.timeline import SavedTrack, Timeline
-    from rsb_bridge.model.history import HistoryReport, Outage, Track
+    from rsb_extras.history.history_data import HistoryReport, Outage, Track
+    from rsb_extras.history.timeline import SavedTrack, Timeline
 
 
 class World:

@@ -11,12 +11,12 @@ import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
-from rsb_bridge.history import history_files
-from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Ledger, Level, LinkSnapshot, RouteSnapshot, Snapshot, State
+from rsb_extras.history import history_files
+from rsb_extras.history.history_data import KEPT_FOR
+from rsb_extras.history.timeline import Timeline
 
 TOPICS = int(sys.argv[1]) if len(sys.argv) > 1 else 500
 STEP = 5.0

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
-from rsb_bridge.history.track_record import OUTAGES_OF_ONE, Ended, MinuteSeries, Time, TrackRecord
-from rsb_bridge.model import history as model
-from rsb_bridge.model.history import KEPT_FOR, LINK, Gap, HistoryReport
 from rsb_bridge.model.session import Kind
 from rsb_bridge.model.snapshot import Event
 from rsb_bridge.model.verdict import Cause
+from rsb_extras.history import history_data
+from rsb_extras.history.history_data import KEPT_FOR, LINK, Gap, HistoryReport
+from rsb_extras.history.track_record import OUTAGES_OF_ONE, Ended, MinuteSeries, Time, TrackRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from rsb_bridge.model.history import Outage, Track
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
+    from rsb_extras.history.history_data import Outage, Track
 
 MOST_TRACKS = 2000
 """The most links and topics kept, including removed ones. A round figure, twice `model.limits.ROUTES_PER_LINK`."""
@@ -264,7 +264,7 @@ class Timeline:
         for record in sorted(records, key=lambda each: (each.link, each.topic, each.kind, each.outgoing)):
             found = list(record.outages_in(start, now, self._link_of(record)))
             outages += found
-            track = record.track(start, now, len(found), model.RATES_AT_ONCE)
+            track = record.track(start, now, len(found), history_data.RATES_AT_ONCE)
             if record.live or found or track.up or track.out or track.waiting:
                 tracks.append(track)
         dropped = sum(each.dropped_in(start) for each in self._records.values())
@@ -274,10 +274,10 @@ class Timeline:
         )
         return HistoryReport(
             self._name, self._role, now, span, running, tuple(tracks),
-            tuple(outages[-model.OUTAGES_AT_ONCE :]), tuple(actions[-model.ACTIONS_AT_ONCE :]),
+            tuple(outages[-history_data.OUTAGES_AT_ONCE :]), tuple(actions[-history_data.ACTIONS_AT_ONCE :]),
             tuple(self._gaps(start, now)),
-            dropped + max(0, len(outages) - model.OUTAGES_AT_ONCE),
-            max(0, len(actions) - model.ACTIONS_AT_ONCE),
+            dropped + max(0, len(outages) - history_data.OUTAGES_AT_ONCE),
+            max(0, len(actions) - history_data.ACTIONS_AT_ONCE),
         )  # fmt: skip
 
     def _gaps(self, start: float, now: float) -> Iterator[Gap]:

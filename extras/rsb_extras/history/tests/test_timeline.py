@@ -7,20 +7,21 @@ from dataclasses import replace
 
 import msgspec
 import pytest
-from tests.history.clocks import EPOCH, HandClock
-from tests.history.world import World, brief
-from tests.support import constants
 
-from rsb_bridge.history import timeline, track_record
-from rsb_bridge.history.recorder import Recorder
-from rsb_bridge.history.timeline import Timeline
-from rsb_bridge.history.track_record import MinuteSeries
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, Stage, State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.telemetry.event_log import EventLog
+from rsb_extras.history import timeline, track_record
+from rsb_extras.history.history_codes import HistoryCode
+from rsb_extras.history.history_data import KEPT_FOR
+from rsb_extras.history.recorder import Recorder
+from rsb_extras.history.tests import history_places
+from rsb_extras.history.tests.hand_clock import EPOCH, HandClock
+from rsb_extras.history.tests.world import World, brief
+from rsb_extras.history.timeline import Timeline
+from rsb_extras.history.track_record import MinuteSeries
 
 HOUR = 3600.0
 
@@ -241,7 +242,7 @@ def test_a_fifth_of_500_topics_takes_a_fifth_of_30_mb() -> None:
 
 
 def test_a_flapping_topic_displaces_nobodys_outages(monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.OUTAGES_KEPT.set(monkeypatch, 120)
+    history_places.OUTAGES_KEPT.set(monkeypatch, 120)
     world = World("/scan", "/map", "/odom")
     world.go(100)
     world.put("/map", State.DOWN, "no publisher")
@@ -265,7 +266,7 @@ def test_a_flapping_topic_displaces_nobodys_outages(monkeypatch: pytest.MonkeyPa
 
 
 def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.MOST_TRACKS.set(monkeypatch, 20)
+    history_places.MOST_TRACKS.set(monkeypatch, 20)
     world = World()
     for number in range(100):
         world.routes = World(f"/t{number}", clock=world.clock).routes
@@ -278,7 +279,7 @@ def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
     """A robot's history stays, and its next topic is recorded, in spite of another client's many names."""
-    constants.MOST_TRACKS.set(monkeypatch, 20)
+    history_places.MOST_TRACKS.set(monkeypatch, 20)
     world = World("/scan", "/gone")
     world.go(1)
     robot = {"/scan": world.routes["/scan"]}
@@ -295,7 +296,7 @@ def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest
 
 def test_what_finds_no_room_costs_one_walk_a_look(monkeypatch: pytest.MonkeyPatch) -> None:
     """One walk for all of them: thousands of topics may exceed the kept ones."""
-    constants.MOST_TRACKS.set(monkeypatch, 20)
+    history_places.MOST_TRACKS.set(monkeypatch, 20)
     walks = []
 
     def items(self: timeline.TrackRecords) -> object:
@@ -344,7 +345,7 @@ def test_a_clock_that_is_set_moves_what_this_run_has_seen(jump: float) -> None:
     assert report.time == world.clock.wall
     shut_down, clock_set = report.actions
     assert shut_down.time == EPOCH + jump + 660
-    assert clock_set.code == EventCode.ENGINE_CLOCK_SET
+    assert clock_set.code == HistoryCode.CLOCK_SET
     assert f"set {'forward' if jump > 0 else 'back'} by 3 h" in clock_set.text
     assert [round(gap.seconds) for gap in report.gaps] == [3600 - 1325], "only the time before the start"
     track = world.track("/scan")
@@ -364,7 +365,7 @@ def test_sleep_is_a_gap_and_no_outage_goes_on_through_it() -> None:
     before, after = report.outages
     assert (before.seconds, before.cut_off) == (60, True)
     assert (after.topic, after.ongoing) == ("/map", True)
-    assert report.actions[0].code == EventCode.ENGINE_GAP
+    assert report.actions[0].code == HistoryCode.GAP
     assert " 2 h:" in report.actions[0].text
     assert world.track("/scan", 3 * HOUR).out == 0
 
@@ -378,7 +379,7 @@ def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
     assert round(sum(gap.seconds for gap in world.report(160).gaps)) == 100
     world.go(60)
     (event,) = world.events.after(0)  # once
-    assert event.code == EventCode.ENGINE_GAP
+    assert event.code == HistoryCode.GAP
     assert " 1 min 41 s:" in event.text
     world.running = False
     world.go(600)

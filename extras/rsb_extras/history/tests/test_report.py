@@ -11,19 +11,21 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.scripted import LINK, NOW, REMEMBERED, ScriptedEngine
-from tests.history.world import World
-from tests.support import constants, surroundings
+from tests.console.scripted import LINK, NOW, ScriptedEngine
+from tests.support import surroundings
 from tests.support.wording import says
 
-from rsb_bridge.history import history_files
-from rsb_bridge.history.timeline import FROM_THE_FUTURE
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.history import Gap, Track
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.command.formatting import where_and_why
-from rsb_console.command.remote import RemoteProblem
-from rsb_console.session.history_report import ReportText, csv_report, did, length, parse_span, percent, text_report
+from rsb_extras.history import history_files
+from rsb_extras.history.history_data import Gap, Track
+from rsb_extras.history.history_report import ReportText, csv_report, did, length, parse_span, percent, text_report
+from rsb_extras.history.report_command import ReportProblem
+from rsb_extras.history.tests import history_places
+from rsb_extras.history.tests.scripted_answers import REMEMBERED
+from rsb_extras.history.tests.world import World
+from rsb_extras.history.timeline import FROM_THE_FUTURE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("TZ", "UTC")
-    constants.SERVICES_STATE.set(monkeypatch, tmp_path / "none")
+    history_places.SERVICES_STATE.set(monkeypatch, tmp_path / "none")
     (tmp_path / "state" / "rsb-console").mkdir(parents=True)
     return tmp_path / "state" / "rsb-console"
 
@@ -44,7 +46,7 @@ def test_a_hand_over_begins_with_the_totals(ran: Any, machine: Machine) -> None:
     engine = machine.have(ScriptedEngine())
     report = ran("report", "--last", "1h")
     assert report.code == 0
-    assert engine.commands == [("history", 3600.0)]
+    assert engine.commands == [("history", 3600.0, "")]
     lines = report.out.splitlines()
     assert lines[0].startswith("robot1 (client): the last 1 h, ")
     assert lines[1:7] == [
@@ -118,7 +120,7 @@ def test_of_a_bridge_that_does_not_run_it_comes_from_its_files(
 
 def test_what_it_cannot_do_is_said(ran: Any, machine: Machine) -> None:
     assert ran("report").code == 3
-    assert says(ran("report", "robot9").err, RemoteProblem.NOTHING_OF_BRIDGE_TO_REPORT, name="robot9")
+    assert says(ran("report", "robot9").err, ReportProblem.NOTHING_OF_BRIDGE, name="robot9")
     machine.serve(ScriptedEngine())
     assert says(ran("report", "--last", "8").err, ReportText.NO_TIME, span="8")
     assert says(ran("report", "--last", "3d").err, ReportText.TOO_LONG_AGO, span="3d")

@@ -12,6 +12,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.session import Topic
+from rsb_extras.history.history_data import ReportHistory
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
     from tests.support.domain import Domain
 
-    from rsb_bridge.model.history import HistoryReport, Outage
+    from rsb_extras.history.history_data import HistoryReport, Outage
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
@@ -43,14 +44,16 @@ def test_an_outage_of_a_real_link_is_remembered_and_kept(
         eventually(lambda: linked(client) and linked(server))
         heard, talker = pc.listener("/tcp"), robot.publisher("/tcp")
         carries([talker], server, ["/tcp"])
-        eventually(lambda: remote.history(60.0).result(60).tracks)
-        eventually(lambda: any(each.up > 1 for each in remote.history(60.0).result(60).tracks), what="up")
+        eventually(lambda: remote.do(ReportHistory(60.0)).result(60).tracks)
+        eventually(lambda: any(each.up > 1 for each in remote.do(ReportHistory(60.0)).result(60).tracks), what="up")
         server.stop()
-        eventually(lambda: (found := out(remote.history(60.0).result(60))) and found.ongoing, what="the link is out")
+        eventually(
+            lambda: (found := out(remote.do(ReportHistory(60.0)).result(60))) and found.ongoing, what="the link is out"
+        )
         bridge.server()
         eventually(lambda: linked(client))
         ended = eventually(
-            lambda: found if (found := out(client.history(60.0).result(60))) and not found.ongoing else None
+            lambda: found if (found := out(client.do(ReportHistory(60.0)).result(60))) and not found.ongoing else None
         )
         assert ended.cause
         assert ended.link == "robot1"
@@ -65,7 +68,7 @@ def test_an_outage_of_a_real_link_is_remembered_and_kept(
     again = Engine(session, base=bridge.folder, state=state)
     again.start()
     try:
-        kept = eventually(lambda: out(again.history(3600.0).result(60)))
+        kept = eventually(lambda: out(again.do(ReportHistory(3600.0)).result(60)))
         assert (kept.start, kept.cause) == (ended.start, ended.cause)
     finally:
         again.stop()

@@ -1,4 +1,4 @@
-"""The folder in which a bridge keeps its events and its time line, and the claim to its files there."""
+"""The files in which a bridge keeps its events and its time line, and its claim to them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.state_folder import state_folder
 from rsb_bridge.model.names import file_stem
 
 if TYPE_CHECKING:
@@ -21,18 +22,6 @@ _BRIDGES_OF_A_NAME = 9
 """A round figure: the tenth one is refused, and commands look for files under each number."""
 _ROLE_LENGTH = 20
 """Bytes that are read of a lock's file: no role is as long."""
-
-
-def state_folder(environ: Mapping[str, str]) -> Path:
-    """Return the folder that this process writes to.
-
-    systemd's own for a service (``$STATE_DIRECTORY``), else ``$XDG_STATE_HOME/rsb-console``, else
-    ``~/.local/state/rsb-console``.
-    """
-    if service := environ.get("STATE_DIRECTORY", "").partition(":")[0]:  # a unit may have several
-        return Path(service)
-    base = environ.get("XDG_STATE_HOME")
-    return (Path(base) if base else Path(os.path.expanduser("~/.local/state"))) / "rsb-console"  # noqa: PTH111 -- never fails
 
 
 def searched_folders(environ: Mapping[str, str]) -> list[Path]:

@@ -18,19 +18,21 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.screens.dialog import Dialog
-from rsb_console.session import history_report
 from rsb_console.widgets.filter import Prompt
 from rsb_console.widgets.lines import FixedLines, Line, fit, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList
+from rsb_extras.history import history_report
+from rsb_extras.history.history_data import ReportHistory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from textual.app import ComposeResult
 
-    from rsb_bridge.model.history import HistoryReport, Track
     from rsb_console.console_api import Console
+    from rsb_console.screens.main import MainScreen
     from rsb_console.widgets.filter import RowFilter
+    from rsb_extras.history.history_data import HistoryReport, Track
 
 SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)
 _RENEWED_EVERY = 5.0  # s; a round figure: an outage is shown at most so much later
@@ -166,6 +168,10 @@ class HistoryScreen(ModalScreen[None]):
         Binding("x", "export", show=False),
     ]
     AUTO_FOCUS = "#history"
+    DEFAULT_CSS = """
+    #history-summary, #history-detail { height: 1; background: $surface; }
+    #history { height: 1fr; margin: 1 0; background: $surface; }
+    """
 
     def __init__(self, console: Console) -> None:
         super().__init__()
@@ -182,7 +188,7 @@ class HistoryScreen(ModalScreen[None]):
     def compose(self) -> ComposeResult:
         """Compose the totals, the table, and the detail of the row under the cursor."""
         widgets = self.summary, self.table, self.detail, self.prompt
-        yield Dialog("What happened", *widgets, keys=HELP, shape="-history")
+        yield Dialog("What happened", *widgets, keys=HELP, shape="-high")
 
     def on_mount(self) -> None:
         self.set_interval(_RENEWED_EVERY, self.renew)
@@ -204,7 +210,7 @@ class HistoryScreen(ModalScreen[None]):
             self._problem = "no session runs"
         else:
             try:
-                self._report = await asyncio.wrap_future(engine.history(self._span))
+                self._report = await asyncio.wrap_future(engine.do(ReportHistory(self._span)))
                 self._problem = ""
             except EngineError as error:
                 self._problem = HistoryText.NOT_KNOWN(error=error)
@@ -286,16 +292,18 @@ class HistoryScreen(ModalScreen[None]):
 
     def action_export(self) -> None:
         """Write the history to files in the working folder, as text and CSV."""
-        from rsb_console.session.history_report import export_history  # noqa: PLC0415 -- seldom needed
-
         if self._report is None:
             return
         try:
-            paths = export_history(self._report)
+            paths = history_report.export_history(self._report)
         except OSError as error:
             self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
         else:
             self.notify("written to " + " and ".join(map(str, paths)), markup=False)
+
+
+async def show_history(screen: MainScreen) -> None:
+    await screen.console.ask(HistoryScreen(screen.console))
 
 
 def _shown_state(state: str) -> tuple[str, str]:

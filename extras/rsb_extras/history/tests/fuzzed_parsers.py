@@ -11,16 +11,16 @@ import zstandard
 from tests.fuzz.editing import edit_json_lines, edit_msgpack
 from tests.fuzz.parser import Parser
 from tests.fuzz.scratch import scratch_folder
-from tests.history.clocks import EPOCH
-from tests.history.world import World
 
-from rsb_bridge.history import history_files
-from rsb_bridge.history.history_files import HistoryFileError
-from rsb_bridge.history.state_folder import Files
-from rsb_bridge.history.timeline import Timeline
-from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_bridge.model.text import is_clean
+from rsb_extras.history import history_files
+from rsb_extras.history.bridge_files import Files
+from rsb_extras.history.history_data import HistoryReport
+from rsb_extras.history.history_files import HistoryFileError
+from rsb_extras.history.tests.hand_clock import EPOCH
+from rsb_extras.history.tests.world import World
+from rsb_extras.history.timeline import Timeline
 
 _NOW = EPOCH + 100
 

@@ -3,6 +3,7 @@
 import csv
 from concurrent.futures import Future
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,16 +20,17 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine, refused
+from tests.console.scripted import NOW, ScriptedEngine, answers, refused
 from tests.support.control import Machine
 from tests.support.long import long
 from textual.pilot import Pilot
 
-from rsb_bridge.model.history import Gap, HistoryReport, Outage
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.history_screen import HELP, HistoryScreen, HistoryText
-from rsb_console.session.history_report import ReportText
+from rsb_extras.history.history_data import Gap, HistoryReport, Outage, ReportHistory
+from rsb_extras.history.history_report import ReportText
+from rsb_extras.history.history_screen import HELP, HistoryScreen, HistoryText
+from rsb_extras.history.tests.scripted_answers import REMEMBERED, answer
 
 
 def spans(engine: ScriptedEngine) -> list[object]:
@@ -55,14 +57,16 @@ async def test_it_shows_outages_and_actions_with_cause_and_length(app: ConsoleAp
 
 
 @on_main(WIDE, NARROW)
-async def test_columns_are_as_wide_as_their_texts(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_columns_are_as_wide_as_their_texts(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     long = "the server does not answer, and has not done so for a long time; look at its log and at the network between"
     states = (State.STOPPED, State.WAITING, "stuck")  # the last one is a newer bridge's
     outages = [
         Outage(NOW - 300.0 * at, 3000.0 + at, "robot1-left", "/robot1/goal_pose", False, state, long)
         for at, state in enumerate(states)
     ]
-    engine_of(app).remembered = replace(REMEMBERED, outages=tuple(outages), actions=())
+    answers()[ReportHistory] = partial(answer, report=replace(REMEMBERED, outages=tuple(outages), actions=()))
     await pilot.press("h")
     for word in "■ STOPPED", "◌ WAIT", "STUCK":
         await shown(pilot, word)
@@ -75,7 +79,7 @@ async def test_columns_are_as_wide_as_their_texts(app: ConsoleApp, pilot: Pilot[
 async def test_one_line_that_has_no_room_is_one_line(app: ConsoleApp, pilot: Pilot[None]) -> None:
     links = [replace(REMEMBERED.tracks[0], link=f"robot{number}") for number in (2, 3)]
     tracks = (*REMEMBERED.tracks, *links)
-    engine_of(app).remembered = replace(REMEMBERED, tracks=tracks, outages_left_out=1)
+    answers()[ReportHistory] = partial(answer, report=replace(REMEMBERED, tracks=tracks, outages_left_out=1))
     await pilot.press("h")
     await shown(pilot, HistoryText.LINES_LEFT_OUT, more="1 more line", name="robot1")
     await shown(pilot, HistoryText.OUTAGES_LEFT_OUT, more="1 more outage")
@@ -107,7 +111,7 @@ async def test_the_span_the_order_and_the_filter(app: ConsoleApp, pilot: Pilot[N
 
 @on_main()
 async def test_what_is_not_known_is_said(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    engine_of(app).history = lambda seconds: refused("no bridge")  # type: ignore[method-assign]
+    answers()[ReportHistory] = lambda _: refused("no bridge")
     await pilot.press("h")
     await shown(pilot, HistoryText.NOT_KNOWN, error="no bridge")
 
@@ -117,11 +121,11 @@ async def test_a_report_that_takes_long_is_waited_for(app: ConsoleApp, pilot: Pi
     """Another one is asked for before only if it is to be about another span."""
     asked: list[Future[HistoryReport]] = []
 
-    def ask(seconds: float) -> Future[HistoryReport]:
+    def ask(_: object) -> Future[HistoryReport]:
         asked.append(Future())
         return asked[-1]
 
-    engine_of(app).history = ask  # type: ignore[method-assign]
+    answers()[ReportHistory] = ask
     await pilot.press("h")
     await until(pilot, lambda: len(asked) == 1, "a question")
     assert isinstance(app.screen, HistoryScreen)
@@ -138,7 +142,9 @@ async def test_a_report_that_takes_long_is_waited_for(app: ConsoleApp, pilot: Pi
 
 @on_main()
 async def test_a_time_that_nobody_watched_is_told(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    engine_of(app).remembered = replace(REMEMBERED, outages=(), actions=(), gaps=(Gap(NOW - 2000, 1800.0),))
+    answers()[ReportHistory] = partial(
+        answer, report=replace(REMEMBERED, outages=(), actions=(), gaps=(Gap(NOW - 2000, 1800.0),))
+    )
     await pilot.press("h")
     await shown(pilot, ReportText.RAN_PARTLY, watched="30 min", share="50.0 %")
     await shown(pilot, HistoryText.GAP)
