@@ -30,7 +30,8 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.engine import Engine
-from rsb_bridge.model.session import Session, Topic, ZenohSettings
+from rsb_bridge.model.session import Session, Topic
+from rsb_extras.zenoh import ZenohSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -212,11 +213,15 @@ def _halves(folder: Path, kind: str, domain_id: int, resources: contextlib.ExitS
     write_key(folder / "robot1.key")
     common: dict[str, Any] = {"name": "robot1", "key_file": "robot1.key"}
     if kind == "zenoh":
-        from tests.support.zenoh_router import Router  # noqa: PLC0415 — the package is optional
+        from rsb_extras.zenoh.tests.zenoh_router import Router  # noqa: PLC0415 — the package is optional
 
         router = Router()
         resources.callback(router.close)
-        common |= {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=(router.endpoint,))}
+        common |= {
+            "server_ip": "zenoh",
+            "server_port": 0,
+            "features": {"zenoh": ZenohSettings(connect=(router.endpoint,))},
+        }
     else:
         common |= {"server_ip": "127.0.0.1", "server_port": free_port()}
     service = Topic(SERVICE, "transmit", kind="service")

@@ -31,6 +31,7 @@ from rsb_console.simulated.processes import ProcessError
 from rsb_console.simulated.robots import RobotTraffic
 from rsb_console.simulated.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
 from rsb_extras.bench import loopback
+from rsb_extras.zenoh import ZENOH
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -224,7 +225,7 @@ def measure(
 
 def _without_router(running: SimulatedFleet, down: float, stack: ExitStack) -> Delays:
     """Kill the router, and start it again: until when all are linked, and all routes open."""
-    network = session_file.load(running.session).zenoh
+    network = ZENOH.of(session_file.load(running.session))
     assert network is not None
     assert running.router is not None
     running.router.signal(signal.SIGKILL)

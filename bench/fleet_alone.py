@@ -27,7 +27,7 @@ FAULTS = (RobotState.MISSING, RobotState.FAULT, RobotState.WARN)
 class MovingSource:
     """Rates change all the time, and a state every few seconds."""
 
-    name, kind, problem = "control", "server", ""
+    name, kind, problem, way, gone, empty = "control", "server", "", "", "gone", "none"
 
     def __init__(self) -> None:
         began = time.time()

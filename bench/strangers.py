@@ -24,14 +24,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bench import bed
 
-from rsb_bridge.transport.zenoh.endpoint import ROOT
-from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import CipherSuite
 from rsb_console.simulated import processes
 from rsb_extras.bench import loopback
 from rsb_extras.bench.results import BenchError
+from rsb_extras.zenoh.endpoint import ROOT
+from rsb_extras.zenoh.outbox import Header, SampleKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -16,11 +16,12 @@ from pathlib import Path
 from tests.support.bridge import Bridge, linked
 from tests.support.domain import Domain, text
 from tests.support.waiting import eventually
-from tests.support.zenoh_attacker import ATTACKS, Attacker
-from tests.support.zenoh_router import Router
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Topic, ZenohSettings
+from rsb_bridge.model.session import Topic
+from rsb_extras.zenoh import ZenohSettings
+from rsb_extras.zenoh.tests.zenoh_attacker import ATTACKS, Attacker
+from rsb_extras.zenoh.tests.zenoh_router import Router
 
 _HZ = {"churn": 100.0}
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -33,7 +34,7 @@ def _rss() -> float:
 
 def _run(attack: str, seconds: float, router: Router, robot: Domain, pc: Domain, folder: Path) -> str:
     bridge = Bridge(folder, robot, pc)
-    over = {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=(router.endpoint,))}
+    over = {"server_ip": "zenoh", "server_port": 0, "features": {"zenoh": ZenohSettings(connect=(router.endpoint,))}}
     there, out = pc.listener("/odom"), robot.publisher("/odom")
     server, client = bridge.both(Topic("/odom", "transmit", qos={"depth": 100}), **over)
 

@@ -108,7 +108,7 @@ class Stage:
         keys = {name: write_key(folder / f"{name}.key").secret for name in names}
         port = free_port()
         clients = tuple(Client(name, key_file=f"{name}.key") for name in names)
-        topic = Topic(TOPIC, "transmit", type="std_msgs/msg/String", protocol=protocol, qos=2000)  # type: ignore[arg-type]
+        topic = Topic(TOPIC, "transmit", type="std_msgs/msg/String", protocol=protocol, qos=2000)
         self.log = folder / "server.log"
         save(
             Session(name="bench", role="server", server_ip=host, server_port=port, domain_id=far, clients=clients),

@@ -25,8 +25,11 @@ GROUP = "rsb_console.feature"
 BRINGS: Mapping[str, str] = {
     "bench": "bench",
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
+    "zenoh": "zenoh",
 }
 """Keys of session files, and the feature of this project that brings each: an installation without it says so."""
+BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
+"""The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {"bench": "bench", "doctor": "doctor", "look": "pictures", "report": "history"}
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {"drive": "driving", "history": "history", "look": "pictures"}
@@ -137,6 +140,24 @@ class Feature:
         """
         return ()
 
+    def transport_traits(self) -> Iterable[Any]:
+        """Return the facts of transports, subclasses of `rsb_bridge.model.transport_traits.TransportTraits`."""
+        return ()
+
+    def transports(self, session: Any, base: Path, random: Any, strangers: Any) -> Iterable[Any]:
+        """Return the transports of these that a session uses.
+
+        Args:
+            session: a `rsb_bridge.model.session.Session`.
+            base: the folder that its files are relative to.
+            random: a `random.Random`, for jitter.
+            strangers: the `rsb_bridge.model.budgets.Strangers` of all transports.
+
+        Returns:
+            `rsb_bridge.transport.transport.Transport`s.
+        """
+        return ()
+
     # --- a session and its engine
 
     def session_keys(self) -> Iterable[SessionKey[Any]]:
@@ -158,6 +179,17 @@ class Feature:
     def effects(self, session: Any) -> Iterable[str]:
         """Return lines on what a session without mistakes does, for ``rsb-console check``."""
         return ()
+
+    def client_session(self, session: Any, client: Any, address: str, port: int | None) -> Any:
+        """Return a client's new session with what this feature adds.
+
+        Args:
+            session: of its server.
+            client: the client's so far.
+            address: of the server as an operator gives it, or empty.
+            port: the same, or None.
+        """
+        return client
 
     def refusal(self, session: Any, topic: str) -> str:
         """Return the reason why a topic of this side's domain is not bridged, or an empty string."""
@@ -197,7 +229,18 @@ class Feature:
         """
         return ()
 
+    def serve(self, server: Any) -> None:
+        """Begin what lets consoles in that are not on this machine.
+
+        Args:
+            server: the `rsb_bridge.control.control_server.ControlServer` of an engine that is not started yet.
+        """
+
     # --- a console
+
+    def ways(self) -> Iterable[Any]:
+        """Return ways to bridges of other machines, subclasses of `rsb_console.command.ways.RemoteWay`."""
+        return ()
 
     def subcommands(self, add: Any, complete: Any) -> None:
         """Add subcommands of ``rsb-console``, each with a parser and a function that `late` imports when it is run.

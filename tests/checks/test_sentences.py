@@ -9,8 +9,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 OF_OTHERS = {
     "bridge/rsb_bridge/ros/native/rclpy_extension.py": (", at ",),
-    "bridge/rsb_bridge/transport/zenoh/network.py": ("Unable to connect", " at /"),
     "extras/rsb_extras/bench/loopback.py": ("model name",),
+    "extras/rsb_extras/zenoh/network.py": ("Unable to connect", " at /"),
 }
 """Words of other programs, which have no codes, by the module that looks for them."""
 OF_FILES = {

@@ -22,7 +22,7 @@ from rsb_bridge.config.session_file import SavingProblem, dump, load, parse, sav
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.feature import Feature
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Client, May, Session, Topic, ZenohSettings
+from rsb_bridge.model.session import Client, May, Session, Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.command.client_command import ClientCommandProblem, ClientEffect
 from rsb_console.command.formatting import clock
@@ -147,29 +147,6 @@ def test_an_address_may_have_a_port(address: str, host: str, port: int, path: Pa
     assert run("add", str(path), "robot2", "-o", "robot2.yaml", "--address", address).code == 0
     session = load(Path("robot2.yaml"))
     assert (session.server_ip, session.server_port) == (host, port)
-
-
-@pytest.mark.parametrize(
-    ("address", "place"),
-    [
-        ("10.0.0.9", "10.0.0.9:7447"),
-        ("2001:db8::1", "[2001:db8::1]:7447"),
-        ("[fe80::1%wlan0]:7448", "[fe80::1%wlan0]:7448"),
-    ],
-)
-def test_an_address_of_a_zenoh_server_becomes_an_endpoint(address: str, place: str, path: Path, run: Run) -> None:
-    save(replace(load(path), server_ip="zenoh", server_port=0, zenoh=ZenohSettings(listen=("tcp/[::]:7447",))), path)
-    assert run("add", str(path), "robot2", "-o", "robot2.yaml", "--address", address).code == 0
-    session = load(Path("robot2.yaml"))
-    assert (session.server_ip, session.zenoh) == ("zenoh", ZenohSettings(connect=(f"tcp/{place}",)))
-
-
-def test_a_port_of_a_tcp_server_is_not_its_fleets(path: Path, run: Run) -> None:
-    save(replace(load(path), zenoh=ZenohSettings(listen=("tcp/0.0.0.0:7447",))), path)
-    assert run("add", str(path), "robot2", "-o", "robot2.yaml", "--address", "10.0.0.9:50000").code == 0
-    session = load(Path("robot2.yaml"))
-    assert (session.server_ip, session.server_port) == ("10.0.0.9", 50000)
-    assert session.zenoh == ZenohSettings(connect=("tcp/10.0.0.9:7447",))
 
 
 @pytest.mark.parametrize("address", ["10.0.0.9:", "10.0.0.9:0", "10.0.0.9:70000", "10.0.0.9:x", "0.0.0.0:50000", "a b"])

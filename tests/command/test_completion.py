@@ -12,7 +12,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import argcomplete
 import msgspec
@@ -24,6 +24,7 @@ from tests.support.captured import captured
 from tests.support.commands import options_of, parser_and_commands, subcommands_of
 
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.transports import Protocol
 from rsb_console.command import arguments, completion
 
 if TYPE_CHECKING:
@@ -98,8 +99,7 @@ def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], 
         ("rsb-console add --service /dock --provider ", {"client", "server"}),
         ("rsb-console add --service /dock time", {"timeout="}),
         ("rsb-console add --kind ", {"topic", "service", "action", "parameters"}),
-        ("rsb-console edit /scan protocol=",
-         {"protocol=tcp", "protocol=udp", "protocol=bluetooth", "protocol=zenoh", "protocol=zenoh-drop"}),
+        ("rsb-console edit /scan protocol=", {f"protocol={each}" for each in get_args(Protocol)}),
         ("rsb-console edit /scan priority=l", {"priority=low"}),
         ("rsb-console edit /scan paused=", {"paused=true", "paused=false"}),
         ("rsb-console edit /scan qos=sen", {"qos=sensor_data"}),

@@ -367,7 +367,7 @@ def test_it_works_over_zenoh(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     pytest.importorskip("zenoh", reason="needs Zenoh")
-    from tests.support.zenoh_fleet import Fleet
+    from rsb_extras.operators.tests.zenoh_fleet import Fleet
 
     with contextlib.closing(Fleet(folder)) as fleet:
         fleet.add("robot1", Robot())

@@ -28,7 +28,7 @@ _OTHERS = {
     "scp": "needs another machine",
     "source": "sets the shell",
     "sudo": "changes the kernel's settings",
-    "zenohd": "is Zenoh's own router; tests/support/zenoh_router.py replaces it",
+    "zenohd": "is Zenoh's own router; extras/rsb_extras/zenoh/tests/zenoh_router.py replaces it",
 }
 """Other programs, and why nothing here runs or checks their lines."""
 _OF_FEATURES = {"curl"}

@@ -11,7 +11,7 @@ from tests.support.wording import says
 from rsb_bridge.config.advice import Advice, advise
 from rsb_bridge.config.validation import SessionMistake, validate
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH, PORTS_PER_CLIENT, ROUTES_PER_LINK
-from rsb_bridge.model.session import Session, Topic, ZenohSettings
+from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.wording import Wording
 
 CLIENT: dict[str, Any] = {"name": "a", "role": "client", "server_ip": "10.0.0.1", "server_port": 49152, "key_file": "k"}
@@ -23,10 +23,6 @@ MAC = "5C:F3:70:9A:1B:2E"
 
 def topics(*some: Topic, **session: Any) -> dict[str, Any]:
     return {**CLIENT, "topics": some, **session}
-
-
-def zenoh(*endpoints: str) -> ZenohSettings:
-    return ZenohSettings(connect=endpoints)
 
 
 def one(**fields: Any) -> dict[str, Any]:
@@ -52,13 +48,6 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         (one(port=7660), None, "topics[0].port", Advice.TOPIC_PORT_OF_DISCOVERY, {"domain": 1}),
         ({**CLIENT, "server_ip": "fe80::1%nope"}, None, "server_ip", Advice.NO_INTERFACE, {"zone": "nope"}),
         ({**SERVER, "server_ip": "fe80::1%777"}, None, "server_ip", Advice.NO_INTERFACE, {"interfaces": INTERFACES}),
-        (
-            {**CLIENT, "zenoh": zenoh("tls/hub:7447", "tls/[fe80::1%nope]:7447")},
-            None,
-            "zenoh.connect[1]",
-            Advice.NO_INTERFACE,
-            {"zone": "nope"},
-        ),
         (topics(Topic("/shutdown", "transmit")), None, "topics[0]", Advice.SHUTDOWN_TOPIC, {}),
         (one(port=80), None, "topics[0].port", Advice.TOPIC_PORT_LOW, {"limit": 1024}),
         (topics(*many(ROUTES_PER_LINK + 1)), None, "topics", Advice.TOO_MANY_TOPICS, {"limit": ROUTES_PER_LINK}),

@@ -170,8 +170,6 @@ def test_a_mistake_of_an_entry_has_its_line_and_key(
         (service("protocol: udp", BLUETOOTH), "7 services[0].protocol", TopicMistake.CALL_NEEDS_RELIABLE, {}),
         (service("protocol: tcp", BLUETOOTH), "7 services[0].protocol", TopicMistake.NOT_CROSSING,
          {"protocol": "tcp", "crossing": "bluetooth"}),
-        (service("protocol: zenoh"), "7 services[0].protocol", TopicMistake.NOT_CROSSING,
-         {"chosen_by": "server_ip: zenoh", "crossing": "tcp"}),
         (entry("services", "/d"), "7 services[0]", ValueMistake.NOT_A_MAPPING, {}),
         (CLIENT + "services: /d\n", "6 services", ValueMistake.NOT_A_LIST, {"value": "'/d'"}),
         (CLIENT + "service: []\n", "6 service", ValueMistake.MISSPELT_KEY, {}),

@@ -3,7 +3,7 @@
 import errno
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from tests.config.mistakes import BLUETOOTH, CLIENT, FILE, SERVER, has, problems
@@ -20,13 +20,13 @@ from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, TypeNameProblem
 from rsb_bridge.model.qos import QosProblem
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.topic_keys import RangeText
+from rsb_bridge.model.transports import Protocol
 from rsb_bridge.model.wording import Wording
 
 CLOSE_TO_LASER_SCAN = " or ".join(
     f"sensor_msgs/msg/{name}" for name in ("LaserScan", "MultiEchoLaserScan", "LaserEcho")
 )
 MAC = "5C:F3:70:9A:1B:2E"
-OVER_ZENOH = CLIENT.replace("192.168.1.10", "zenoh").replace("server_port: 49152\n", "")
 
 
 def refusals(text: str) -> list[str]:
@@ -132,10 +132,6 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (CLIENT.replace("192.168.1.10", "192.168.1.256"), "3 server_ip", SessionMistake.ADDRESS_INVALID, {}),
         (CLIENT.replace("192.168.1.10", "0.0.0.0"), "3 server_ip", SessionMistake.ADDRESS_OF_CLIENT, {}),
         (CLIENT.replace("192.168.1.10", "fe80::1"), "3 server_ip", SessionMistake.ZONE_MISSING, {"address": "fe80::1"}),
-        (OVER_ZENOH + "zenoh: {connect: ['tcp/hub:7447', 'tls/[fe80::1]:7447']}\n", "5 zenoh.connect[1]",
-         SessionMistake.ZONE_MISSING, {"address": "fe80::1"}),
-        (OVER_ZENOH + "zenoh: {listen: ['udp/[FE80::1]:7447#iface=lo']}\n", "5 zenoh.listen[0]",
-         SessionMistake.ZONE_MISSING, {"address": "FE80::1"}),
         (CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"), "3 server_ip", SessionMistake.ADDRESS_WITH_DASHES, {}),
         (BLUETOOTH.replace("port: 5", "port: 31"), "4 server_port", TopicMistake.INVALID_PORT, {}),
         (CLIENT.replace("role: client", "role: cleint"), "2 role", ValueMistake.MISFIT, {}),
@@ -174,7 +170,7 @@ def test_a_mistake_has_its_line_and_place(text: str, place: str, code: Wording, 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (topic("protocol: tpc"), "one of tcp, udp, bluetooth, zenoh, zenoh-drop"),
+        (topic("protocol: tpc"), f"one of {', '.join(get_args(Protocol))}"),
         (topic("qos: {reliability: reliabel}"), Hint.DID_YOU_MEAN(name="reliable")),
         (topic("port: '49153'"), Hint.NO_QUOTES()),
         (topics("{topic: scan, direction: transmit}"), Hint.DID_YOU_MEAN(name="/scan")),
@@ -392,14 +388,6 @@ def test_addresses_are_text_without_quotes(server_ip: str) -> None:
     assert session.is_bluetooth is (server_ip == "80:32:53:10:12:20")
 
 
-@pytest.mark.parametrize("zone", ["wlan0", "br-lan", "eth0.100", "2"])
-def test_a_zone_of_an_endpoint_is_any_interface(zone: str) -> None:
-    endpoint = f"tls/[fe80::1%{zone}]:7447"
-    session = parse(f"{OVER_ZENOH}zenoh: {{connect: ['{endpoint}']}}\n", FILE)
-    assert session.zenoh is not None
-    assert session.zenoh.connect == (endpoint,)
-
-
 @pytest.mark.parametrize("group", ["''", "' '", '"hall\\e[2J"', "x" * 256, "[hall]", "5"])
 def test_groups_are_text(group: str) -> None:
     of_client = f"clients:\n  - {{name: robot1, group: {group}}}\n"
@@ -422,7 +410,7 @@ def test_a_form_has_the_same_rules_as_a_file() -> None:
     (problem,) = validate_topic(Topic(topic="scan", direction="transmit"))
     assert (problem.location, problem.line) == ("topic", None)
     assert says(problem.message, Hint.DID_YOU_MEAN, name="/scan")
-    mistyped = Topic(topic="/scan", direction="transmit", protocol="tpc")  # type: ignore[arg-type]
+    mistyped = Topic(topic="/scan", direction="transmit", protocol="tpc")
     assert [problem.location for problem in validate_topic(mistyped)] == ["protocol"]
     over_tcp = Topic(topic="/scan", direction="transmit", protocol="tcp")
     assert validate_topic(over_tcp) == validate_topic(over_tcp, parse(CLIENT, FILE)) == []

@@ -1,6 +1,7 @@
 """Services, actions and parameters next to topics: in the table, in the header and in the detail."""
 
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 from tests.console.driving import NARROW, gone, listed, on_main, put, shown, text, until
@@ -17,6 +18,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.transports import Protocol
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.preferences import TOPIC_COLUMNS
@@ -89,9 +91,9 @@ def test_the_columns_fit_and_leave_room_for_names(
         assert ("NODE" in titles) is (calls and width >= 100)
 
 
-@pytest.mark.parametrize("transport", ["zenoh", "zenoh-drop"])
-def test_the_column_of_transports_has_room_for_zenohs(transport: str) -> None:
-    assert len(via(route("/scan", transport=transport))) <= 7
+@pytest.mark.parametrize("transport", get_args(Protocol))
+def test_the_column_of_transports_has_room_for_each(transport: str) -> None:
+    assert len(via(route("/scan", transport=transport, port=30))) <= 7
 
 
 @on_main((200, 40))

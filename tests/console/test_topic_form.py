@@ -43,7 +43,6 @@ SERVER = msgspec.structs.replace(
 LINKS: dict[str, dict[str, Any]] = {
     "ip": {"server_ip": "10.0.0.1"},
     "both": {"server_ip": "10.0.0.1", "bluetooth_address": "00:11:22:33:44:55"},
-    "zenoh": {"server_ip": "zenoh", "server_port": 0},
 }
 
 
@@ -52,7 +51,7 @@ LINKS: dict[str, dict[str, Any]] = {
 def test_the_form_offers_the_transports_that_the_rules_allow(link: str, kind: Kind) -> None:
     session = msgspec.structs.replace(SESSION, **LINKS[link])
     form = fields_by_kind(session, Ends(is_server=False, client="robot1", use_name=False), None)[kind]
-    assert ("port" in form) is (link != "zenoh")
+    assert "port" in form
     offered = {value for value, _ in form["protocol"].options if value}
     entries = {each: Topic("/a", "transmit", kind=kind, protocol=each) for each in get_args(Protocol)}
     mistakes = {name: {each.location for each in entry_problems(entry, session)} for name, entry in entries.items()}

@@ -1,4 +1,4 @@
-"""Surroundings of engines: both ends of an action, consoles, a Zenoh router; and fixtures of tests on virtual time."""
+"""Surroundings of engines: both ends of an action, consoles; and fixtures of tests on virtual time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tests.support.consoles import Consoles
     from tests.support.domain import Domain
     from tests.support.fibonacci import FibonacciClient, FibonacciServer
-    from tests.support.zenoh_router import Router
+
 
 __all__ = ["loop", "make_context"]
 
@@ -65,15 +65,6 @@ def consoles() -> Iterator[Consoles]:
     from tests.support.consoles import Consoles
 
     with closing(Consoles()) as made:
-        yield made
-
-
-@pytest.fixture
-def router() -> Iterator[Router]:
-    """A Zenoh router."""
-    from tests.support.zenoh_router import Router
-
-    with closing(Router()) as made:
         yield made
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, installed
+from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, BRINGS_TRANSPORTS, installed
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = {each.parent.name: each.parent for each in ROOT.glob("extras/rsb_extras/*/__init__.py")}
@@ -65,6 +65,36 @@ def test_an_action_of_a_feature_that_is_not_installed_names_it(tmp_path: Path) -
     )
     ran = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, timeout=60, check=True)
     assert ran.stdout == f"{keys}: this installation has no driving: install all of rsb-console, or leave drive out\n"
+
+
+@pytest.mark.skipif(not FOLDERS, reason="the core alone")
+def test_the_core_knows_which_feature_brings_which_transport() -> None:
+    found = {
+        traits.name: name
+        for name in FOLDERS
+        for traits in importlib.import_module(f"rsb_extras.{name}").FEATURE.transport_traits()
+    }
+    assert found == BRINGS_TRANSPORTS
+
+
+@pytest.mark.parametrize(
+    ("session", "key"),
+    [
+        ("dict(server_ip='zenoh')", "server_ip"),
+        ("dict(server_ip='10.0.0.1', topics=[dict(topic='/a', direction='transmit', protocol='zenoh')])",
+         "topics[0].protocol"),
+    ],
+)  # fmt: skip
+def test_a_transport_of_a_feature_that_is_not_installed_names_it(session: str, key: str) -> None:
+    asked = WITHOUT + (
+        "from rsb_bridge.config.validation import build\n"
+        "common = dict(name='a', role='client', server_port=7060, use_encryption=False)\n"
+        f"for problem in build(common | {session})[1]: print(problem.location, problem.message)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, timeout=60, check=True)
+    assert ran.stdout.startswith(f"{key} ")
+    assert "rsb-console[zenoh]" in ran.stdout
+    assert ran.stdout.count("\n") == 1
 
 
 def test_a_key_of_a_feature_that_is_not_installed_names_it() -> None:

@@ -107,7 +107,7 @@ REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("view", {"from_client": False, "max_age": 1.0}, "max_age"),
     ("view", {"from_client": False, "kind": "service"}, "kind"),
     ("view", {"from_client": False, "qos": Qos(durability="transient_local")}, "late joiners"),
-    ("view", {"from_client": False, "transport": "zenoh"}, "protocol"),
+    ("view", {"from_client": False, "transport": "bluetooth"}, "protocol"),
     ("view", {"from_client": False, "purpose": "topic"}, "absolute"),
     ("view", {"from_client": False, "purpose": "telepathy"}, "update"),
 )

@@ -23,12 +23,10 @@ from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.link_server import Server
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import ZenohSettings
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.wire.connection import ClientConnection
-from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import CipherSuite
 
@@ -94,36 +92,6 @@ def test_a_refused_connection_is_freed_at_once(bridge: Bridge, arrived: list[wea
         eventually(lambda: len(arrived) == 7 * 4 * len(SAID))
     eventually(lambda: not any(each() for each in arrived), what="freed")
     assert strangers_of(server).used == 0
-
-
-@pytest.mark.usefixtures("no_collector")
-def test_a_refused_stream_over_zenoh_is_freed_at_once(bridge: Bridge, arrived: list[weakref.ref[object]]) -> None:
-    zenoh = pytest.importorskip("zenoh")
-    from tests.support.zenoh_router import Router, stranger
-
-    from rsb_bridge.transport.zenoh.endpoint import ROOT
-    from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
-
-    router = Router()
-    try:
-        server = bridge.server(server_ip="zenoh", zenoh=ZenohSettings(connect=(router.endpoint,)))
-        with stranger(router) as other:
-            at = eventually(lambda: [str(each.ok.key_expr) for each in other.liveliness().get(f"{ROOT}/**") if each.ok])
-            to = f"{ROOT}/fleet/at/{at[0].split('/')[4]}"
-            sent = [said[:STRANGER_LIMIT] for said in SAID.values() if said]
-            for number, said in enumerate([*sent, bytes(1_000_000)]):
-                other.put(
-                    f"{to}/{number:016x}/{'5' * 16}",
-                    said,
-                    attachment=Header(SampleKind.DATA, 0, 0).pack(),
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                )
-            eventually(lambda: len(arrived) == len(sent) * 4 and not any(each() for each in arrived), 20, what="freed")
-            assert strangers_of(server).used == 0
-            assert strangers_of(server).turned_away == 1
-    finally:
-        bridge.close()
-        router.close()
 
 
 def test_little_is_read_at_a_time_until_the_other_end_is_trusted() -> None:

@@ -49,6 +49,7 @@ class ScriptedSource:
 
     def __init__(self, *robots: RobotSummary, name: str = "control") -> None:
         self.name, self.kind, self.problem = name, "server", ""
+        self.way, self.gone, self.empty = "", f"gone from {name}", "add one"
         self.given = list(robots)
         self.engines: dict[str, ScriptedEngine] = {}
         self.began = self.ended = 0

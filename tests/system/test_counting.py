@@ -14,7 +14,8 @@ from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
-from rsb_bridge.model.session import Topic, ZenohSettings
+from rsb_bridge.model.session import Topic
+from rsb_extras.zenoh import ZenohSettings
 
 RATE = 400.0
 _TOLERANCE = int(1.5 * RATE)
@@ -79,7 +80,7 @@ def test_a_freeze_a_cut_and_a_kill(protocol: Any, tmp_path: Path, domains: tuple
 
 def test_a_freeze_a_router_that_is_killed_and_a_kill(tmp_path: Path, domains: tuple[int, int]) -> None:
     pytest.importorskip("zenoh")
-    from tests.support.zenoh_router import Router
+    from rsb_extras.zenoh.tests.zenoh_router import Router
 
     router = Router()
 
@@ -88,7 +89,11 @@ def test_a_freeze_a_router_that_is_killed_and_a_kill(tmp_path: Path, domains: tu
         time.sleep(0.1)
         router.start()
 
-    settings = {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=(router.endpoint,))}
+    settings = {
+        "server_ip": "zenoh",
+        "server_port": 0,
+        "features": {"zenoh": ZenohSettings(connect=(router.endpoint,))},
+    }
     topic = Topic(TOPIC, "transmit", expected_rate=RATE)
     try:
         with CountedBridge(tmp_path, domains, topic, settings=settings) as counted:

@@ -13,6 +13,7 @@ from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model import transports
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.transport_traits import TransportTraits
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.tcp import Tcp
@@ -44,8 +45,8 @@ def test_the_servers_address_says_what_carries_the_link(server_ip: str, name: st
 def test_the_facts_of_a_transport_are_all_that_a_session_needs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its addresses and the topics that may cross it follow from one declaration."""
 
-    class Serial(transports.TransportTraits):
-        name = "serial"  # type: ignore[assignment]
+    class Serial(TransportTraits):
+        name = "serial"
         medium = "RS-485"
         ip_ports = False
 

@@ -141,7 +141,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
 
     def _send(self, batch: Sequence[Message], size: int) -> int:
         datagrams = self._codec.write_many(batch, self.carrier.datagram_size(), asks=self.via.asks(size))
-        # A Zenoh network, whose sockets have no port, loses samples where it is congested, which more make worse.
+        # A network of routers, whose sockets have no port, loses them where it is congested, which more make worse.
         is_command = len(datagrams) == 1 and batch[0][2] & LEASED and self.carrier.socket.port
         if not is_command:
             return self._pass(datagrams)

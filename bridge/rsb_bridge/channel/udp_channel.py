@@ -79,8 +79,8 @@ class Silence(Wording):
 
     NO_ANSWER = "no answer from UDP port {port} of {host}: does a firewall drop it?"
     NOTHING_MORE = "nothing more from UDP port {port} of {host}"
-    NOTHING_OVER_ZENOH = (
-        "no datagram comes through the Zenoh network: is it congested, or does its access control forbid them?"
+    NOTHING_THROUGH_ROUTERS = (
+        "no datagram comes through the routers: are they congested, or does their access control forbid them?"
     )
 
 
@@ -343,8 +343,8 @@ class ClientUdpChannel(UdpChannel):
 
     def _silence(self) -> str:
         assert self._peer is not None
-        if not self.socket.port:  # a Zenoh network has none
-            return Silence.NOTHING_OVER_ZENOH()
+        if not self.socket.port:  # a network of routers has none
+            return Silence.NOTHING_THROUGH_ROUTERS()
         return Silence.NO_ANSWER(port=self._peer[1], host=self._peer[0])
 
     def close(self) -> None:
@@ -405,7 +405,7 @@ class ServerUdpChannel(UdpChannel):
 
     def _silence(self) -> str:
         if not self.socket.port:
-            return Silence.NOTHING_OVER_ZENOH()
+            return Silence.NOTHING_THROUGH_ROUTERS()
         if self._peer is None:
             return "no UDP from the client: does a firewall drop it?"
         return Silence.NOTHING_MORE(port=self._peer[1], host=self._peer[0])

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.model.transports import QUEUES_LITTLE, Ages
+from rsb_bridge.model.transport_traits import QUEUES_LITTLE, Ages
 from rsb_bridge.wire.messages import MOST_RECEIPTS, Receipts
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import LISTS, NOUNS, locations
 from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server, uses
 from rsb_bridge.config.topic_rules import transport_of
-from rsb_bridge.config.validation import domain_of, hosts, zone_of
+from rsb_bridge.config.validation import domain_of, zone_of
 from rsb_bridge.feature import installed
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import Demands, demand_on_entry, local_name, sources_of
@@ -100,9 +100,8 @@ def advise(
     if not session.check_messages:
         yield Problem("check_messages", Advice.NO_CHECKS())
     yield from _domain(session, domain_variable)
-    for location, host in hosts(session):
-        if problem := interface_problem(host):
-            yield Problem(location, problem)
+    if problem := interface_problem(session.server_ip):
+        yield Problem("server_ip", problem)
     yield from missing_transports(session)
     for feature in installed():
         yield from (Problem(key, text) for key, text in feature.advice(session, file))
@@ -119,8 +118,8 @@ def missing_transports(session: Session) -> Iterator[Problem]:
     if session.adapter is not None and not hasattr(socket, "AF_BLUETOOTH"):
         location = "server_ip" if session.is_bluetooth else "bluetooth_address"
         yield Problem(location, Advice.NO_BLUETOOTH())
-    if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
-        yield Problem("zenoh", transports.HOW_TO_INSTALL_ZENOH)
+    if problem := transports.of_link(session.server_ip).missing():
+        yield Problem("server_ip", problem)
 
 
 def interface_problem(host: str) -> str:

@@ -12,6 +12,7 @@ import msgspec
 from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.config.keys import conceal, is_key
+from rsb_bridge.feature import BRINGS_TRANSPORTS
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.wording import Wording
 
@@ -34,6 +35,7 @@ class ValueMistake(Wording):
     IS_A_KEY = "is a key itself: put it in a file with mode 0600, and give that file's name as key_file"
     NOT_A_LIST = "{value} is not a list"
     MISFIT = "{value} is not {expected}{hint}"
+    OF_FEATURE = "{value} needs the feature {feature}, which is not installed: pip install 'rsb-console[{feature}]'"
 
 
 class Hint(Wording):
@@ -172,6 +174,8 @@ def _misfit(value: object, kind: Any) -> str:
         return ValueMistake.NO_VALUE()
     hint = ""
     if options := _options(kind):
+        if isinstance(value, str) and value in BRINGS_TRANSPORTS and "tcp" in options:
+            return ValueMistake.OF_FEATURE(value=value, feature=BRINGS_TRANSPORTS[value])
         hint = did_you_mean(value, options) if isinstance(value, str) else ""
     elif str in _alternatives(kind) and isinstance(value, int | float):
         hint = Hint.QUOTES()

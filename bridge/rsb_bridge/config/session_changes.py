@@ -27,7 +27,7 @@ class ChangeRefused(Wording):
 
 
 _OTHER_SESSION = ("name", "role")
-_FIXED = ("server_ip", "server_port", "bluetooth_address", "zenoh", "domain_id", "use_encryption", "profile")
+_FIXED = ("server_ip", "server_port", "bluetooth_address", "domain_id", "use_encryption", "profile")
 _FIXED_ON_CLIENT = (*_FIXED, "use_name")
 
 

@@ -1,4 +1,4 @@
-"""Files that operators write: of sessions and fleets. Read them with the line of every mistake, and save sessions."""
+"""Session files: reading them, with the line of every mistake, and saving them."""
 
 from __future__ import annotations
 
@@ -7,20 +7,18 @@ import os
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.decoding import join, read
+from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import as_written, locations
 from rsb_bridge.config.files import replace_file, stat_of, why_not_written
 from rsb_bridge.config.imports.other_bridges import origin_of
-from rsb_bridge.config.keys import Key, key_path, read_key
-from rsb_bridge.config.rights import operator_name_problem
-from rsb_bridge.config.validation import build, placed, settings_problems, validate, validate_topic
+from rsb_bridge.config.validation import build, placed, validate, validate_topic
 from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read_yaml, text_if_there
 from rsb_bridge.model.demands import SourceKey, armed_line, sources_of_entries, sources_of_names
-from rsb_bridge.model.session import Problem, Session, Topic, ZenohSettings
+from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.text import one_line
 from rsb_bridge.model.wording import Wording
 
@@ -262,46 +260,3 @@ def backup_path(path: Path) -> Path:
     """Return the path of the previous contents of a session file: the same name with a ``~`` at the end."""
     target = Path(os.path.realpath(path))
     return target.with_name(f"{target.name}~")
-
-
-# --- fleets
-
-
-class FleetMistake(Wording):
-    OPERATOR_MISSING = "missing: give a name that the engines' sessions have under operators"
-    KEY_FILE_MISSING = "missing: give the file of the operator's key"
-
-
-class FleetFile(NamedTuple):
-    """The file by which an operator's console reaches a fleet; the files it names are relative to `base`."""
-
-    zenoh: ZenohSettings
-    operator: str
-    key: Key
-    base: Path
-
-
-class Fleet(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The file's keys; a message calls what lacks all of them by this name."""
-
-    zenoh: ZenohSettings = ZenohSettings()
-    operator: str = ""
-    key_file: str = ""
-
-
-def load_fleet(path: Path) -> FleetFile:
-    """Read a fleet's file. Raise SessionError or KeyFileError if it or the key cannot be read, or has mistakes."""
-    document = read_yaml(read_text(path), path)
-    problems = list(document.problems)
-    written = read(document.data, Fleet, problems)
-    if not problems:
-        problems += settings_problems(written.zenoh, "zenoh")
-        if not written.operator.strip():
-            problems.append(Problem("operator", FleetMistake.OPERATOR_MISSING()))
-        elif problem := operator_name_problem(written.operator):
-            problems.append(Problem("operator", problem))
-        if not written.key_file.strip():
-            problems.append(Problem("key_file", FleetMistake.KEY_FILE_MISSING()))
-    if problems:
-        raise SessionError(path, [document.locate(problem) for problem in problems])
-    return FleetFile(written.zenoh, written.operator, read_key(key_path(path.parent, written.key_file)), path.parent)

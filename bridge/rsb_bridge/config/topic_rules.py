@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.model.purposes import Purpose
-    from rsb_bridge.model.transports import TransportTraits
+    from rsb_bridge.model.transport_traits import TransportTraits
 
 A_KIND: Final[dict[Kind, str]] = {
     "topic": "a topic",

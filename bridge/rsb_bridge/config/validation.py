@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.decoding import Hint, did_you_mean, join, read, show
+from rsb_bridge.config.decoding import Hint, ValueMistake, join, read, show
 from rsb_bridge.config.file_form import (
     LISTS,
     NAME_KEYS,
@@ -39,7 +39,7 @@ from rsb_bridge.config.topic_rules import (
     transport_of,
     unreported,
 )
-from rsb_bridge.feature import installed, peer_keys
+from rsb_bridge.feature import BRINGS_TRANSPORTS, installed, peer_keys
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.demands import local_name
@@ -49,13 +49,13 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import ArmedName, Identity, Problem, Session, Topic
 from rsb_bridge.model.text import is_clean
-from rsb_bridge.model.transports import TcpTraits, is_mac
+from rsb_bridge.model.transport_traits import TcpTraits, is_mac
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rsb_bridge.model.session import Client, Kind, ZenohSettings
+    from rsb_bridge.model.session import Client, Kind
 
 
 class SessionMistake(Wording):
@@ -97,20 +97,9 @@ class SessionMistake(Wording):
     NEXT_KEY_IS_CURRENT = "{name} is the key_file already: give the new key's file"
 
 
-class ZenohMistake(Wording):
-    MISSING = "missing: server_ip is zenoh; give the routers' endpoints, {{connect: [tls/hub:7447]}}"
-    FLEET_INVALID = "{name} is not a fleet's name: letters, digits, _, . and -, a letter or digit first, at most 64"
-    PROTOCOL_UNKNOWN = "{protocol} is not one of {protocols}{hint}"
-
-
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
 _ENTRY = re.compile(rf"(?P<list>{'|'.join(NOUNS)})\[(?P<at>\d{{1,9}})\]")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
-_ZENOH_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")  # of endpoints. The wheel knows more
-_ZENOH_HOST = r"\[[0-9A-Fa-f:.]+(%[^\]\s]+)?\]|[^\[\]:/\s]+"
-_ZENOH_ENDPOINT = re.compile(rf"(?P<protocol>[a-z0-9_]+)/(?P<host>{_ZENOH_HOST}):(?P<port>\d{{1,5}})([?#]\S*)?")
-_FLEET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-_MOST_ENDPOINTS = 16  # a round figure: Zenoh tries them in turn (docs/zenoh.md)
 
 
 def build(data: object) -> tuple[Session, list[Problem]]:
@@ -229,16 +218,18 @@ def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:
 
 def _address(session: Session) -> Iterator[Problem]:
     address = session.server_ip
-    if session.role == "client" and address in _ANY_ADDRESS:
+    traits = transports.of_link(address)
+    if traits is TcpTraits and address in BRINGS_TRANSPORTS:
+        yield Problem("server_ip", ValueMistake.OF_FEATURE(value=address, feature=BRINGS_TRANSPORTS[address]))
+    elif session.role == "client" and address in _ANY_ADDRESS:
         yield Problem("server_ip", SessionMistake.ADDRESS_OF_CLIENT(address=address))
     elif is_mac(address.replace("-", ":")) and "-" in address:
         hint = Hint.DID_YOU_MEAN(name=address.replace("-", ":"))
         yield Problem("server_ip", SessionMistake.ADDRESS_WITH_DASHES(address=repr(address), hint=hint))
-    elif transports.of_link(address) is TcpTraits and not (is_ip(address) or is_host(address)):
+    elif traits is TcpTraits and not (is_ip(address) or is_host(address)):
         yield Problem("server_ip", SessionMistake.ADDRESS_INVALID(address=show(address)))
     elif lacks_zone(address):
         yield Problem("server_ip", SessionMistake.ZONE_MISSING(address=address))
-    yield from zenoh_problems(session)
     if session.bluetooth_address is None:
         return
     if session.is_bluetooth:
@@ -265,16 +256,6 @@ def zone_of(address: str) -> str | None:
     """Return the interface that an address names, or None."""
     ip = ipaddress.ip_address(address) if is_ip(address) else None
     return ip.scope_id if isinstance(ip, ipaddress.IPv6Address) else None
-
-
-def hosts(session: Session) -> Iterator[tuple[str, str]]:
-    """Yield the addresses of a valid session that may name an interface, each with its location."""
-    yield "server_ip", session.server_ip
-    if session.zenoh is not None:
-        for key, endpoints in (("connect", session.zenoh.connect), ("listen", session.zenoh.listen)):
-            for at, match in enumerate(map(_ZENOH_ENDPOINT.fullmatch, endpoints)):
-                if match is not None:
-                    yield join(join("zenoh", key), at), match["host"].strip("[]")
 
 
 def is_host(address: str) -> bool:
@@ -403,43 +384,3 @@ def key_file_problems(session: Session) -> Iterator[Problem]:
         for location, holder, _ in holders[:1] if session.clients is None else holders[1:]:
             if holder.key_file is None:
                 yield Problem(join(location, "key_file"), SessionMistake.KEY_FILE_MISSING())
-
-
-def zenoh_problems(session: Session) -> Iterator[Problem]:
-    """Mistakes in a session's `Session.zenoh`, and where it is missing."""
-    if session.is_zenoh and session.bluetooth_address is not None:
-        yield Problem("bluetooth_address", "a link over Zenoh cannot have topics over Bluetooth: leave it out")
-    if session.zenoh is None:
-        if session.is_zenoh:
-            yield Problem("zenoh", ZenohMistake.MISSING())
-        return
-    yield from settings_problems(session.zenoh, "zenoh")
-
-
-def settings_problems(settings: ZenohSettings, location: str) -> Iterator[Problem]:
-    if not (settings.connect or settings.listen or settings.config):
-        yield Problem(location, "has no endpoint: give connect: [tls/hub:7447], or a config that does")
-    for key, endpoints in (("connect", settings.connect), ("listen", settings.listen)):
-        if len(endpoints) > _MOST_ENDPOINTS:
-            message = f"has {len(endpoints)} endpoints, and at most {_MOST_ENDPOINTS} are allowed"
-            yield Problem(join(location, key), message)
-        for at, endpoint in enumerate(endpoints):
-            yield from _zenoh_endpoint(endpoint, join(join(location, key), at))
-    if not _FLEET_NAME.fullmatch(settings.fleet):
-        yield Problem(join(location, "fleet"), ZenohMistake.FLEET_INVALID(name=show(settings.fleet)))
-
-
-def _zenoh_endpoint(endpoint: str, location: str) -> Iterator[Problem]:
-    match = _ZENOH_ENDPOINT.fullmatch(endpoint)
-    if match is None:
-        yield Problem(location, f"{show(endpoint)} is not an endpoint: PROTOCOL/HOST:PORT, as in tls/hub:7447")
-    elif match["protocol"] not in _ZENOH_PROTOCOLS:
-        hint = did_you_mean(match["protocol"], list(_ZENOH_PROTOCOLS))
-        message = ZenohMistake.PROTOCOL_UNKNOWN(
-            protocol=show(match["protocol"]), protocols=", ".join(_ZENOH_PROTOCOLS), hint=hint
-        )
-        yield Problem(location, message)
-    elif lacks_zone(host := match["host"].strip("[]")):
-        yield Problem(location, SessionMistake.ZONE_MISSING(address=host))
-    elif not 0 < int(match["port"]) < 65536:
-        yield Problem(location, f"{match['port']} is not a port: 1 to 65535")

@@ -16,6 +16,7 @@ from rsb_bridge.control import control_sockets, protocol
 from rsb_bridge.control.control_server import ControlServer
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, ControlSocket, NotServedError, TakenError
 from rsb_bridge.control.protocol import BridgeInfo, ConsoleWelcome, ControlProtocolError, HelloRefused
+from rsb_bridge.feature import installed
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.text import encodable, one_line
 from rsb_bridge.model.wording import Wording
@@ -150,10 +151,8 @@ def serve(
     listener = _claim(info, environ) if control is None else _claim_path(control)
     server = ControlServer(engine, listener, info, on_stop or _terminate)
     server.start()
-    if session.zenoh is not None:
-        from rsb_bridge.control.zenoh_fleet import announce  # noqa: PLC0415 -- commands that only ask start sooner
-
-        announce(engine, server)
+    for feature in installed():
+        feature.serve(server)
     return server
 
 

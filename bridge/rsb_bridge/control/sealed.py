@@ -29,7 +29,7 @@ from rsb_bridge.model.names import fingerprint_of
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.zenoh.pipe import Pipe
+from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.connection import RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.events import Admitted, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.preamble import Refusal
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 _PLACES = protocol.CONSOLES - 8
 """Places that operators may fill. The others are kept for consoles of this machine, which count here, too."""
 _LIMITS = Limits(total=32, of_one_host=32, accepted=_PLACES)
-"""For connections that have not authenticated. In a Zenoh network, a peer chooses its own address."""
+"""For connections that have not authenticated. In some networks, a peer chooses its own address."""
 _TOLD_WITHIN = 5.0
 """s in which a refusal has to be taken. A round figure: a peer that reads nothing keeps its connection for so long."""
 _TICK = 1.0
@@ -61,7 +61,7 @@ _REMEDIES = {
     RefusalCode.UNKNOWN_NAME: "the engine's session file lists who may attach, under operators",
 }
 _REFUSED_AFTER = 1.5
-"""s from a refusal, which anybody in a Zenoh network can forge, until it counts: the engine's answer may follow.
+"""s from a refusal, which any member of some networks can forge, until it counts: the engine's answer may follow.
 The same holds for a client's link (PROTOCOL.md, 12)."""
 _READ_SIZE = 256 << 10
 _HELD = 1 << 20
@@ -190,7 +190,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
         host, self._peer = _origin(transport.get_extra_info("peername"))
-        at = transport.get_extra_info("sockname")[0] if isinstance(transport, Pipe) else ""
+        at = transport.get_extra_info("sockname")[0] if isinstance(transport, OpenNetworkTransport) else ""
         self._machine = OperatorEngine(self._acceptor.access.name, self._acceptor.credential, at)
         if not self._acceptor.add(self) or not self._arrive(host):
             self.abort()
@@ -224,7 +224,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
             self._transport.write(answer)
             if self._machine.accepted and self.stage is ConnectionStage.WAITING:
                 secret = self._machine.sample_secret
-                if secret is not None and isinstance(self._transport, Pipe):
+                if secret is not None and isinstance(self._transport, OpenNetworkTransport):
                     self._transport.authenticate(secret, opener=False)
                 self._accept()
 
@@ -260,10 +260,11 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         self.operator = ActingOperator(f"key {fingerprint_of(admitted.key).hex()}", self.name, f"(operator key){place}")
         server = self._acceptor.server
         self._console = AttachedConsole(server, self, server.full(_PLACES))
-        if isinstance(self._transport, Pipe):
+        if isinstance(self._transport, OpenNetworkTransport):
             self._transport.when_doubted = self._console.doubted
         server.add(self._console)
-        way = f"Zenoh (id {self._peer})" if isinstance(self._transport, Pipe) else self._peer
+        network = self._transport.network if isinstance(self._transport, OpenNetworkTransport) else ""
+        way = f"{network} (id {self._peer})" if network else self._peer
         text = f"{self.operator} has attached through {way}, and may {self._granted.operator.may}"
         self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, str(self.operator), text)
 
@@ -333,7 +334,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         return self._detached or self._transport.is_closing()
 
     def write(self, data: bytes) -> None:
-        """Seal and send, record by record: over Zenoh, nothing of a write comes there before all of it."""
+        """Seal and send, record by record: some networks bring nothing of a write before all of it."""
         for at in range(0, len(data), RECORD_CONTENT):
             self._transport.write(self._machine.send(data[at : at + RECORD_CONTENT]))
 
@@ -381,7 +382,7 @@ class OperatorConnector:
     Args:
         operator: as the engine's session names them.
         engine: the name of the session that is meant: no other one can answer in its place.
-        at: the engine's address in a Zenoh network, or empty.
+        at: the engine's address in a network where engines announce themselves, or empty.
     """
 
     same_machine = False
@@ -422,7 +423,7 @@ class _OperatorConnection(asyncio.Protocol):
         self._machine = machine
         self._engine = engine
         self._at = at
-        self._trial: Pipe | None = None
+        self._trial: OpenNetworkTransport | None = None
         self._refused = False
         self._reader = asyncio.StreamReader(_HELD, loop)
         self._transport: asyncio.Transport | None = None
@@ -434,7 +435,7 @@ class _OperatorConnection(asyncio.Protocol):
             self._transport.abort()
             return
         self._reader.set_transport(self._transport)
-        if isinstance(transport, Pipe):
+        if isinstance(transport, OpenNetworkTransport):
             self._trial = transport
             transport.begin_trial()
         self._transport.write(self._machine.start())
@@ -459,7 +460,7 @@ class _OperatorConnection(asyncio.Protocol):
                 case _:
                     raise AssertionError("an event of links")
 
-    def _prove(self, transport: Pipe, data: bytes) -> bool:
+    def _prove(self, transport: OpenNetworkTransport, data: bytes) -> bool:
         """Whether an answer proves the key; anybody in the network may answer, also in the engine's name."""
         machine = self._machine.fork()
         events = machine.receive_data(data)

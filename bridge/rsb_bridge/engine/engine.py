@@ -167,9 +167,9 @@ class Engine(EngineApi):
         access: the operators that may attach over a network.
         clock: the wall clock.
         log: its events.
-        network: the Zenoh network in which the engine announces itself, or None.
         snapshots: has the newest snapshot.
         state: as above.
+        transports: as above.
     """
 
     def __init__(
@@ -188,17 +188,16 @@ class Engine(EngineApi):
         self.clock = clock or Clock()
         self.state = state
         self._random = random or Random()  # noqa: S311 — jitter, no secret
-        self._transports = transports or transports_of(session, base, self._random)
-        self.network = self._transports.network
+        self.transports = transports or transports_of(session, base, self._random)
         self.log = EventLog(self.clock)
-        self.access = Access(session.name, self.log, self.clock, self._transports.strangers)
+        self.access = Access(session.name, self.log, self.clock, self.transports.strangers)
         self._starting = threading.Lock()
         """Held while threads start or end."""
         self._stop_wanted = False
         self._commands = PendingCommands()
         self._thread: threading.Thread | None = None
         self._bridge: Bridge | None = None
-        transport = self._transports.of_link(session.server_ip)
+        transport = self.transports.of_link(session.server_ip)
         address = transport.format_address((session.server_ip, session.server_port))
         started = self.clock.time_ns() / 1e9
         blank = Snapshot(started, session.name, session.role, address, session.domain_id or 0, running=False)
@@ -377,7 +376,7 @@ class Engine(EngineApi):
             loop,
             self.clock,
             self._random,
-            self._transports,
+            self.transports,
             self._file.contents,
         )
         context.demands.set_places(self._file.places)
@@ -394,4 +393,4 @@ class Engine(EngineApi):
             await bridge.run()
         finally:
             self._commands.end()
-            self._transports.close()
+            self.transports.close()

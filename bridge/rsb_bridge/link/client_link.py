@@ -421,7 +421,7 @@ class ClientLink(Link):
 
         # The address that the control connection reached: the server's name may resolve to another by now.
         host = control.stream.host if transport is self.transport else transport.host(self.context.session)
-        # Ranks as of topics: over Zenoh, small messages go ahead of large ones.
+        # Ranks as of topics: over some transports, small messages go ahead of large ones.
         rank = -1 if large and not transport.multiplexed else 0
         return await self._open(transport, host, port, connection, let_in, rank, self.keys.sample_secret)
 

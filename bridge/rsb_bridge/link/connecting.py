@@ -26,7 +26,7 @@ _PROBED_FOR = 0.5
 """s to wait for a program that answers once it has read a whole line. A round figure: nothing was measured."""
 _REFUSED_AFTER = 1.5
 """s from a refusal, which anybody can forge, until it counts: the server's own answer may follow (PROTOCOL.md, 12)."""
-_SEARCH_REMEDY = "set access control on the router (docs/zenoh.md)"
+_SEARCH_REMEDY = "set access control on the router"
 
 LetIn: TypeAlias = "Callable[[Stream, Established | Accepted, list[Event]], None]"
 """Gives an accepted stream its new handler. The events followed the server's answer."""
@@ -349,7 +349,7 @@ class _HostSearch:
 
 
 class ServerSearch:
-    """Tries servers that a Zenoh network announces by the handshake, and remembers failed ones.
+    """Tries servers that a network announces by the handshake, and remembers failed ones.
 
     Args:
         patience: s that a server has to prove the key.

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Direction, Priority
-    from rsb_bridge.model.transports import Compression, Protocol
+    from rsb_bridge.model.transport_traits import Compression
+    from rsb_bridge.model.transports import Protocol
     from rsb_bridge.ros.internal_ends import InternalEnds
     from rsb_bridge.ros.ros_interface import Sink
     from rsb_bridge.route.route import Route

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.session import Client, Kind, Session, Topic
-    from rsb_bridge.model.transports import LinkProfile, TransportTraits
+    from rsb_bridge.model.transport_traits import TransportTraits
+    from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.ports import Ports
     from rsb_bridge.transport.streams import Address, Stream
@@ -325,14 +326,14 @@ class ServerLink(Link):
             self.fault.duplicates.tried(address, host, self.context.now(), self.context.wall())
 
     def _look_at_network(self) -> None:
-        """Show the link as down while its Zenoh router is lost."""
+        """Show the link as down while its network's router is lost."""
         problem, cause = self.transport.problem, self.status.cause
         if problem and cause is not LinkCause.SHUT_DOWN:
             self.status.down_for_now(LinkCause.ROUTER_LOST, problem)
         elif not problem and cause is LinkCause.ROUTER_LOST:
             self.status.recall()
             if self.status.cause is LinkCause.ROUTER_LOST:  # it was the router that the link was lost with
-                self.status.down(LinkCause.LOST, "the Zenoh router is back; waiting for the client")
+                self.status.down(LinkCause.LOST, "the router is back; waiting for the client")
 
     def tick(self) -> None:
         super().tick()

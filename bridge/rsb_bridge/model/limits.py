@@ -30,7 +30,7 @@ SAFE_DOMAIN = Range(0, 101)
 PORT = Range(1, 65535)
 """TCP and UDP (RFC 9293, section 3.1; RFC 768); 0 lets the kernel choose."""
 NO_PORT = Range(0, 0)
-"""Zenoh has no ports: its keys name the peer."""
+"""Of a transport whose addresses alone name the peer."""
 DEFAULT_PORT = 7060
 """Below the ports of DDS (7400 + 250 for each domain), and of the kernel for outgoing connections (32768 to 60999)."""
 TOPIC_PORT = Range(1024, PORT.high)

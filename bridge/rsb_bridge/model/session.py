@@ -16,7 +16,8 @@ from rsb_bridge.model.by_hand import VelocityLimits, end_text
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
-from rsb_bridge.model.transports import ZENOH_HOST, Compression, ProfileName, Protocol, is_mac, of_link
+from rsb_bridge.model.transport_traits import Compression, is_mac
+from rsb_bridge.model.transports import ProfileName, Protocol, of_link
 
 Priority = Literal["low", "normal", "high"]
 
@@ -234,22 +235,6 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         return session.use_name if self.use_name is None else self.use_name
 
 
-class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The Zenoh network of a session.
-
-    Attributes:
-        connect: endpoints of routers, or of a bridge that listens: ``tls/hub:7447``; the first that answers is used.
-        listen: endpoints to bind, for links without a router: ``tcp/0.0.0.0:7447``.
-        config: path of a Zenoh configuration (JSON5), relative to the session file, for certificates and the like.
-        fleet: tells the bridges of one fleet from others in the same network: only links within a fleet are possible.
-    """
-
-    connect: tuple[str, ...] = ()
-    listen: tuple[str, ...] = ()
-    config: str | None = None
-    fleet: str = "fleet"
-
-
 class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Somebody who may attach to this bridge over a network, with a key of their own.
 
@@ -309,8 +294,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         name: must match on both sides; the prefix (``/scan`` -> ``/robot1/scan``) when `use_name` is set.
         role: a client connects, a server binds.
         server_ip: IPv4 or IPv6 address, host name, or Bluetooth MAC, which makes the link RFCOMM. A server binds it.
-            ``zenoh``: the link goes over the Zenoh network of `zenoh`.
-        server_port: TCP and UDP port, or RFCOMM channel, or 0 over Zenoh.
+            Or a word for a transport of a feature.
+        server_port: TCP and UDP port, or RFCOMM channel, or 0 over what has none.
         bluetooth_address: MAC of the server's adapter, for single topics over Bluetooth on an IP link. Each names
             a channel as its port; topics with the same channel share it.
         domain_id: ROS domain, or None for ``$ROS_DOMAIN_ID``, or 0 without that.
@@ -333,8 +318,6 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         deny: on a client, names that the server may not bridge; stronger than `allow`.
         profile: the kind of the link's network, for settings that nothing else sets (`transports.PROFILES`).
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
-        zenoh: the Zenoh network, for links over it, and to be seen in its fleet even if links use another transport; or
-            None.
         operators: the operators who may attach over a network.
         group: the fleet's group of its robot, or None.
     """
@@ -363,7 +346,6 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     ports: tuple[int, ...] | Literal["none"] | None = None
     shared_keys: bool = False
     profile: ProfileName | None = None
-    zenoh: ZenohSettings | None = None
     operators: tuple[Operator, ...] = ()
     group: str | None = None
 
@@ -376,10 +358,6 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     def is_bluetooth(self) -> bool:
         """Whether the link is RFCOMM."""
         return is_mac(self.server_ip)
-
-    @property
-    def is_zenoh(self) -> bool:
-        return self.server_ip == ZENOH_HOST
 
     @property
     def crossing(self) -> tuple[Protocol, ...]:

@@ -105,7 +105,7 @@ class LinkCause(StrEnum):
     TIMED_OUT = "timed_out"
     """No packet comes back from the server's address."""
     ROUTER_LOST = "router_lost"
-    """The Zenoh router that connects the two sides is lost."""
+    """The router that connects the two sides is lost."""
     NO_ANSWER = "no_answer"
     """The server's port accepts the connection, and nothing answers."""
     NOT_A_BRIDGE = "not_a_bridge"
@@ -125,7 +125,7 @@ class LinkCause(StrEnum):
     CLOCKS_DIFFER = "clocks_differ"
     """It is up, and the clocks of the two sides differ by seconds."""
     UNPROVEN_SERVERS = "unproven_servers"
-    """It is up, and other servers are announced in its Zenoh network that did not prove the key."""
+    """It is up, and other servers are announced in its network that did not prove the key."""
     SHUT_DOWN = "shut_down"
     """An operator has shut it down on the server, which refuses the client until the link is restarted there."""
 

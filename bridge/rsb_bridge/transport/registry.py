@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.feature import installed
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.transports import of_link
 from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.transport.udp import Udp
-from rsb_bridge.transport.zenoh.network import Network
-from rsb_bridge.transport.zenoh.zenoh_transport import Links, Zenoh, ZenohDrop
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,13 +30,16 @@ class Transports:
     to `rsb_bridge.engine.Engine`.
     """
 
-    def __init__(self, *transports: Transport) -> None:
+    def __init__(self, *transports: Transport, strangers: Strangers | None = None) -> None:
         self._by_name: dict[str, Transport] = {transport.name: transport for transport in transports}
-        self.network: Network | None = None
-        self.strangers = Strangers()
+        self.strangers = strangers or Strangers()
 
     def __getitem__(self, name: str) -> Transport:
         return self._by_name[name]
+
+    def find(self, name: str) -> Transport | None:
+        """Return a transport, or None if the session does not use it."""
+        return self._by_name.get(name)
 
     def close(self) -> None:
         """Release what the transports share, once all sockets are closed."""
@@ -51,9 +53,9 @@ class Transports:
         return transport
 
 
-def default_transports(*others: Transport) -> Transports:
-    """TCP, UDP and Bluetooth RFCOMM over the kernel's sockets, and others."""
-    return Transports(Rfcomm(), Tcp(), Udp(), *others)
+def default_transports() -> Transports:
+    """TCP, UDP and Bluetooth RFCOMM over the kernel's sockets."""
+    return Transports(Rfcomm(), Tcp(), Udp())
 
 
 def transports_of(session: Session, base: Path, random: Random) -> Transports:
@@ -62,11 +64,6 @@ def transports_of(session: Session, base: Path, random: Random) -> Transports:
     Args:
         base: the folder that its files are relative to.
     """
-    if session.zenoh is None:
-        return default_transports()
-    network = Network(session.zenoh, base, random.random())
-    links = Links(network, session.name)
-    found = default_transports(Zenoh(links), ZenohDrop(links))
-    found.network = network
-    found.strangers = network.strangers
-    return found
+    strangers = Strangers()
+    of_features = (feature.transports(session, base, random, strangers) for feature in installed())
+    return Transports(Rfcomm(), Tcp(), Udp(), *(each for found in of_features for each in found), strangers=strangers)

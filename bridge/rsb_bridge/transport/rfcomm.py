@@ -14,7 +14,7 @@ import socket
 from typing import TYPE_CHECKING
 
 from rsb_bridge.bluetooth import hci
-from rsb_bridge.model.transports import RfcommTraits
+from rsb_bridge.model.transport_traits import RfcommTraits
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.listening import StreamListener
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler, os_error_message

@@ -102,6 +102,45 @@ class StreamHandler:
         """Take the end of the stream, for any reason; called once."""
 
 
+class OpenNetworkTransport(asyncio.Transport):
+    """An asyncio transport over a network in which any member may send in the name of another.
+
+    Both ends find out by their handshake who is there, and mark from then on what they send. `Stream` has the same
+    methods.
+
+    Attributes:
+        network: the network's name, for operators.
+        when_doubted: called as soon as it is doubted that the other end is there.
+    """
+
+    network: ClassVar[str]
+    when_doubted: Callable[[], None]
+
+    def trust(self) -> None:
+        """Take as much as of any peer: the other end has proven that it has the key."""
+        raise NotImplementedError
+
+    def begin_trial(self) -> None:
+        """Take several answers to this side's first data, until `adopt`: strangers may answer it, too.
+
+        The protocol is given each of them, as if no other had come.
+        """
+        raise NotImplementedError
+
+    def adopt(self) -> None:
+        """Accept the answer that the protocol has just been given, which proves the key, and end the trial."""
+        raise NotImplementedError
+
+    def authenticate(self, secret: bytes, *, opener: bool) -> None:
+        """Mark all data from now on, and take only what the peer has marked.
+
+        Args:
+            secret: of both sides (`rsb_bridge.wire.sealing`).
+            opener: this side opened the stream.
+        """
+        raise NotImplementedError
+
+
 class Stream(asyncio.Protocol):
     """An asyncio protocol that counts bytes, knows both addresses, and has a handler that may be replaced.
 

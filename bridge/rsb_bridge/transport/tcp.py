@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from aiohappyeyeballs import start_connection
 
-from rsb_bridge.model.transports import TcpTraits
+from rsb_bridge.model.transport_traits import TcpTraits
 from rsb_bridge.transport.listening import LookUpProblem, StreamListener, bind, look_up
 from rsb_bridge.transport.streams import (
     RETRIED_AFTER,

@@ -18,7 +18,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
 
-from rsb_bridge.model.transports import TransportTraits
+from rsb_bridge.model.transport_traits import TransportTraits
 from rsb_bridge.transport.streams import Address, format_address
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from rsb_bridge.model.transports import UdpTraits
+from rsb_bridge.model.transport_traits import UdpTraits
 from rsb_bridge.transport.listening import bind
 from rsb_bridge.transport.transport import (
     RECEIVE_BUFFER,

@@ -13,7 +13,8 @@ from rsb_bridge.model.names import MOST_SOURCES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode
-from rsb_bridge.model.transports import Compression, Protocol
+from rsb_bridge.model.transport_traits import Compression
+from rsb_bridge.model.transports import Protocol
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.headers import LeaseNumber
 from rsb_bridge.wire.records import (

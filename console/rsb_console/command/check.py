@@ -34,7 +34,7 @@ from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_ty
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
-from rsb_bridge.model.transports import PROFILES, compression_of, profile_of, profile_text
+from rsb_bridge.model.transports import PROFILES, compression_of, of_link, profile_of, profile_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import NO_KEY, OK, USAGE, print_error, print_line
@@ -46,7 +46,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.demands import Demand, DemandSource, SourceKey
     from rsb_bridge.model.session import Client, Session, Topic
-    from rsb_bridge.model.transports import Compression, LinkProfile
+    from rsb_bridge.model.transport_traits import Compression
+    from rsb_bridge.model.transports import LinkProfile
 
 _NAMED = 6
 """Names in a line; the others are counted. A round figure."""
@@ -84,7 +85,8 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
         places: places in its file that demand arming, by the keys of the lines.
     """
     demands = Demands(sources_of(session))
-    yield f"{session.role} {session.name} {_where(session)}, {_domain(session)}"
+    place = of_link(session.server_ip).place(session)
+    yield f"{session.role} {session.name} {place}, {_domain(session)}"
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
     if session.profile is not None:
         yield f"profile {session.profile}: {profile_text(PROFILES[session.profile])}"
@@ -160,14 +162,6 @@ def _demanded(source: DemandSource, places: Mapping[SourceKey, str]) -> str:
         return f"{kind}{source.name}{excepts}{limits}{ends(message=source.on_end, line=line)}"
     place = f" ({places[source.key]})" if source.key in places else ""
     return f"{kind}{source.name}{excepts}{limits}{place}"
-
-
-def _where(session: Session) -> str:
-    if session.zenoh is not None and session.is_zenoh:
-        places = ", ".join(session.zenoh.connect or session.zenoh.listen) or session.zenoh.config
-        return f"in the fleet {session.zenoh.fleet}, over Zenoh ({places})"
-    way = "at" if session.role == "server" else "to"
-    return f"{way} {session.server_ip} {'channel' if session.is_bluetooth else 'port'} {session.server_port}"
 
 
 def _grants(entries: Iterable[str | Grant]) -> str:

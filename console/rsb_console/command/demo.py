@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.session_file import load_fleet
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
@@ -21,9 +20,9 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import keep_output_clean
 from rsb_console.command.headless import Signals, bridge_until_told
 from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_error, print_line
+from rsb_console.command.ways import ways
 from rsb_console.fleet.fleet import Memory, RobotFleet
 from rsb_console.fleet.server_source import ServerFleet
-from rsb_console.fleet.zenoh_source import ZenohFleet
 from rsb_console.session.demo_session import SimulatedPart, need_ros, own_domain, running_demo
 from rsb_console.simulated.processes import ProcessError
 from rsb_console.simulated.simulated_fleet import WITH_BATTERY, fleet, listening
@@ -135,7 +134,7 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
 @contextlib.contextmanager
 def simulated(robots: int) -> Iterator[Simulated]:
     """Start the engines of a fleet: over Zenoh, or over TCP if Zenoh is not installed."""
-    over_zenoh = importlib.util.find_spec("zenoh") is not None
+    over_zenoh = bool(ways()) and importlib.util.find_spec("zenoh") is not None
     network = "a Zenoh router" if over_zenoh else "no Zenoh, which is not installed: pip install 'rsb-console[zenoh]'"
     print_line(f"starting {robots} simulated robots and a control side, with {network}")
     sys.stdout.flush()
@@ -163,7 +162,7 @@ def simulated(robots: int) -> Iterator[Simulated]:
 def seen(running: Simulated) -> Iterator[RobotFleet]:
     """Open the fleet as an operator's console does: over Zenoh all engines, otherwise the server's clients."""
     source: FleetSource
-    source = ServerFleet("control", running.socket) if running.file is None else ZenohFleet(load_fleet(running.file))
+    source = ServerFleet("control", running.socket) if running.file is None else ways()[0](str(running.file)).robots()
     shown = RobotFleet([source], Memory(None), Clock())
     shown.start()
     try:

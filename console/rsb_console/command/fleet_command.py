@@ -21,7 +21,7 @@ from rsb_bridge.model.text import plural
 from rsb_console.command.formatting import json_line
 from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
-from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge, fleet_file
+from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge
 from rsb_console.fleet.fleet import Memory, RobotFleet, UnknownRobotError, memory_path
 from rsb_console.fleet.rolling import Rollout, names_of, report, said, way_back
 from rsb_console.fleet.server_source import ServerFleet
@@ -42,14 +42,13 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
 
     Raises:
         NoBridgeError: no server runs here.
-        UsageError: the named bridge is not a server, or a fleet file is given, too.
+        UsageError: the named bridge is not a server, or a way to others is given, too.
     """
-    if arguments.fleet is not None:
+    if arguments.way is not None:
         if arguments.bridge is not None or arguments.control is not None:
-            raise UsageError("--fleet means bridges over Zenoh, --bridge and --control a server here: give one")
-        from rsb_console.fleet.zenoh_source import ZenohFleet  # noqa: PLC0415 -- not needed elsewhere
-
-        return [ZenohFleet(fleet_file(arguments))]
+            option = arguments.way.option
+            raise UsageError(f"{option} means bridges elsewhere, --bridge and --control a server here: give one")
+        return [arguments.way.robots()]
     if arguments.bridge is not None or arguments.control is not None:
         named = chosen_bridge(arguments)
         if named.info is not None and named.info.role != "server":
@@ -117,7 +116,7 @@ def _print(arguments: Namespace) -> int:
         while time.monotonic() < deadline:
             time.sleep(min(_LOOK_EVERY, arguments.seconds))
             robots = fleet.robots()
-    if not robots and arguments.fleet is not None:
+    if not robots and arguments.way is not None:
         raise NoBridgeError(f"no engine has announced itself in the fleet {fleet.sources[0].name!r}")
     wrong = [robot for robot in robots if robot.summary.state.is_wrong]
     states = [robot.summary.state for robot in robots if not robot.is_server]
@@ -202,7 +201,7 @@ def _parsed(words: Sequence[str]) -> Namespace:
         raise UsageError("pub --rate does not end by itself: give --count N")
     if words[0] in ("echo", "wait") and parsed.timeout is None:
         raise UsageError(f"{words[0]} may wait for ever: give --timeout N")
-    if any(getattr(parsed, name, None) for name in ("bridge", "control", "fleet", "link")):
+    if any(getattr(parsed, name, None) for name in ("bridge", "control", "way", "link")):
         raise UsageError("name the robots before --, and no bridge or link after it")
     for name in ("request", "message"):
         if getattr(parsed, name, None) == "-":  # it can be read once, for all robots
@@ -338,7 +337,7 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: RolloutOutcome, step
         for step, why in kept:
             print_error(f"{step.name}: not restored: {why}")
     elif stopped:
-        for line in way_back(rollout, outcome, str(arguments.fleet)):
+        for line in way_back(rollout, outcome):
             print_error(line)
     else:
         print_line(f"done on {len(outcome.done)} {plural(len(outcome.done), 'robot')}")

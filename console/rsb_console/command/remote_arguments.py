@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 from rsb_bridge.config.file_form import key_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.command.argument_values import above_0, count, seconds, timeout, window_seconds, within
+from rsb_console.command.ways import ways
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -279,13 +280,13 @@ def _figures_arguments(parser: argparse.ArgumentParser, complete: Complete) -> N
     parser.add_argument("--window", type=window_seconds, default=10, metavar="N", help=window)
 
 
-_OVER = "a fleet file: the bridge is one of that fleet, reached over Zenoh"
-
-
-def place_options(parser: argparse.ArgumentParser, complete: Complete, over: str = _OVER) -> None:
-    """Add the options that locate a bridge in other ways than by its name."""
+def place_options(parser: argparse.ArgumentParser, complete: Complete, *, all_bridges: bool = False) -> None:
+    """Add the options that locate a bridge, or all bridges of a fleet, in other ways than by a name."""
     parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
-    complete(parser.add_argument("--fleet", type=Path, metavar="FILE", help=over), "yaml_files")
+    parser.set_defaults(way=None)
+    for way in ways():
+        told = way.many if all_bridges else way.one
+        complete(parser.add_argument(way.option, dest="way", type=way, metavar="FILE", help=told), "yaml_files")
 
 
 def bridge_options(
@@ -294,11 +295,11 @@ def bridge_options(
     *,
     json: bool = True,
     which: str = "the bridge, by the name that `status` prints; needed where several run. NAME may come first, too",
-    over: str = _OVER,
+    all_bridges: bool = False,
 ) -> None:
     """Add the options of every command that attaches: the choice of the bridge and ``--json``."""
     complete(parser.add_argument("--bridge", metavar="NAME", help=which), "bridge_names")
-    place_options(parser, complete, over)
+    place_options(parser, complete, all_bridges=all_bridges)
     if json:
         parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
@@ -507,7 +508,6 @@ _NO_SERVER = """\
   2  wrong usage: bad arguments, no such robot or group
   3  no server runs here that you may attach to, or it or the fleet is not reached"""
 _WHICH_SERVER = "only the robots of this server, by the name that `status` prints. `fleet NAME` is short for it"
-_OVER_ZENOH = "a fleet file: all bridges of that fleet, over Zenoh, instead of the servers here"
 _FLEET = f"""\
 It shows the robots of all servers that run here; with --fleet, all bridges of a fleet
 over Zenoh.
@@ -563,7 +563,7 @@ def add_fleet_commands(
 ) -> None:
     """Add `fleet` and its own commands; for the arguments see `add_remote_commands`."""
     fleet = command("fleet", lazily("show", "fleet_command"), "show all robots on one screen", _FLEET)
-    bridge_options(fleet, complete, which=_WHICH_SERVER, over=_OVER_ZENOH)
+    bridge_options(fleet, complete, which=_WHICH_SERVER, all_bridges=True)
     fleet.add_argument(
         "--seconds",
         type=seconds,
@@ -609,9 +609,9 @@ def _add_fleet_command(
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(command=lazily(name, "fleet_command"))
-    bridge_options(parser, complete, which=_WHICH_SERVER, over=_OVER_ZENOH)
+    bridge_options(parser, complete, which=_WHICH_SERVER, all_bridges=True)
     for option in parser._actions:
-        if option.dest in ("bridge", "control", "fleet", "json"):
+        if option.dest in ("bridge", "control", "way", "json"):
             option.default = argparse.SUPPRESS  # `fleet` has them, too, and its values count
     in_group = parser.add_argument("--group", default="", metavar="GROUP", help="also all robots of this group")
     complete(in_group, "groups")

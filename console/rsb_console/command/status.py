@@ -89,7 +89,7 @@ def print_status(arguments: Namespace) -> int:
 
 def _all_bridges(arguments: Namespace) -> list[RunningBridge]:
     """Return all bridges of this machine if several run and the arguments name none, else an empty list."""
-    if arguments.bridge is not None or arguments.control is not None or getattr(arguments, "fleet", None) is not None:
+    if arguments.bridge is not None or arguments.control is not None or getattr(arguments, "way", None) is not None:
         return []
     if getattr(arguments, "attach", None) is not None:
         return []

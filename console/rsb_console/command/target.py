@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.keys import KeyFileError
 from rsb_bridge.config.session_changes import ClientError
-from rsb_bridge.config.session_file import SessionError, UnwritableError, load_fleet
+from rsb_bridge.config.session_file import SessionError, UnwritableError
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.control_sockets import (
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-    from rsb_bridge.config.session_file import FleetFile
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.session import Kind
@@ -88,17 +87,17 @@ class NoBridgeError(Exception):
 
 
 def what_to_attach(arguments: Namespace) -> Path | Attach:
-    """Return the control socket of the bridge that the arguments name, or a function that attaches to it in its fleet.
+    """Return the control socket of the bridge that the arguments name, or a function that attaches to it elsewhere.
 
     Raises:
         ControlError: the socket that they name has no bridge.
         NoBridgeError: there is no such bridge.
-        UsageError: there are several, or the fleet file has mistakes.
+        UsageError: there are several, or the file of the way to it has mistakes.
     """
-    if arguments.fleet is None:
+    if arguments.way is None:
         return chosen_bridge(arguments).path
-    fleet_file(arguments)  # its mistakes come before the console opens
-    return partial(attach_in_fleet, arguments, read_only=arguments.readonly)
+    arguments.way.check()  # the file's mistakes come before the console opens
+    return partial(arguments.way.attach, arguments.bridge or "", read_only=arguments.readonly)
 
 
 def reported(work: Callable[[Namespace], int], arguments: Namespace) -> int:
@@ -180,42 +179,14 @@ def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = F
     began = Clock.steady()
     if (open_it := getattr(arguments, "attach", None)) is not None:
         engine = open_it(read_only=read_only)
-    elif getattr(arguments, "fleet", None) is not None:
-        engine = attach_in_fleet(arguments, read_only=read_only)
+    elif (way := getattr(arguments, "way", None)) is not None:
+        engine = way.attach(arguments.bridge or "", read_only=read_only)
     else:
         engine = attach(chosen_bridge(arguments).path, read_only=read_only)
     with engine:
         if expires:
             engine.given_at = began
         yield engine
-
-
-def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
-    """Attach to a bridge of the fleet that the arguments name.
-
-    Raises:
-        EngineError: the attachment fails.
-        UsageError: the file that says how has mistakes.
-    """
-    from rsb_bridge.control.zenoh_fleet import FleetConnector  # noqa: PLC0415 -- not needed elsewhere
-
-    way = FleetConnector(fleet_file(arguments), arguments.bridge or "")
-    engine = attach(way, read_only=read_only)
-    if way.warning:
-        print_error(way.warning)
-    return engine
-
-
-def fleet_file(arguments: Namespace) -> FleetFile:
-    """Return the fleet file that the arguments name.
-
-    Raises:
-        UsageError: it has mistakes.
-    """
-    try:
-        return load_fleet(arguments.fleet)
-    except (SessionError, KeyFileError) as error:
-        raise UsageError(str(error)) from None
 
 
 def fields_from(text: str) -> str:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.clock import Clock
 
-LEFT = "it has left the Zenoh network"
 HISTORY = 12
 """Message rates that are kept of each robot, one every `_SAMPLED_EVERY` s: of a minute."""
 _SAVED_EVERY = 60.0  # s; a console that is killed forgets so much of when each robot was there. A round figure
@@ -37,10 +36,16 @@ class FleetSource(Protocol):
     Attributes:
         kind: kind of the source: ``server`` or ``fleet``.
         name: unique name for operators: ``control``, the server's name.
+        way: the options of ``rsb-console fleet`` that lead to it: `` --fleet lab.yaml``, or empty for servers here.
+        gone: why a robot is missing that the source has no more.
+        empty: what to do if it has no robots.
     """
 
     kind: str
     name: str
+    way: str
+    gone: str
+    empty: str
 
     @property
     def problem(self) -> str:
@@ -257,7 +262,7 @@ def _gone(robot: Remembered, source: FleetSource) -> RobotSummary:
         group=robot.group,
         role=robot.role,
         state=RobotState.MISSING,
-        why=f"it is no longer a robot of {source.name}" if source.kind == "server" else LEFT,
+        why=source.gone,
         since=robot.seen,
         seen=robot.seen,
         host=robot.host,

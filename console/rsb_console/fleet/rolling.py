@@ -282,9 +282,9 @@ def report(rollout: Rollout, outcome: RolloutOutcome) -> Iterator[str]:
     yield f"not begun: {names_of(outcome.left) or 'none'}"
 
 
-def way_back(rollout: Rollout, outcome: RolloutOutcome, file: str = "FILE") -> Iterator[str]:
-    """Yield the commands that restore the previous settings; `file` is the fleet file, for robots over Zenoh."""
-    over = f" --fleet {file}" if any(step.robot.source.kind == "fleet" for step in outcome.changed) else ""
+def way_back(rollout: Rollout, outcome: RolloutOutcome) -> Iterator[str]:
+    """Yield the commands that restore the previous settings."""
+    over = next((way for step in outcome.changed if (way := step.robot.source.way)), "")
     by_keys: dict[str, list[str]] = {}
     for step in outcome.changed:
         by_keys.setdefault(" ".join(step.back(rollout.keys)), []).append(step.name)

@@ -36,9 +36,12 @@ class ServerFleet:
     """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each client of a server."""
 
     kind = "server"
+    way = ""
+    empty = "add one on the server with `rsb-console client add NAME`."
 
     def __init__(self, name: str, path: Path) -> None:
         self.name = name
+        self.gone = f"it is no longer a robot of {name}"
         self._path = path
         self._engine = RemoteEngine(path, read_only=True)
         self._losses = LossWindow()

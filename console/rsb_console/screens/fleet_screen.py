@@ -72,9 +72,7 @@ class FleetScreen(Screen[None]):
     def _why_empty(self) -> str:
         if self.table.rows:
             return f"No robot matches. {self._key('back')} shows all of them."
-        if all(source.kind == "server" for source in self.fleet.sources):
-            return "No robots yet: add one on the server with `rsb-console client add NAME`."
-        return "No robots yet: no bridge announces itself; set `zenoh` and this fleet's name in a session."
+        return f"No robots yet: {self.fleet.sources[-1].empty}"
 
     def _show_detail(self) -> None:
         self.detail.show(*self.table.described)

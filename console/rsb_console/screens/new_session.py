@@ -13,6 +13,7 @@ from rsb_bridge.config.imports.importing import import_file
 from rsb_bridge.config.imports.other_bridges import Choices
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, validate
+from rsb_bridge.feature import session_keys
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.limits import CHANNEL, DEFAULT_PORT, SAFE_DOMAIN
 from rsb_bridge.model.session import Client, Session
@@ -159,7 +160,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         problems: dict[str, str] = {}
         for problem in validate(new.session):
             location = "clients" if problem.location.startswith("clients[") else problem.location
-            if location == "zenoh":  # where its routers are is written in the file
+            if location in session_keys():  # the address asks for it, and it is written in the file
                 location = "server_ip"
             problems.setdefault(location, problem.message)
         names = [client.name for client in new.session.listed_clients]

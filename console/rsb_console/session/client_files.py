@@ -31,7 +31,8 @@ from rsb_bridge.config.session_changes import (
 )
 from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
 from rsb_bridge.config.validation import validate
-from rsb_bridge.model.session import Client, Session, ZenohSettings
+from rsb_bridge.feature import installed
+from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.wording import Wording
 
 _ANY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 (looked for, not bound)
@@ -281,18 +282,18 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
     """
     address, port = split_address(address)
     guessed = not address and session.server_ip in _ANY_ADDRESS
-    by_zenoh = session.is_zenoh  # then address and port are of the endpoint that the server listens at
     key_file = client.key_file or session.key_file
     robot = Session(
         name=client.name,
         role="client",
-        server_ip=address if address and not by_zenoh else own_address() if guessed else session.server_ip,
-        server_port=session.server_port if by_zenoh or port is None else port,
+        server_ip=address or (own_address() if guessed else session.server_ip),
+        server_port=session.server_port if port is None else port,
         bluetooth_address=session.bluetooth_address,
         use_encryption=session.use_encryption,
         key_file=key_file.rpartition("/")[2] if key_file is not None and session.use_encryption else None,
-        zenoh=session.zenoh and _of_client(session.zenoh, address, port if by_zenoh else None),
     )
+    for feature in installed():
+        robot = feature.client_session(session, robot, address, port)
     lines = dump(robot).splitlines()
     if guessed:
         at = next(number for number, line in enumerate(lines) if line.startswith("server_ip:"))
@@ -300,17 +301,6 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
     head = f"# {client.name}, a client of the server {session.name}. Its key file belongs in the same folder."
     topics = "topics: []   # - {topic: /scan, direction: transmit}"
     return "".join(f"{line}\n" for line in (head, *lines, topics))
-
-
-def _of_client(zenoh: ZenohSettings, address: str, port: int | None) -> ZenohSettings:
-    """Return a client's settings for its server's Zenoh network: the same routers, or the server's own addresses."""
-    if zenoh.connect or not zenoh.listen:
-        return msgspec.structs.replace(zenoh, listen=())
-    protocol, _, place = zenoh.listen[0].partition("/")
-    host = address or own_address()
-    bracketed = f"[{host}]" if ":" in host else host
-    endpoint = f"{protocol}/{bracketed}:{place.rpartition(':')[2] if port is None else port}"
-    return msgspec.structs.replace(zenoh, connect=(endpoint,), listen=())
 
 
 def own_address() -> str:

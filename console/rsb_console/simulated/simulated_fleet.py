@@ -13,11 +13,10 @@ import msgspec
 
 from rsb_bridge.cdr.known_types import BATTERY_STATE, STRING
 from rsb_bridge.config import session_file
-from rsb_bridge.config.file_form import as_said
+from rsb_bridge.config.file_form import as_said, with_types
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.feature import session_keys
-from rsb_bridge.model.session import Client, Operator, Session, Topic, ZenohSettings
-from rsb_bridge.model.transports import ZENOH_HOST
+from rsb_bridge.model.session import Client, Operator, Session, Topic
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.session.demo_session import free_port
 from rsb_console.simulated import processes
@@ -50,7 +49,7 @@ def zenoh() -> Iterator[tuple[dict[str, Any], Process]]:
     """Robots and the control side connect to a router."""
     endpoint = f"tcp/{_HOST}:{free_port()}"
     with processes.router(endpoint) as router:
-        yield {"server_ip": ZENOH_HOST, "zenoh": ZenohSettings((endpoint,), fleet="simulated")}, router
+        yield {"server_ip": "zenoh", "features": {"zenoh": {"connect": [endpoint], "fleet": "simulated"}}}, router
 
 
 WAYS: dict[str, Callable[[], AbstractContextManager[tuple[dict[str, Any], Process | None]]]] = {
@@ -173,6 +172,7 @@ def fleet(
         *(Topic(topic=topic, direction="receive", type=STRING) for topic in load.hears),
     )
     with WAYS[over]() as (common, router):
+        network: dict[str, Any] = common.pop("features", {})
         if operated:
             write_key(folder / _OPERATOR_KEY)
             common["operators"] = (Operator(_OPERATOR, _OPERATOR_KEY, "change"),)
@@ -184,19 +184,19 @@ def fleet(
                 domain_id=0,
                 key_file=f"{name}.key",
                 shutdown_topic=None,
-                features=as_said({name: None for name, key in session_keys().items() if key.own_topic}),
+                features=network | as_said({name: None for name, key in session_keys().items() if key.own_topic}),
                 topics=topics,
                 group=group_of.get(name),
                 **common,
             )
-            session_file.save(session, folder / f"{name}.yaml")
+            session_file.save(with_types(session), folder / f"{name}.yaml")
         clients = tuple(Client(name, key_file=f"{name}.key", group=group_of.get(name)) for name in names)
         path = folder / "control.yaml"
         control_side = Session(
-            name="control", role="server", domain_id=domain, use_name=True, clients=clients, **common
+            name="control", role="server", domain_id=domain, use_name=True, clients=clients, features=network, **common
         )
-        session_file.save(control_side, path)
-        file = _operators_file(folder, common["zenoh"]) if operated else None
+        session_file.save(with_types(control_side), path)
+        file = _operators_file(folder, network) if operated else None
         running = SimulatedFleet(folder, names, load, path, router, file)
         try:
             yield running
@@ -204,10 +204,10 @@ def fleet(
             running.stop()
 
 
-def _operators_file(folder: Path, network: ZenohSettings) -> Path:
+def _operators_file(folder: Path, network: dict[str, Any]) -> Path:
     """Write the fleet file of an operator's console; JSON is valid YAML."""
     path = folder / "fleet.yaml"
-    path.write_bytes(msgspec.json.encode({"zenoh": network, "operator": _OPERATOR, "key_file": _OPERATOR_KEY}))
+    path.write_bytes(msgspec.json.encode(network | {"operator": _OPERATOR, "key_file": _OPERATOR_KEY}))
     return path
 
 

@@ -316,7 +316,7 @@ def _until(arming: ArmingSnapshot) -> str:
 
 
 def _carrier_of(route: RouteSnapshot) -> str:
-    """Return the transport with its port or channel; Zenoh has neither."""
+    """Return the transport with its port or channel, if it has one."""
     if not route.port:
         return route.transport.upper()
     return f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"

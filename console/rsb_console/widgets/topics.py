@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
+from rsb_bridge.model.transports import short_name
 from rsb_console.look import formats
 from rsb_console.look.formats import KIND_SHORT, PatternRow, Row, rows_of
 from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
@@ -33,7 +34,6 @@ _LEAST_NAME, _LONGEST_NAME = 14, 40
 _STATE_WIDTH = 10  # cells
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
 _ENDLESS = 1000  # cells of a table that has room for all columns
-_SHORT_NAMES = {"zenoh-drop": "DROP"}
 _BESIDE_CALLS = 100  # cells; wider tables have room for both topics' bytes and figures of calls
 
 
@@ -77,7 +77,7 @@ def via(row: Row) -> str:
         return f"{way} match"
     if row.transport == "bluetooth":
         return f"{way} BT {row.port}"
-    return f"{way} {_SHORT_NAMES.get(row.transport, row.transport.upper())}"
+    return f"{way} {short_name(row.transport)}"
 
 
 def _rate(route: RouteSnapshot) -> str:

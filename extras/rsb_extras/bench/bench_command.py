@@ -75,7 +75,7 @@ class Progress:
 
 def bench(arguments: Namespace) -> int:
     """Measure and print the results. Return the exit code."""
-    here = arguments.bridge is None and arguments.control is None and arguments.fleet is None
+    here = arguments.bridge is None and arguments.control is None and arguments.way is None
     if problem := _plot_problem(arguments.plot) or _misplaced(arguments, here=here):
         return failed(arguments, problem, USAGE)
     try:

@@ -60,7 +60,6 @@ _Chain: TypeAlias = tuple[str, str, str]
 """Family, table and name."""
 _NAMED = 5
 """Users in one finding."""
-_EXTRAS = {"zenoh": "zenoh"}
 
 
 class MachineText(Wording):
@@ -139,7 +138,7 @@ def _program() -> Iterator[Finding]:
 
 
 def _extras() -> Iterator[Finding]:
-    wanted = {**_EXTRAS, **{extra: module for feature in installed() for extra, module in feature.libraries.items()}}
+    wanted = {extra: module for feature in installed() for extra, module in feature.libraries.items()}
     found = {name: importlib.util.find_spec(module) is not None for name, module in wanted.items()}
     missing = [name for name, is_there in found.items() if not is_there]
     if missing:

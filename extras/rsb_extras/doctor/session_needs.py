@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib.util
 import itertools
 import json
 import os
@@ -58,7 +57,6 @@ class NeedText(Wording):
     BASE_ABSENT = "no node subscribes to {topic} in domain {domain}: start the base to learn whether it stops by itself"
     BASE_NOT_ASKED = "what {topics} drives could not be asked whether it stops by itself"
     CLOCKS_AGREE = "the clock of {peer} differs from this machine's by {seconds:.3f} s"
-    NO_ZENOH = "the session uses Zenoh, and the package eclipse-zenoh is not installed"
 
 
 def checks(
@@ -249,9 +247,10 @@ def _transports(session: Session, root: Path) -> Iterator[Finding]:
             yield lacks(NeedText.NO_BLUETOOTH_SOCKETS(), MachineText.BLUETOOTH_REMEDY(), facts)
         elif not bluetooth_adapters(root):
             yield lacks("the session uses Bluetooth, and this machine has no adapter", NeedText.ADAPTER_REMEDY(), facts)
-    if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
-        missing = lacks(NeedText.NO_ZENOH(), MachineText.EXTRAS_REMEDY(missing="zenoh"), {"lacks": "zenoh"})
-        yield missing if session.is_zenoh else missing._replace(grade=Grade.WARNING)  # its fleet does not see it
+    transport = transports.of_link(session.server_ip)
+    if missing := transport.missing():
+        text, _, remedy = missing.partition(": ")
+        yield lacks(text, remedy, {"lacks": transport.name})
 
 
 def _advice(session: Session, environ: Mapping[str, str]) -> Iterator[Finding]:

@@ -66,7 +66,7 @@ def _history(arguments: Namespace, seconds: float) -> HistoryReport:
         UsageError: the arguments leave several bridges to choose from.
     """
     name = arguments.bridge
-    named = arguments.control is not None or arguments.fleet is not None
+    named = arguments.control is not None or arguments.way is not None
     # A bridge that runs is asked: its files may be two minutes old (the page on history).
     if named or any(name in (None, bridge.name) for bridge in running_bridges()):
         with attached(arguments, read_only=True) as engine:

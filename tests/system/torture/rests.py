@@ -24,12 +24,12 @@ from rsb_bridge.api import EngineError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from tests.support.zenoh_router import Router
     from tests.system.torture.ends import Arrival
     from tests.system.torture.program import Command
     from tests.system.torture.stage import Bridge, Nodes, Side, Transport
 
     from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_extras.zenoh.tests.zenoh_router import Router
 
 Driver: TypeAlias = Literal["node", "hand", "hand on robot"]
 DRIVERS: tuple[Driver, ...] = ("node", "hand", "hand on robot")

@@ -27,10 +27,10 @@ from rsb_bridge.control.remote_engine import RemoteEngine
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from tests.support.zenoh_router import Router
     from tests.system.torture.ends import Arrival
 
     from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_extras.zenoh.tests.zenoh_router import Router
 
 Transport: TypeAlias = Literal["tcp", "udp", "zenoh", "zenoh-drop"]
 Side: TypeAlias = Literal["robot", "pc"]
@@ -218,7 +218,7 @@ class Stage:
         common: dict[str, Any] = {"name": "robot1", "key_file": "key.txt"}
         places: dict[Side, dict[str, Any]]
         if self.transport.startswith("zenoh"):
-            from tests.support.zenoh_router import Router
+            from rsb_extras.zenoh.tests.zenoh_router import Router
 
             self.router = Router()
             self._resources.callback(self.router.close)

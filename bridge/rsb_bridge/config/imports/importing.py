@@ -11,7 +11,6 @@ from rsb_bridge.config.imports.thesis import import_bringup
 from rsb_bridge.config.imports.zenoh_bridge import import_zenoh_bridge
 from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
 from rsb_bridge.model.session import Problem
-from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ class ImportMistake(Wording):
     """The reason why a file cannot be imported."""
 
     UNKNOWN = "not a file of ros2_socket_bridge, domain_bridge or zenoh-bridge-ros2dds"
-    JSON5 = "JSON5 is read by Zenoh, and {how}"
+    JSON5 = "JSON5 is read by Zenoh, whose package is not installed: pip install 'rsb-console[zenoh]'"
     NOT_JSON5 = "not JSON5: {problem}"
 
 
@@ -56,7 +55,7 @@ def _json5(text: str, path: Path) -> dict[str, Any]:
     try:
         import zenoh  # noqa: PLC0415 (an extra)
     except ImportError:
-        raise SessionError(path, [Problem("", ImportMistake.JSON5(how=HOW_TO_INSTALL_ZENOH))]) from None
+        raise SessionError(path, [Problem("", ImportMistake.JSON5())]) from None
     try:
         config = zenoh.Config.from_json5(text)
         return {key: json.loads(config.get_json(key)) for key in ("plugins", "mode", "connect", "listen")}

@@ -18,7 +18,7 @@ from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.session import Direction, Problem
-from rsb_bridge.model.transports import is_mac
+from rsb_bridge.model.transport_traits import is_mac
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

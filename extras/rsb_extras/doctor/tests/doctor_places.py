@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.support.places import Place
 
-EXTRAS = Place("rsb_extras.doctor.machine", "_EXTRAS")
+INSTALLED = Place("rsb_extras.doctor.machine", "installed")
 LITTLE_SHARED_MEMORY = Place("rsb_extras.doctor.machine", "_LITTLE_SHARED_MEMORY")
 LOCKED_WITHIN = Place("rsb_extras.doctor.machine", "_LOCKED_WITHIN")
 ROS_SETUP_WITHIN = Place("rsb_extras.doctor.ros_setup", "_WITHIN")

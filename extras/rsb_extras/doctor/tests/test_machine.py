@@ -10,12 +10,13 @@ import resource
 import shlex
 import shutil
 import socket
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 from unittest.mock import Mock
 
 import pytest
 from tests.support import surroundings
 
+from rsb_bridge.feature import Feature
 from rsb_bridge.model.finding import Check, Finding, Grade, examine, worst
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers
@@ -23,6 +24,7 @@ from rsb_extras.doctor import machine
 from rsb_extras.doctor.tests import doctor_places
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 
@@ -209,7 +211,11 @@ def test_no_remedy_takes_a_folder_above_the_missing_one_from_its_owner(
 
 
 def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    doctor_places.EXTRAS.set(monkeypatch, {"zenoh": "no_such_module", "other": "json"})
+    class One(Feature):
+        name = "one"
+        libraries: ClassVar[Mapping[str, str]] = {"zenoh": "no_such_module", "other": "json"}
+
+    doctor_places.INSTALLED.set(monkeypatch, lambda: (One(),))
     (finding,) = found("extras", tmp_path)
     assert (finding.grade, finding.facts["zenoh"], finding.facts["other"]) == (Grade.NOTE, False, True)
     assert "[zenoh]" in finding.remedy

@@ -7,8 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.command.test_fleet_over_zenoh import as_operator
-from tests.support.zenoh_fleet import Fleet
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.states import clean
@@ -19,6 +17,8 @@ from rsb_extras.history.history_data import ReportHistory
 from rsb_extras.history.history_files import EventFile
 from rsb_extras.history.tests.scripted_answers import REMEMBERED
 from rsb_extras.history.tests.world import World
+from rsb_extras.operators.tests.test_fleet_over_zenoh import as_operator
+from rsb_extras.operators.tests.zenoh_fleet import Fleet
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,16 +15,15 @@ import msgspec
 from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.control.summaries import watch
-from rsb_bridge.control.zenoh_fleet import FleetConnector, FleetPresence
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
 from rsb_bridge.model.text import sanitize_text
-from rsb_console.fleet.fleet import LEFT
+from rsb_extras.operators.zenoh_fleet import FleetConnector, FleetPresence
 
 if TYPE_CHECKING:
-    from rsb_bridge.config.session_file import FleetFile
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.control.zenoh_fleet import Member
+    from rsb_extras.operators.fleet_file import FleetFile
+    from rsb_extras.operators.zenoh_fleet import Member
 
 _ENDED_WITHIN = 5.0  # s; the thread is a daemon, so that a longer wait would only hold up the exit
 _FIRST_HEARD_WITHIN = 10.0
@@ -50,9 +49,12 @@ class ZenohFleet:
     """
 
     kind = "fleet"
+    gone = "it has left the Zenoh network"
+    empty = "no bridge announces itself; set `zenoh` and this fleet's name in a session."
 
     def __init__(self, file: FleetFile) -> None:
         self.name = file.zenoh.fleet
+        self.way = f" --fleet {file.path}"
         self._file = file
         self._robots: dict[str, RobotSummary] = {}
         self._presence: FleetPresence | None = None
@@ -139,7 +141,7 @@ class ZenohFleet:
             if watch := self._watches.pop(member.address, None):
                 watch.cancel()
             if name is not None:
-                why = "out of reach: this console has lost its Zenoh router" if self.problem else LEFT
+                why = "out of reach: this console has lost its Zenoh router" if self.problem else self.gone
                 self._gone(name, why, RobotState.MISSING)
                 if name == member.name:
                     self._hand_on(name)

@@ -6,15 +6,15 @@ import signal
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support import replaced
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.transport.zenoh.endpoint import EndpointProblem
-from rsb_bridge.transport.zenoh.network import Unreachable
-from rsb_bridge.transport.zenoh.pipe import PipeProblem
-from rsb_bridge.transport.zenoh.zenoh_transport import FleetText
 from rsb_bridge.wire.preamble import RefusalText
+from rsb_extras.zenoh.endpoint import EndpointProblem
+from rsb_extras.zenoh.network import Unreachable
+from rsb_extras.zenoh.pipe import PipeProblem
+from rsb_extras.zenoh.tests import zenoh_places
+from rsb_extras.zenoh.zenoh_transport import FleetText
 
 pytest.importorskip("zenoh")  # an extra
 
@@ -24,15 +24,16 @@ from tests.support.domain import LATCHED, text
 from tests.support.inside import ledger_of
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
-from tests.support.zenoh_router import Router, stranger
 
 from rsb_bridge.channel.scheduler import LEAST_CHUNK
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Topic, ZenohSettings
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
-from rsb_bridge.transport.zenoh import endpoint as endpoints
-from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
+from rsb_extras.zenoh import ZenohSettings
+from rsb_extras.zenoh import endpoint as endpoints
+from rsb_extras.zenoh.outbox import Header, SampleKind
+from rsb_extras.zenoh.tests.zenoh_router import Router, stranger
 
 if TYPE_CHECKING:
     import zenoh
@@ -49,7 +50,7 @@ BEST_EFFORT = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 def over(*routers: Router, **settings: Any) -> dict[str, Any]:
     """Return the fields of a session over Zenoh."""
     connect = tuple(each.endpoint for each in routers)
-    return {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=connect, **settings)}
+    return {"server_ip": "zenoh", "server_port": 0, "features": {"zenoh": ZenohSettings(connect=connect, **settings)}}
 
 
 def both_linked(*engines: Engine) -> None:
@@ -199,7 +200,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
     qos = {"depth": 500, "reliability": "best_effort"}
     server, client = bridge.both(Topic("/drop", "transmit", qos=qos), **over(router))
     carries([out], server, ["/drop"])
-    take, count = replaced.ZENOH_RECEIVE_DATAGRAM.value, [0]
+    take, count = zenoh_places.RECEIVE_DATAGRAM.value, [0]
 
     def lossy(self: endpoints.ZenohEndpoint, sender: str, payload: bytes) -> None:
         if self._service == "server" and len(payload) > 500:
@@ -208,7 +209,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
                 return
         take(self, sender, payload)
 
-    replaced.ZENOH_RECEIVE_DATAGRAM.set(monkeypatch, lossy)
+    zenoh_places.RECEIVE_DATAGRAM.set(monkeypatch, lossy)
     for number in range(301):
         out.publish(text(f"{number}" + " " * 800))
         eventually(lambda number=number: count[0] > number)  # one datagram each, so that the loss can be computed
@@ -228,7 +229,7 @@ def test_a_stream_that_misses_a_sample_says_why_and_its_topic_goes_on(
     carries([out], server, ["/odom"])
     out.publish(text("first" * 12_000))  # a stream on which nothing has got through is not replaced
     eventually(lambda: route(client, "/odom").ledger.delivered == 1)
-    take = replaced.ZENOH_RECEIVE.value
+    take = zenoh_places.RECEIVE.value
     lost: list[str] = []
 
     def lossy(self: endpoints.ZenohEndpoint, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
@@ -238,7 +239,7 @@ def test_a_stream_that_misses_a_sample_says_why_and_its_topic_goes_on(
             return
         take(self, sender, stream, attachment, payload)
 
-    replaced.ZENOH_RECEIVE.set(monkeypatch, lossy)
+    zenoh_places.RECEIVE.set(monkeypatch, lossy)
     for number in range(3):
         out.publish(text(str(number) * 60_000))
     one_or_more = (PipeProblem.SAMPLE_LOST, PipeProblem.SAMPLES_LOST)  # Zenoh drops some itself on a busy machine
@@ -290,8 +291,8 @@ def test_without_a_router_who_listens_is_connected_to(bridge: Bridge, robot: Dom
     where = f"tcp/127.0.0.1:{free_port()}"
     session = {"server_ip": "zenoh", "server_port": 0}
     there, out = pc.listener("/scan"), robot.publisher("/scan")
-    server = bridge.server(zenoh=ZenohSettings(listen=(where,)), **session)
-    client = bridge.client(Topic("/scan", "transmit"), zenoh=ZenohSettings(connect=(where,)), **session)
+    server = bridge.server(features={"zenoh": ZenohSettings(listen=(where,))}, **session)
+    client = bridge.client(Topic("/scan", "transmit"), features={"zenoh": ZenohSettings(connect=(where,))}, **session)
     both_linked(server, client)
     carries([out], server, ["/scan"])
     out.publish(text("direct"))

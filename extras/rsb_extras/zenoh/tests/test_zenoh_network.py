@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support import constants, replaced
 from tests.support.acceptors import Accepting
 from tests.support.coroutines import until
 from tests.support.ports import free_port
@@ -21,23 +20,23 @@ from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
 from rsb_bridge.model.budgets import Strangers
-from rsb_bridge.model.session import ZenohSettings
-from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
-from rsb_bridge.transport.zenoh import endpoint as endpoints
-from rsb_bridge.transport.zenoh.endpoint import ROOT, Seen
-from rsb_bridge.transport.zenoh.network import Network, NetworkProblem, Unreachable
-from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
-from rsb_bridge.transport.zenoh.pipe import SAMPLE
-from rsb_bridge.transport.zenoh.zenoh_transport import FleetText, Links, Zenoh
 from rsb_bridge.wire.framing import STRANGER_LIMIT
+from rsb_extras.zenoh import HOW_TO_INSTALL, ZenohSettings
+from rsb_extras.zenoh import endpoint as endpoints
+from rsb_extras.zenoh.endpoint import ROOT, Seen
+from rsb_extras.zenoh.network import Network, NetworkProblem, Unreachable
+from rsb_extras.zenoh.outbox import Header, SampleKind
+from rsb_extras.zenoh.pipe import SAMPLE
+from rsb_extras.zenoh.tests import zenoh_places
+from rsb_extras.zenoh.zenoh_transport import FleetText, Links, ZenohTransport
 
 zenoh = pytest.importorskip("zenoh")
-from tests.support.zenoh_router import Router, stranger  # noqa: E402 (it needs the package)
+from rsb_extras.zenoh.tests.zenoh_router import Router, stranger  # noqa: E402 (it needs the package)
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterator, Sized
 
-    from rsb_bridge.transport.zenoh.endpoint import ZenohEndpoint
+    from rsb_extras.zenoh.endpoint import ZenohEndpoint
 
 NOBODY = "0123456789abcdef"
 PATIENT = {"link": {"tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": 10_000_000}}}}}}
@@ -60,8 +59,7 @@ async def in_network(
     router: Router, service: str = "server", *watched: str, strangers: Strangers | None = None, fleet: str = "fleet"
 ) -> AsyncIterator[ZenohEndpoint]:
     """An endpoint of a network of its own, perhaps with a budget for strangers."""
-    network = Network(ZenohSettings(connect=(router.endpoint,), fleet=fleet), Path())
-    network.strangers = strangers or network.strangers
+    network = Network(ZenohSettings(connect=(router.endpoint,), fleet=fleet), Path(), strangers)
     made = await network.endpoint(service, "a label", watched)
     while made.address not in {each.address for each in await made.ask(service)}:  # noqa: ASYNC110 (no event of ours)
         await asyncio.sleep(0.01)  # the router does not know this end's subscriptions yet
@@ -199,16 +197,16 @@ async def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(r
 
 
 async def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.ZENOH_RECEIVE_BUFFER.set(monkeypatch, 100_000)
+    zenoh_places.RECEIVE_BUFFER.set(monkeypatch, 100_000)
     counted: list[int] = []
-    within = replaced.ZENOH_WITHIN_BUDGET.value
+    within = zenoh_places.WITHIN_BUDGET.value
 
     def count(self: ZenohEndpoint, length: int, work: Callable[[], None]) -> None:
         within(self, length, work)
         if length == 1000:
             counted.append(length)
 
-    replaced.ZENOH_WITHIN_BUDGET.set(monkeypatch, count)
+    zenoh_places.WITHIN_BUDGET.set(monkeypatch, count)
     async with with_stranger(router) as (server, other, _):
         came: list[bytes] = []
         server.add(NOBODY, NOBODY, End())
@@ -217,7 +215,7 @@ async def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: p
             other.drop(bytes(1000))
         eventually(lambda: len(counted) == 500)  # the loop has had no turn
         await until(lambda: waiting_bytes(server) == 0)
-        assert len(came) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
+        assert len(came) == 100_000 // (1000 + zenoh_places.OVERHEAD.value)
 
 
 @pytest.mark.parametrize("number", [0, 1])
@@ -285,7 +283,7 @@ async def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> N
         eventually(lambda: waiting_bytes(server))  # the loop has had no turn
         await until(lambda: peer.came and not of_strangers(server))  # their turns are more than the peer's one
         assert budget.used == 0
-        assert len(asked) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
+        assert len(asked) == 100_000 // (1000 + zenoh_places.OVERHEAD.value)
         assert budget.turned_away == 500 - len(asked)
 
 
@@ -303,8 +301,8 @@ async def test_few_first_samples_of_strangers_wait(router: Router) -> None:
         other.put()
         eventually(lambda: waiting_bytes(server))  # the loop has had no turn
         await until(lambda: before and not of_strangers(server))
-        assert before[0] <= constants.ZENOH_STRANGERS_AT_A_TIME.value
-        assert len(asked) == constants.ZENOH_STRANGERS_WAIT.value
+        assert before[0] <= zenoh_places.STRANGERS_AT_A_TIME.value
+        assert len(asked) == zenoh_places.STRANGERS_WAIT.value
 
 
 async def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> None:
@@ -352,16 +350,16 @@ async def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
             turns: list[bytes] = []
             server.add(NOBODY, NOBODY, End())
             server.on_datagram = lambda _, payload: turns.append(payload)
-            count = 5 * constants.ZENOH_AT_A_TIME.value
+            count = 5 * zenoh_places.AT_A_TIME.value
             for _ in range(count):
                 other.drop()
-            size = 1 + constants.ZENOH_OVERHEAD.value
+            size = 1 + zenoh_places.OVERHEAD.value
             eventually(lambda: waiting_bytes(server) == count * size)  # the loop has had no turn
             seen_at: list[int] = []
             while len(turns) < count:
                 await asyncio.sleep(0)
                 seen_at.append(len(turns))
-            assert max(b - a for a, b in zip([0, *seen_at], seen_at, strict=False)) <= constants.ZENOH_AT_A_TIME.value
+            assert max(b - a for a, b in zip([0, *seen_at], seen_at, strict=False)) <= zenoh_places.AT_A_TIME.value
 
 
 async def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) -> None:
@@ -384,7 +382,7 @@ async def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) 
 async def test_announcements_are_limited_in_number_and_harmless(
     router: Router, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    constants.ZENOH_MOST_SEEN.set(monkeypatch, 5)
+    zenoh_places.MOST_SEEN.set(monkeypatch, 5)
     async with in_network(router, "server", "client") as server:
         other = stranger(router)
         live = other.liveliness()
@@ -397,7 +395,7 @@ async def test_announcements_are_limited_in_number_and_harmless(
         assert len(label) <= 300
         tokens += [live.declare_token(f"{root}/{number:016x}/x") for number in range(20)]
         await until(lambda: len(server.seen) == 5)
-        assert all(constants.ZENOH_ADDRESS.value.fullmatch(each) for each in server.seen)
+        assert all(zenoh_places.ADDRESS.value.fullmatch(each) for each in server.seen)
         for token in tokens:
             token.undeclare()
         await until(lambda: not server.seen)
@@ -405,7 +403,7 @@ async def test_announcements_are_limited_in_number_and_harmless(
 
 
 async def test_many_announcements_hide_no_new_one(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.ZENOH_MOST_SEEN.set(monkeypatch, 5)
+    zenoh_places.MOST_SEEN.set(monkeypatch, 5)
     async with in_network(router, "server", "client") as server:
         other = stranger(router)
         root = f"{ROOT}/fleet/here/client"
@@ -424,14 +422,14 @@ async def test_who_leaves_while_an_endpoint_is_made_is_forgotten(
     router: Router, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else a fleet would have two servers for good, and nobody would link."""
-    constants.ZENOH_CONFIRMED.set(monkeypatch, 1.0)
+    zenoh_places.CONFIRMED.set(monkeypatch, 1.0)
     ghost, ask = Seen("server", NOBODY, "gone"), endpoints.ZenohEndpoint.ask
 
     async def ask_too_early(self: ZenohEndpoint, service: str) -> list[Seen]:
         return [*await ask(self, service), ghost]
 
     async with in_network(router) as server:
-        replaced.ZENOH_ASK.set(monkeypatch, ask_too_early)
+        zenoh_places.ASK.set(monkeypatch, ask_too_early)
         network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
         client = await network.endpoint("client", "", ["server"])
         assert ghost.address in client.seen
@@ -467,8 +465,8 @@ def test_a_process_that_ends_with_a_network_open_does_end(router: Router) -> Non
     program = f"""
 import asyncio
 from pathlib import Path
-from rsb_bridge.model.session import ZenohSettings
-from rsb_bridge.transport.zenoh.network import Network
+from rsb_extras.zenoh import ZenohSettings
+from rsb_extras.zenoh.network import Network
 network = Network(ZenohSettings(connect=({router.endpoint!r},)), Path())
 asyncio.run(network.endpoint("server", "x", ("client",)))
 """
@@ -561,7 +559,7 @@ def test_without_the_package_it_is_said_how_to_get_it(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(builtins, "__import__", without)
     settings = ZenohSettings(connect=("tcp/127.0.0.1:1",))
-    assert asyncio.run(why(settings, tmp_path)) == HOW_TO_INSTALL_ZENOH
+    assert asyncio.run(why(settings, tmp_path)) == HOW_TO_INSTALL
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:1#", "tcp/127.0.0.1:1?=", "tcp/a..b:7447", f"tcp/{'a' * 64}:7447"])
@@ -662,7 +660,7 @@ async def test_a_server_is_told_of_others_by_name_and_not_of_itself(router: Rout
     # A fleet of its own: the router may still know the server of another test.
     network = Network(ZenohSettings(connect=(router.endpoint,), fleet="told"), tmp_path)
     links, told = Links(network, "pc"), list[str]()
-    transport = Zenoh(links)
+    transport = ZenohTransport(links)
     await transport.listen("zenoh", 0, Accepting(others=told.append))
     endpoint = links.endpoint_if_open()
     try:

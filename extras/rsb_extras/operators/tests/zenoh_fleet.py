@@ -10,18 +10,18 @@ from tests.console.scripted import SESSION, ScriptedEngine
 from tests.support.control import Machine
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
-from tests.support.zenoh_router import Router, stranger
 
 from rsb_bridge.config.keys import copy_key
-from rsb_bridge.config.session_file import FleetFile
 from rsb_bridge.control.remote_engine import RemoteEngine
-from rsb_bridge.control.zenoh_fleet import EngineAnnouncement, FleetConnector
 from rsb_bridge.engine.access import Access
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.session import ZenohSettings
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.transport.zenoh.network import Network
-from rsb_console.fleet.zenoh_source import ZenohFleet
+from rsb_extras.operators.fleet_file import FleetFile
+from rsb_extras.operators.zenoh_fleet import EngineAnnouncement, FleetConnector
+from rsb_extras.operators.zenoh_source import ZenohFleet
+from rsb_extras.zenoh import ZenohSettings
+from rsb_extras.zenoh.network import Network
+from rsb_extras.zenoh.tests.zenoh_router import Router, stranger
 
 if TYPE_CHECKING:
     from pathlib import Path

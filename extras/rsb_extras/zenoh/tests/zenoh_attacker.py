@@ -1,7 +1,7 @@
 """Attacks on the bridges of a Zenoh network by somebody without a key, in a process of its own.
 
-``python -m tests.support.zenoh_attacker ENDPOINT FLEET ATTACK HZ`` runs one until its standard input ends. It then
-writes, as JSON, how many samples it has sent, and how many tokens it has declared.
+``python -m rsb_extras.zenoh.tests.zenoh_attacker ENDPOINT FLEET ATTACK HZ`` runs one until its standard input ends. It
+then writes, as JSON, how many samples it has sent, and how many tokens it has declared.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from typing import Any
 
 import zenoh
 
-from rsb_bridge.transport.zenoh.outbox import Header, SampleKind
 from rsb_bridge.wire.preamble import PreambleKind
+from rsb_extras.zenoh.outbox import Header, SampleKind
 
 TAG = bytes(16)
 KEPT = 1000
@@ -156,7 +156,7 @@ class Attacker:
     """An attack in a process of its own, until `stop`."""
 
     def __init__(self, endpoint: str, attack: str, *, fleet: str = "fleet", hz: float = 20.0) -> None:
-        command = [sys.executable, "-m", "tests.support.zenoh_attacker", endpoint, fleet, attack, str(hz)]
+        command = [sys.executable, "-m", "rsb_extras.zenoh.tests.zenoh_attacker", endpoint, fleet, attack, str(hz)]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         assert self._process.stdout.readline() == "up\n"

@@ -19,21 +19,22 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.trials import Trials, UnprovenError
-from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST
-from rsb_bridge.transport.zenoh.network import Network
-from rsb_bridge.transport.zenoh.outbox import LINK_RANK
-from rsb_bridge.transport.zenoh.pipe import Pipe
+from rsb_extras.zenoh import ZENOH_HOST
+from rsb_extras.zenoh.endpoint import ROUTER_LOST
+from rsb_extras.zenoh.network import Network
+from rsb_extras.zenoh.outbox import LINK_RANK
+from rsb_extras.zenoh.pipe import Pipe
+from rsb_extras.zenoh.zenoh_transport import ZenohTransport
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.api import EngineApi
-    from rsb_bridge.config.session_file import FleetFile
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.control.remote_engine import Connection
     from rsb_bridge.engine.access import Access
-    from rsb_bridge.transport.zenoh.endpoint import Seen, ZenohEndpoint
-    from rsb_bridge.transport.zenoh.outbox import Header
+    from rsb_extras.operators.fleet_file import FleetFile
+    from rsb_extras.zenoh.endpoint import Seen, ZenohEndpoint
+    from rsb_extras.zenoh.outbox import Header
 
 ENGINE, CONSOLE = "engine", "console"
 """The services by which engines and consoles announce themselves."""
@@ -51,14 +52,10 @@ class EngineChoice(Wording):
     SAME_NAME = "{count} engines of the fleet {fleet} are named {engine!r}: give each its own name"
     NONE_PROVEN = (
         "none of {count} engines named {engine!r} has proven the key: "
-        "set access control on the router (docs/zenoh.md); one says: {answer}"
+        "set access control on the router; one says: {answer}"
     )
-    ONE_UNPROVEN = (
-        "{count} other engine of this name has not proven the key: set access control on the router (docs/zenoh.md)"
-    )
-    SEVERAL_UNPROVEN = (
-        "{count} other engines of this name have not proven the key: set access control on the router (docs/zenoh.md)"
-    )
+    ONE_UNPROVEN = "{count} other engine of this name has not proven the key: set access control on the router"
+    SEVERAL_UNPROVEN = "{count} other engines of this name have not proven the key: set access control on the router"
 
 
 class Member(NamedTuple):
@@ -74,15 +71,15 @@ class Member(NamedTuple):
     address: str
 
 
-def announce(engine: EngineApi, server: ControlServer) -> None:
+def announce(server: ControlServer) -> None:
     """Announce an engine to the fleet of its session, and let its operators in, until its server closes.
 
-    Args:
-        engine: nothing happens unless it runs in this process, in a Zenoh network.
-        server: serves it; it has been started.
+    Nothing happens unless the engine runs in this process, in a Zenoh network.
     """
-    if isinstance(engine, Engine) and engine.network is not None:
-        EngineAnnouncement(server, engine.access, engine.network)
+    engine = server.engine
+    transport = engine.transports.find("zenoh") if isinstance(engine, Engine) else None
+    if isinstance(engine, Engine) and isinstance(transport, ZenohTransport):
+        EngineAnnouncement(server, engine.access, transport.network)
 
 
 class EngineAnnouncement:
@@ -93,7 +90,7 @@ class EngineAnnouncement:
     """
 
     def __init__(self, server: ControlServer, access: Access, network: Network) -> None:
-        self._says_so = not server.engine.session.is_zenoh  # else the links do
+        self._says_so = server.engine.session.server_ip != ZENOH_HOST  # else the links do
         self._events = access.events
         server.summarize = SummaryBuilder(server.engine, server.info.program)
         self._acceptor = SealedAcceptor(server, access)
@@ -155,7 +152,7 @@ class FleetPresence:
         self.members: dict[str, Member] = {}
         self.changed: Callable[[Member, bool], None] = _nobody
         self._file = file
-        self._network = Network(file.zenoh, file.base)
+        self._network = Network(file.zenoh, file.path.parent)
         self._endpoint: ZenohEndpoint | None = None
 
     async def join(self) -> None:

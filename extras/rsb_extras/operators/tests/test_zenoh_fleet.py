@@ -13,34 +13,36 @@ from tests.support.long import long
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
-from tests.support.zenoh_attacker import TAG, Attacker
-from tests.support.zenoh_fleet import Fleet, announced
-from tests.support.zenoh_router import stranger
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import UnclearError
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.sealed import OperatorRefused
 from rsb_bridge.control.summaries import SummaryBuilder
-from rsb_bridge.control.zenoh_fleet import EngineChoice, FleetConnector
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, decode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.trials import Trials
-from rsb_bridge.transport.zenoh.network import Unreachable
-from rsb_bridge.transport.zenoh.outbox import Header
+from rsb_extras.operators.tests import operator_places
+from rsb_extras.operators.tests.zenoh_fleet import Fleet, announced
+from rsb_extras.operators.zenoh_fleet import EngineChoice, FleetConnector
+from rsb_extras.zenoh.network import Unreachable
+from rsb_extras.zenoh.outbox import Header
+from rsb_extras.zenoh.tests import zenoh_places
+from rsb_extras.zenoh.tests.zenoh_attacker import TAG, Attacker
+from rsb_extras.zenoh.tests.zenoh_router import stranger
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from rsb_bridge.model.robot_summary import RobotSummary
-    from rsb_console.fleet.zenoh_source import ZenohFleet
+    from rsb_extras.operators.zenoh_source import ZenohFleet
 
 
 @pytest.fixture
 def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
-    constants.ZENOH_ASKED_WITHIN.set(monkeypatch, 60.0)  # of a busy router; one that is there answers sooner
+    zenoh_places.ASKED_WITHIN.set(monkeypatch, 60.0)  # of a busy router; one that is there answers sooner
     with closing(Fleet(tmp_path)) as fleet:
         yield fleet
 
@@ -191,8 +193,8 @@ def test_a_console_waits_for_the_first_word_of_each_engine_and_not_for_a_link(fl
 
 
 def test_robots_that_come_and_go_under_new_names_have_a_budget(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.FLEET_MOST.set(monkeypatch, 3)
-    constants.FLEET_KEPT.set(monkeypatch, 600.0)
+    operator_places.FLEET_MOST.set(monkeypatch, 3)
+    operator_places.FLEET_KEPT.set(monkeypatch, 600.0)
     seen = seen_with(fleet, "robot1")
     fleet.servers["robot1"].close()
     eventually(lambda: is_in(seen, "robot1", RobotState.MISSING))

@@ -8,9 +8,9 @@ import pytest
 from tests.support.commands import Ran
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.wording import says
-from tests.support.zenoh_fleet import Fleet
 
 from rsb_bridge.wire.preamble import RefusalText
+from rsb_extras.operators.tests.zenoh_fleet import Fleet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

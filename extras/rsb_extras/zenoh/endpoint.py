@@ -24,8 +24,8 @@ from urllib.parse import quote, unquote
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import in_thread
-from rsb_bridge.transport.zenoh.outbox import HEADER_LENGTHS, Header, SampleKind, SampleOutbox
 from rsb_bridge.wire.framing import STRANGER_LIMIT
+from rsb_extras.zenoh.outbox import HEADER_LENGTHS, Header, SampleKind, SampleOutbox
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -77,7 +77,7 @@ class Seen(NamedTuple):
     """Somebody who has announced an endpoint.
 
     Attributes:
-        service: as in `rsb_bridge.transport.zenoh.network.Network.endpoint`.
+        service: as in `rsb_extras.zenoh.network.Network.endpoint`.
         label: as its owner says, unauthenticated.
     """
 

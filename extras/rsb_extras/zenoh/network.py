@@ -18,18 +18,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.budgets import Strangers
-from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import in_thread
 from rsb_bridge.transport import tcp
-from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, ZenohEndpoint
+from rsb_extras.zenoh import HOW_TO_INSTALL
+from rsb_extras.zenoh.endpoint import ROUTER_LOST, ZenohEndpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     import zenoh
 
-    from rsb_bridge.model.session import ZenohSettings
+    from rsb_extras.zenoh import ZenohSettings
 
 TLS = "transport/link/tls"
 """Where a configuration has its certificates."""
@@ -228,15 +228,18 @@ class Network:
 
     Args:
         base: the folder that `ZenohSettings.config` is relative to.
+        strangers: of all networks of this process, or None for a budget of its own.
         jitter: a number from 0 to 1, different in each process, that delays its retries.
 
     Attributes:
         strangers: the budget of samples from strangers in the network.
     """
 
-    def __init__(self, settings: ZenohSettings, base: Path, jitter: float = 0.0) -> None:
+    def __init__(
+        self, settings: ZenohSettings, base: Path, strangers: Strangers | None = None, jitter: float = 0.0
+    ) -> None:
         self.settings = settings
-        self.strangers = Strangers()
+        self.strangers = strangers or Strangers()
         self._base = base
         self._jitter = jitter
         self._lock = threading.Lock()  # never held for long: the loops take it, too
@@ -264,8 +267,7 @@ class Network:
     @property
     def place(self) -> str:
         """The network's endpoints, for an operator."""
-        settings = self.settings
-        return ", ".join(settings.connect or settings.listen) or f"the endpoints of {settings.config}"
+        return self.settings.place
 
     @property
     def connected(self) -> bool:
@@ -340,7 +342,7 @@ class Network:
         try:
             import zenoh  # noqa: PLC0415 (an extra)
         except ImportError:
-            raise OSError(HOW_TO_INSTALL_ZENOH) from None
+            raise OSError(HOW_TO_INSTALL) from None
         try:
             config = self._config(zenoh)
         except zenoh.ZError as error:  # it takes no such endpoint

@@ -8,7 +8,6 @@ import socket
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import join_first
-from rsb_bridge.model.transports import ZenohDropTraits, ZenohTraits
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler
 from rsb_bridge.transport.transport import (
@@ -22,17 +21,18 @@ from rsb_bridge.transport.transport import (
     SendPath,
     StreamTransport,
 )
-from rsb_bridge.transport.zenoh.endpoint import DATAGRAM
-from rsb_bridge.transport.zenoh.outbox import LINK_RANK
-from rsb_bridge.transport.zenoh.pipe import Pipe
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
+from rsb_extras.zenoh.endpoint import DATAGRAM
+from rsb_extras.zenoh.outbox import LINK_RANK
+from rsb_extras.zenoh.pipe import Pipe
+from rsb_extras.zenoh.zenoh_traits import ZenohDropTraits, ZenohTraits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from rsb_bridge.transport.zenoh.endpoint import Seen, ZenohEndpoint
-    from rsb_bridge.transport.zenoh.network import Network
-    from rsb_bridge.transport.zenoh.outbox import Header
+    from rsb_extras.zenoh.endpoint import Seen, ZenohEndpoint
+    from rsb_extras.zenoh.network import Network
+    from rsb_extras.zenoh.outbox import Header
 
 SERVER, CLIENT = "server", "client"
 """The services by which the two sides of links announce themselves."""
@@ -56,11 +56,11 @@ class FleetText(Wording):
     )
     OTHER_SERVER = (
         "another server is announced in the fleet {fleet!r}: {names}: clients try each, and link with the one that has "
-        "their key; if they are none of yours, set access control on the router (docs/zenoh.md)"
+        "their key; if they are none of yours, set access control on the router"
     )
     OTHER_SERVERS = (
         "{count} other servers are announced in the fleet {fleet!r}: {names}: clients try each, and link with the one "
-        "that has their key; if they are none of yours, set access control on the router (docs/zenoh.md)"
+        "that has their key; if they are none of yours, set access control on the router"
     )
 
 
@@ -68,7 +68,7 @@ class ZenohStream(Stream):
     """A stream whose sender waits while too many bytes are in flight."""
 
     high_water = 256 * 1024
-    """A round figure, in addition to what is in flight (`rsb_bridge.transport.zenoh.pipe.WINDOW`)."""
+    """A round figure, in addition to what is in flight (`rsb_extras.zenoh.pipe.WINDOW`)."""
 
     def trust(self) -> None:
         if isinstance(self._transport, Pipe):
@@ -139,13 +139,17 @@ class Links:
             self._endpoint = None
 
 
-class Zenoh(ZenohTraits, StreamTransport):
+class ZenohTransport(ZenohTraits, StreamTransport):
     """Streams over a Zenoh network. Hosts are ``zenoh``, or the address of the server's endpoint; ports are 0."""
 
     largest_message = MESSAGE_LIMIT
 
     def __init__(self, links: Links) -> None:
         self._links = links
+
+    @property
+    def network(self) -> Network:
+        return self._links.network
 
     def format_address(self, address: Address) -> str:
         return f"zenoh ({self._links.network.place})" if address[0] == "zenoh" else _format_address(address)
@@ -232,7 +236,7 @@ class Zenoh(ZenohTraits, StreamTransport):
 
 
 class _Listening:
-    """A server's end of `Zenoh.listen`."""
+    """A server's end of `ZenohTransport.listen`."""
 
     def __init__(self, endpoint: ZenohEndpoint) -> None:
         self._endpoint = endpoint
@@ -281,8 +285,8 @@ class ZenohSocket:
         self._on_close()
 
 
-class ZenohDrop(ZenohDropTraits, DatagramTransport):
-    """Datagrams over a Zenoh network, for the routes of links over `Zenoh`."""
+class ZenohDropTransport(ZenohDropTraits, DatagramTransport):
+    """Datagrams over a Zenoh network, for the routes of links over `ZenohTransport`."""
 
     largest_message = MESSAGE_LIMIT
 
@@ -326,7 +330,7 @@ def _deaf(endpoint: ZenohEndpoint, take: Callable[[str, bytes], None]) -> None:
 
 
 def _priority(rank: int | None) -> int:
-    """Return a sample's rank (`rsb_bridge.transport.zenoh.outbox`) for a route's, or for None the link's own."""
+    """Return a sample's rank (`rsb_extras.zenoh.outbox`) for a route's, or for None the link's own."""
     return LINK_RANK if rank is None else _RANKS[(rank > 0) - (rank < 0)]
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from rsb_bridge.config.keys import KeyFileError, write_key
-from rsb_bridge.config.session_file import SessionError, load_fleet
+from rsb_bridge.config.session_file import SessionError
+from rsb_extras.operators.fleet_file import load_fleet
 
 ZENOH = "zenoh: {connect: [tcp/hub:7447], fleet: lab}\n"
 ANNA = "operator: anna\nkey_file: anna.key\n"
@@ -23,7 +24,7 @@ def test_what_it_says_is_read_and_its_files_are_beside_it(tmp_path: Path) -> Non
     key = write_key(tmp_path / "anna.key")
     file = load_fleet(written(tmp_path, ZENOH + ANNA))
     assert (file.zenoh.connect, file.zenoh.fleet) == (("tcp/hub:7447",), "lab")
-    assert (file.operator, file.key.secret, file.base) == ("anna", key.secret, tmp_path)
+    assert (file.operator, file.key.secret, file.path.parent) == ("anna", key.secret, tmp_path)
 
 
 @pytest.mark.parametrize(

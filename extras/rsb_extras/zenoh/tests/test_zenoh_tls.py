@@ -8,21 +8,21 @@ import json
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support import constants
 from tests.support.certificates import Authority
 from tests.support.wording import says
 
-from rsb_bridge.model.session import ZenohSettings
-from rsb_bridge.transport.zenoh.network import CertificateRemedy, Network, Unreachable
+from rsb_extras.zenoh import ZenohSettings
+from rsb_extras.zenoh.network import CertificateRemedy, Network, Unreachable
+from rsb_extras.zenoh.tests import zenoh_places
 
 zenoh = pytest.importorskip("zenoh")
-from tests.support.zenoh_router import Router  # noqa: E402 (it needs the package)
+from rsb_extras.zenoh.tests.zenoh_router import Router  # noqa: E402 (it needs the package)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from rsb_bridge.transport.zenoh.endpoint import ZenohEndpoint
+    from rsb_extras.zenoh.endpoint import ZenohEndpoint
 
     Start = Callable[..., Router]
 
@@ -32,7 +32,7 @@ EXPIRED = datetime.timedelta(days=-1)
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """A router on a busy machine may answer late."""
-    constants.ZENOH_LOOK_WITHIN.set(monkeypatch, 60.0)
+    zenoh_places.LOOK_WITHIN.set(monkeypatch, 60.0)
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def test_a_file_that_is_missing(tmp_path: Path, start: Start) -> None:
 
 
 def test_a_router_that_speaks_no_tls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.ZENOH_LOOK_WITHIN.set(monkeypatch, 2.0)  # it may wait for more of what it takes for Zenoh
+    zenoh_places.LOOK_WITHIN.set(monkeypatch, 2.0)  # it may wait for more of what it takes for Zenoh
     plain = Router()
     try:
         authority = Authority(tmp_path)
@@ -148,7 +148,7 @@ def test_a_router_that_speaks_no_tls(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def access_control(*names: str) -> dict[str, Any]:
-    """Return the access control of docs/zenoh.md: only these certificates' owners may be in the fleet."""
+    """Return the access control of zenoh.md: only these certificates' owners may be in the fleet."""
     messages = [
         "put",
         "declare_subscriber",

@@ -17,15 +17,16 @@ pytest.importorskip("zenoh")  # an extra
 from tests.support.bridge import carries, connections, happened, link, linked, now
 from tests.support.domain import text
 from tests.support.waiting import eventually
-from tests.support.zenoh_attacker import Attacker, Stranger
-from tests.support.zenoh_router import Router
-from tests.support.zenoh_router import stranger as router_session
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Topic, ZenohSettings
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
-from rsb_bridge.transport.zenoh.endpoint import ROOT
+from rsb_extras.zenoh import ZenohSettings
+from rsb_extras.zenoh.endpoint import ROOT
+from rsb_extras.zenoh.tests.zenoh_attacker import Attacker, Stranger
+from rsb_extras.zenoh.tests.zenoh_router import Router
+from rsb_extras.zenoh.tests.zenoh_router import stranger as router_session
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -38,7 +39,7 @@ LOST = (EventCode.LINK_LOST, EventCode.LINK_CLOSED, EventCode.LINK_CLOSED_BY_PEE
 
 
 def over(router: Router) -> dict[str, Any]:
-    return {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=(router.endpoint,))}
+    return {"server_ip": "zenoh", "server_port": 0, "features": {"zenoh": ZenohSettings(connect=(router.endpoint,))}}
 
 
 def losses(engine: Engine) -> list[str]:

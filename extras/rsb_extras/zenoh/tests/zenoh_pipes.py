@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from rsb_bridge.transport.zenoh.outbox import OWN_COST, Header, SampleKind
-from rsb_bridge.transport.zenoh.pipe import Pipe
 from rsb_bridge.wire.sealing import SampleTags
+from rsb_extras.zenoh.outbox import OWN_COST, Header, SampleKind
+from rsb_extras.zenoh.pipe import Pipe
 
 if TYPE_CHECKING:
-    from rsb_bridge.transport.zenoh.endpoint import ZenohEndpoint
+    from rsb_extras.zenoh.endpoint import ZenohEndpoint
 
 STREAM = "5" * 16
 SECRET = bytes(range(32))
@@ -29,7 +29,7 @@ class FakeEndpoint:
     Attributes:
         on_its_way: samples that were sent, and have not been carried to the other end.
         backlog: bytes that Zenoh has not been given yet.
-        in_flight: as `rsb_bridge.transport.zenoh.outbox` counts it.
+        in_flight: as `rsb_extras.zenoh.outbox` counts it.
         end: the pipe; None once it is over.
     """
 

@@ -12,11 +12,11 @@ from types import SimpleNamespace
 import pytest
 from tests.support.waiting import eventually
 
-from rsb_bridge.model.session import ZenohSettings
-from rsb_bridge.transport.zenoh.network import Network, prepare_socket
+from rsb_extras.zenoh import ZenohSettings
+from rsb_extras.zenoh.network import Network, prepare_socket
 
 pytest.importorskip("zenoh")
-from tests.support.zenoh_router import Router
+from rsb_extras.zenoh.tests.zenoh_router import Router
 
 LOW_WATER = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
 

@@ -20,19 +20,20 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST, Header, SampleKind
+from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.sealing import SampleTags
+from rsb_extras.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST, Header, SampleKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.transport.zenoh.endpoint import ZenohEndpoint
+    from rsb_extras.zenoh.endpoint import ZenohEndpoint
 
 WINDOW = 4 * 1024 * 1024
 """Bytes: 40 MB/s where the way there and back takes 0.1 s."""
 SAMPLE = 1024 * 1024
-"""Bytes of one sample at most; with `rsb_bridge.transport.zenoh.network.LARGEST_SAMPLE`."""
+"""Bytes of one sample at most; with `rsb_extras.zenoh.network.LARGEST_SAMPLE`."""
 
 _LONGEST = 2 * SAMPLE
 """Bytes of a peer's sample that is taken at most: `LARGEST_SAMPLE`, too."""
@@ -44,7 +45,7 @@ else the loss of the last sample would show only with the next one, perhaps hour
 _AT_A_TIME = 256 * 1024
 """Held bytes that are delivered in one turn of the loop after a pause of reading: a round figure."""
 _SENT_WITHIN = 5.0
-"""s for which a router may take nothing before it counts as lost, as in `rsb_bridge.transport.zenoh.network`."""
+"""s for which a router may take nothing before it counts as lost, as in `rsb_extras.zenoh.network`."""
 _REASON = 200  # bytes, of the protocol
 _DOUBT = 3.0
 """s without a sample after which a stream ends whose end is not proven: a link's own stream has one a second. Of the
@@ -63,21 +64,22 @@ class PipeProblem(Wording):
     WINDOW_IGNORED = "the other side sends more than the {limit:,} bytes that may be in flight"
 
 
-class Pipe(asyncio.Transport):
+class Pipe(OpenNetworkTransport):
     """One end of a stream.
 
     Args:
         stream: 16 hexadecimal digits.
-        rank: of its priority (`rsb_bridge.transport.zenoh.outbox`).
+        rank: of its priority (`rsb_extras.zenoh.outbox`).
         protocol: receives the events. Its `connection_made` is called at once.
         stranger: whether the other end has yet to prove that it has the key; `trust` ends that.
 
     Attributes:
         trusted: whether the other end has proven it.
-        when_doubted: called as soon as it is doubted that the other end is there.
         longest: bytes of the longest sample that is taken now, and of all samples together until this side answers a
             stranger.
     """
+
+    network = "Zenoh"
 
     def __init__(
         self,
@@ -124,7 +126,6 @@ class Pipe(asyncio.Transport):
         protocol.connection_made(self)
 
     def trust(self) -> None:
-        """Take as much as of any peer: the other end has proven that it has the key."""
         if not self.trusted and not self._over:
             self.trusted = True
             self.longest = _LONGEST
@@ -181,24 +182,13 @@ class Pipe(asyncio.Transport):
     # --- who sends
 
     def begin_trial(self) -> None:
-        """Take several answers to this side's first sample, until `adopt`: strangers may answer it, too.
-
-        The protocol is given each of them, as if no other had come.
-        """
         self._trial = True
 
     def adopt(self) -> None:
-        """Accept the answer that the protocol has just been given, which proves the key, and end the trial."""
         self._trial = False
         self.longest = _LONGEST
 
     def authenticate(self, secret: bytes, *, opener: bool) -> None:
-        """Tag all samples from now on, and take only samples with the peer's tags.
-
-        Args:
-            secret: of both sides (`rsb_bridge.wire.sealing`).
-            opener: this side opened the stream.
-        """
         self._tags = SampleTags(secret, self._stream, opener=opener)
 
     # --- receiving

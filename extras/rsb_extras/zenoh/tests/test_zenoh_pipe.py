@@ -8,11 +8,11 @@ import weakref
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.zenoh_pipes import Pair, Sent, Side
 
-from rsb_bridge.transport.zenoh.outbox import OWN_COST, Header, SampleKind
-from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW, Pipe, PipeProblem
 from rsb_bridge.wire.framing import STRANGER_LIMIT
+from rsb_extras.zenoh.outbox import OWN_COST, Header, SampleKind
+from rsb_extras.zenoh.pipe import SAMPLE, WINDOW, Pipe, PipeProblem
+from rsb_extras.zenoh.tests.zenoh_pipes import Pair, Sent, Side
 
 if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop

@@ -1,1 +1,0 @@
-"""Links over a Zenoh network: streams and datagrams in samples, through any number of routers."""
