@@ -62,12 +62,12 @@ def test_the_linked_client_says_little_of_many(loop: VirtualLoop, context: Conte
         link.handlers[Duplicate](Duplicate("10.0.0.9", f"spare{second}"))
         loop.jump(1.0)
     assert lines() == 1
-    assert "for 50 s now" in link.fault.warning
+    assert "for 50 s now" in link.fault.now().warning
     loop.jump(1.0)
     link.handlers[Duplicate](Duplicate("10.0.0.9", "another", 2))
     link.handlers[Duplicate](Duplicate("10.0.0.9", "one more", 2))
     assert lines() == 2
     link.handlers[Duplicate](Duplicate())
-    assert link.fault.warning == ""
+    assert link.fault.now().warning == ""
     link.handlers[Duplicate](Duplicate("10.0.0.9", "spare"))
     assert lines() == 3, "it has begun again"

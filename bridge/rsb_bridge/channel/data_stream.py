@@ -299,7 +299,7 @@ class StreamPair:
 
     def streams(self) -> tuple[DataStream, ...]:
         """Return the open streams, each once: on RFCOMM one stream is both."""
-        return tuple(dict.fromkeys(each for each in (self.small, self.large) if each is not None and not each.over))
+        return tuple(dict.fromkeys([each for each in (self.small, self.large) if each is not None and not each.over]))
 
     def carry(self, route_id: int, end: StreamSender | StreamReceiver) -> None:
         """Add a route. Its first frames may have come already: call `resume` once its channel takes them."""

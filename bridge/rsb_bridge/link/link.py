@@ -331,6 +331,7 @@ class Link(BaseLink):
         traffic, keys, peer = self.traffic, self.keys, self.peer
         clock = self.clock if self.linked else ClockOffset()  # figures of a dead connection are out of date
         current_key, next_key = self.fingerprints
+        fault = self.fault.now()
         return LinkSnapshot(
             name=self.name,
             peer=self.address,
@@ -353,9 +354,9 @@ class Link(BaseLink):
             peer_version=peer.version if peer else "",
             peer_domain=peer.domain_id if peer else None,
             use_name=self.use_name,
-            cause=self.cause,
-            warning=self.fault.warning,
-            warning_since=self.fault.warning_since(),
+            cause=fault.cause,
+            warning=fault.warning,
+            warning_since=fault.warning_since,
             capacity_out=self.fullness.sending.capacity,
             capacity_in=self.fullness.receiving.capacity,
             loss_out=self.path.loss.share if self.linked else None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.link.connecting import unproven_servers
 from rsb_bridge.link.extension import Extension
@@ -13,6 +13,20 @@ if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.fullness import LinkFullness
     from rsb_bridge.link.path_watch import PathWatch
+
+
+class PresentFault(NamedTuple):
+    """What is wrong with a link.
+
+    Attributes:
+        cause: of a link that is up or down.
+        warning: what is wrong with one that is up, for an operator, or an empty string.
+        warning_since: s since the epoch, or None without a warning.
+    """
+
+    cause: LinkCause
+    warning: str
+    warning_since: float | None
 
 
 class LinkFault(Extension):
@@ -34,7 +48,7 @@ class LinkFault(Extension):
         self._warned = LinkCause.NONE, 0.0  # a link that is up again before the next tick is another one
 
     def tick(self) -> None:
-        self.warning_since()  # a warning begins now, even if no console asks for a snapshot
+        self.now()  # a warning begins now, even if no console asks for a snapshot
 
     def _found(self) -> list[tuple[LinkCause, str]]:
         """Return what is wrong with a link that is up, in words for an operator, the worst first."""
@@ -53,18 +67,15 @@ class LinkFault(Extension):
         return [each for each in found if each[1]]
 
     @property
-    def warning(self) -> str:
-        """The fault of a link that is up, for an operator, or an empty string."""
-        return "; ".join(text for _, text in self._found())
-
-    @property
     def cause(self) -> LinkCause:
         """The cause of the link's fault, up or down."""
         return next((cause for cause, _ in self._found()), self._link.status.cause)
 
-    def warning_since(self) -> float | None:
-        """Return when the present warning began, in s since the epoch, or None without one. Called once a second."""
-        cause = next((cause for cause, _ in self._found()), LinkCause.NONE)
+    def now(self) -> PresentFault:
+        """Return the fault as it is now. Called once a second, so that the beginning of a warning is known."""
+        found = self._found()
+        cause = found[0][0] if found else LinkCause.NONE
         if cause != self._warned[0]:
             self._warned = cause, self._link.context.clock.steady()
-        return self._link.context.wall_of(self._warned[1]) if cause else None
+        since = self._link.context.wall_of(self._warned[1]) if cause else None
+        return PresentFault(cause or self._link.status.cause, "; ".join([text for _, text in found]), since)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.model.session import Kind, Session
+    from rsb_bridge.model.session import Identity, Kind, Session
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import Transport
@@ -115,6 +115,12 @@ def topic_of(proposal: Propose) -> Topic:
         limits=proposal.limits,
         timeout=proposal.timeout or None,
     )
+
+
+def identity_of(proposal: Propose) -> Identity:
+    """Return the identity of the entry that a proposal of a known kind is."""
+    on_client = proposal.topic if proposal.from_client else proposal.remote_topic
+    return KINDS[proposal.kind], on_client, "transmit" if proposal.from_client else "receive"
 
 
 def _known(names: Mapping[str, T], name: str) -> T:
@@ -236,35 +242,41 @@ def listed_differently(entry: Topic, ours: Propose, theirs: Propose, link: BaseL
     return Denied.LISTED_DIFFERENTLY(here=place, mine=mine, there=far_place, theirs=others) if mine else ""
 
 
-def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
-    """Return the peer's proposal with this side's name for the topic.
+def authorized(proposal: Propose, link: BaseLink, session: Session) -> tuple[Propose, Topic]:
+    """Return the peer's proposal with this side's name for the topic, and as an entry.
 
     Raises:
         LinkError: the peer may not have the topic.
     """
     purpose = _known(purposes(), proposal.purpose)
     if not purpose.in_graph:
-        return _authorized_internal(proposal, purpose, link, session)
-    check_wanted(proposal, link)
+        entry = topic_of(proposal)
+        _check_internal(entry, proposal, purpose, link, session)
+        return proposal, entry
+    entry = check_wanted(proposal, link)
     ours = link.with_local_name(proposal)
-    for problem in problems_here(topic_of(ours), session):
+    if ours != proposal:
+        entry = topic_of(ours)
+    for problem in problems_here(entry, session):
         raise LinkError(str(problem))
     own = link.routes.get(route_key(link.name, ours))
     if own is None or not own.listed or listed_differently(own.spec, own.own or own.proposal, ours, link):
         check_use(use_of(ours, is_client=link.is_client), link, session)  # what this side's session lists needs none
-    return ours
+    return ours, entry
 
 
-def check_wanted(proposal: Propose, link: BaseLink) -> None:
-    """Check by itself the entry that a peer wants.
+def check_wanted(proposal: Propose, link: BaseLink) -> Topic:
+    """Check by itself the entry that a peer wants, and return it.
 
     Raises:
         LinkError: it has a mistake.
     """
     if pattern := next(filter(is_pattern, (proposal.topic, proposal.remote_topic)), ""):
         raise LinkError(f"{pattern} is a pattern: the other side has to propose each that matches by its name")
-    for problem in entry_problems(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
+    # Before this side's name is there: a prefix can make a valid name of an invalid one.
+    for problem in entry_problems(entry := topic_of(proposal)):
         raise LinkError(str(problem))
+    return entry
 
 
 def check_use(use: Use, link: BaseLink, session: Session) -> None:
@@ -280,19 +292,18 @@ def check_use(use: Use, link: BaseLink, session: Session) -> None:
     check_features(use, session)
 
 
-def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, session: Session) -> Propose:
-    """Return the peer's proposal of an internal route, whose name is the same on both sides.
+def _check_internal(entry: Topic, proposal: Propose, purpose: Purpose, link: BaseLink, session: Session) -> None:
+    """Check the peer's proposal of an internal route, whose name is the same on both sides.
 
     Raises:
         LinkError: the peer may not have it.
     """
-    for problem in internal_problems(topic_of(proposal), purpose, session):
+    for problem in internal_problems(entry, purpose, session):
         raise LinkError(str(problem))
     if proposal.qos is not None and proposal.qos.latched:
         raise LinkError(f"a route for {purpose.name} needs a QoS that keeps nothing for late joiners")
     if refusal := _refusal(proposal, link, link.rights) or link.extensions.serving(purpose).refusal(proposal.topic):
         raise LinkError(str(refusal))
-    return proposal
 
 
 def _refusal(proposal: Propose, link: BaseLink, rights: Rights) -> DeniedUse | None:

@@ -22,6 +22,7 @@ from rsb_bridge.link.proposals import (
     check_room,
     denied,
     edited_entry,
+    identity_of,
     listed_differently,
     place_of,
     same_route,
@@ -409,14 +410,14 @@ class RouteTable(Extension):
             LinkError: the peer may not have it.
         """
         link = self._link
-        ours = authorized(proposal, link, self._context.session)
+        ours, entry = authorized(proposal, link, self._context.session)
         before = known = self._known(ours)
         if known is not None and known.proposed_here:
             self._settle_double(known, ours)
             known = known if known.own is not None else None
         if known is None:
             check_room(link.routes.values(), self._context.session)
-            route = self.add(topic_of(ours), ours, proposed_here=False)
+            route = self.add(entry, ours, proposed_here=False)
         elif same_route(known.proposal, ours):
             route = known
             if known.own is None:
@@ -438,7 +439,7 @@ class RouteTable(Extension):
         if known is not None:
             return known
         # What this side proposes of the same topic has another key if its name on the server is another one.
-        identity, routes = topic_of(ours).identity, self._link.routes.values()
+        identity, routes = identity_of(ours), self._link.routes.values()
         return next((each for each in routes if each.proposed_here and each.spec.identity == identity), None)
 
     def _settle_double(self, known: Route, theirs: Propose) -> None:

@@ -218,9 +218,10 @@ def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
     Returns:
         The verdict, and whether it is the sending side's.
     """
-    from_sender = sender.state.rank <= receiver.state.rank
     if sender.state is State.OK and receiver.state is State.OK:
         from_sender = bool(sender.text) or not receiver.text
+    else:
+        from_sender = sender.state.rank <= receiver.state.rank
     chosen, other = (sender, receiver) if from_sender else (receiver, sender)
     if chosen.cause in _DETAILS_UNKNOWN and other.cause not in (*_DETAILS_UNKNOWN, Cause.NONE, Cause.THROTTLED):
         explained = (chosen.state, other.state) == (State.STALE, State.STOPPED)

@@ -154,7 +154,7 @@ class MessageAge:
         self._limit = min(filter(None, (self.max_age, lifespan)), default=0.0)
         self._limit_ns = int(self._limit * 1e9)
         self.is_on = self._limit > 0.0
-        self.switched()
+        self.switched()  # also for the same limit: what is latched, as its QoS says now, is asked its age later
 
     # --- the side that takes from ROS
 

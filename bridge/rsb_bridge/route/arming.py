@@ -174,7 +174,7 @@ class Arming:
     Attributes:
         phase: of the arming in the present opening.
         required: whether either side's session demands arming.
-        switched: called whenever `required` may have changed.
+        switched: called whenever `required` has changed.
         deadman: s without a key after which it disarms, or 0 for no limit.
         own: the demand of this side's session.
         peer_arm: whether the other side's session demands arming.
@@ -234,8 +234,9 @@ class Arming:
             self.deadman = min(filter(None, (self.deadman, deadman)), default=0.0)
 
     def opened(self, *, required: bool, deadman: float) -> None:
-        self.required = False
-        self.switched()
+        if self.required:
+            self.required = False
+            self.switched()
         self.demand(required=required, deadman=deadman)
         self._handle(ArmingEvent.OPEN)
         self._clear()

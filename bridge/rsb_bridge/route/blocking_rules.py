@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 from rsb_bridge.channel.channel import REOPENS
 from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.faults import PathFault
 
+FactsT = TypeVar("FactsT")
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
 _SUFFERS_FOR = 20.0
@@ -85,19 +86,24 @@ class RouteStatus(NamedTuple):
     path: PathFault | None = None
 
 
-def worst(status: RouteStatus, verdicts: Iterable[Verdict | None]) -> tuple[Verdict, list[Verdict]]:
+Rules: TypeAlias = "tuple[Callable[[FactsT], Verdict | None], ...]"
+"""Rules for what a route carries, over one half's facts. The order counts: of equally bad verdicts, the first does."""
+
+
+def worst(status: RouteStatus, rules: Rules[FactsT], facts: FactsT) -> tuple[Verdict, list[Verdict]]:
     """Return the verdict that counts, and all that were found.
 
     A blocking verdict counts alone, because it keeps the others from being known. Otherwise the worst one counts,
     and of equally bad ones the first.
-
-    Args:
-        verdicts: of the rules for what the route carries; not evaluated if something blocks.
     """
     if (blocking := blocked(status)) is not None:
         return explained(status, blocking), [blocking]
-    found = [each for each in (_no_path(status), *verdicts, _throttled(status)) if each is not None]
-    return explained(status, min(found, key=lambda verdict: verdict.state.rank, default=FINE)), found
+    found = [] if status.no_path is None or status.awaits_full_link else [status.no_path]
+    # A generator would take a call for each rule, once a second for each route.
+    found += [verdict for rule in rules if (verdict := rule(facts)) is not None]
+    if status.limit:
+        found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {status.limit:g} Hz, {status.limited_by}"))
+    return explained(status, min(found, key=lambda verdict: verdict.state.rank)) if found else FINE, found
 
 
 def explained(status: RouteStatus, verdict: Verdict) -> Verdict:
@@ -147,7 +153,10 @@ class LossyPath:
 
 def blocked(status: RouteStatus) -> Verdict | None:
     """Return the verdict that keeps the others from being known, or None."""
-    return next((verdict for rule in _BLOCKING if (verdict := rule(status)) is not None), None)
+    for rule in _BLOCKING:
+        if (verdict := rule(status)) is not None:
+            return verdict
+    return None
 
 
 def stage(name: str, passed: bool, reason: str = "", *, failed: bool = False, note: str = "") -> Stage:
@@ -180,16 +189,6 @@ def first_missing(stages: Iterable[Stage]) -> str:
     missing = [each for each in stages if not each.done]
     first = next((each for each in missing if each.done is False), None) or next(iter(missing), None)
     return (first.detail or first.name) if first else ""
-
-
-def _no_path(status: RouteStatus) -> Verdict | None:
-    return None if status.awaits_full_link else status.no_path
-
-
-def _throttled(status: RouteStatus) -> Verdict | None:
-    if not status.limit:
-        return None
-    return Verdict(State.OK, Cause.THROTTLED, f"limit {status.limit:g} Hz, {status.limited_by}")
 
 
 def _link(status: RouteStatus) -> Verdict | None:

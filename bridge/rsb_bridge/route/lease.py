@@ -113,9 +113,7 @@ class LeaseHalf:
 
     def beat(self) -> tuple[int, int]:
         """Return the next number of this side, and the newest of the other one. To be called every `BEAT` s."""
-        # First, because this number would hide a standstill before it.
-        self._end_at_standstill()
-        now = self._steady()
+        now = self._end_at_standstill()  # as this number would hide a standstill before it
         self._beaten = now
         self.number += 1
         self._sent[self.number] = now
@@ -127,11 +125,9 @@ class LeaseHalf:
 
     def hear(self, number: int, echo: int) -> None:
         """Take a number of the other side, and the number of this side that it has heard."""
-        # First, because numbers that waited through a standstill would revive the lease.
-        self._end_at_standstill()
+        now = self._end_at_standstill()  # as numbers that waited through a standstill would revive the lease
         if 0 < echo <= self._newest_before:
             return  # it is of the lease before this one: datagrams may come late
-        now = self._steady()
         # While it is off, a number that answers one of this side belongs to a lease that is over, and came late. If it
         # counted, the next lease could count as begun before the other side had begun it, and a goal would be refused.
         if (self.phase is not LeasePhase.OFF or not echo) and (not self._heard or number > self._heard[-1][0]):
@@ -157,8 +153,8 @@ class LeaseHalf:
     @property
     def alive(self) -> bool:
         """Whether the other side has heard a number that this side has sent within the last second."""
-        self._end_at_standstill()
-        return self.phase in _MOVES and self._steady() - self._confirmed <= LASTS
+        now = self._end_at_standstill()
+        return self.phase in _MOVES and now - self._confirmed <= LASTS
 
     @property
     def lasts_for(self) -> float:
@@ -184,12 +180,11 @@ class LeaseHalf:
         """Return the newest number of the other side that was heard before a time (s), or 0. From any thread."""
         return next((number for number, heard_at in reversed(self._heard) if heard_at <= time), 0)
 
-    def _end_at_standstill(self) -> None:
-        """End it if nothing has moved for too long."""
-        phase = self.phase
+    def _end_at_standstill(self) -> float:
+        """End it if nothing has moved for too long, and return the time."""
+        phase, now = self.phase, self._steady()
         if phase not in _MOVES:
-            return
-        now = self._steady()
+            return now
         # This side comes first: while it stands still, it hears nothing of the other one either.
         if now - self._beaten > LASTS:
             self.over = Standstill.LOOP
@@ -200,9 +195,10 @@ class LeaseHalf:
         ):
             self.over = Standstill.PEER
         else:
-            return
+            return now
         self.phase = LeasePhase.OVER
         self._ended()
+        return now
 
 
 class Marker:

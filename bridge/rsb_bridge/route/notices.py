@@ -121,7 +121,7 @@ class ChannelLosses:
         """
         if owing and not self._worked:
             self._reasons.append(reason)
-        self._worked = False
+        self._worked, self._idle_since = False, None
         self.forget_report()
         self._report = loop.call_later(_LINK_OUTLIVES, report)
 
@@ -129,6 +129,10 @@ class ChannelLosses:
         """Note that messages arrive."""
         self._worked = True
         self._reasons.clear()
+
+    def __bool__(self) -> bool:
+        """Whether there are any."""
+        return bool(self._reasons)
 
     def tick(self, now: float, *, idle: bool) -> None:
         """Forget the losses once a channel has been idle for a while: open, and owing nothing."""
@@ -147,6 +151,6 @@ class ChannelLosses:
     @property
     def repeated(self) -> str:
         """The reason why channels repeatedly end before a message arrives, or empty."""
-        if len(self._reasons) == _AGAIN_AND_AGAIN or any(each.timed_out for each in self._reasons):
+        if len(self._reasons) == _AGAIN_AND_AGAIN or (self._reasons and any(each.timed_out for each in self._reasons)):
             return self._reasons[-1].text
         return ""

@@ -67,13 +67,14 @@ class RateLimit:
     Attributes:
         rate: Hz, or 0 if all messages cross.
         here: Hz that this side allows, or 0 for any.
-        switched: called whenever one of them may have changed.
+        switched: called whenever one of them has changed.
     """
 
     def __init__(self, max_rate: float, log: Callable[[Level, EventCode, str], None]) -> None:
         self.switched: Callable[[], None] = lambda: None
         self.rate = self._max_rate = max_rate
         self.here = 0.0
+        self._switched_at = self.rate, self.here
         self._there = self._there_before = self._profile = 0.0
         self._log = log
 
@@ -131,8 +132,11 @@ class RateLimit:
             self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"the other side allows {_figure(rate)}")
 
     def _changed(self) -> None:
-        self.rate = _lowest(self._max_rate, self.allowed, self._profile)
-        self.switched()
+        rates = _lowest(self._max_rate, self.allowed, self._profile), self.here
+        if rates != self._switched_at:
+            self._switched_at = rates
+            self.rate = rates[0]
+            self.switched()
 
 
 class Throttle:

@@ -410,7 +410,8 @@ class Route:
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
         self.reopening.observe(connected=self.connected, flowing=self.crossing.flows)
-        self.losses.tick(now, idle=self.connected and not self.owing)
+        if self.losses:  # nearly never, and the question what it owes takes a while
+            self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
         verdict = self.verdict()
         said = self.judged.announce(verdict, now, self.peer.path.fault)

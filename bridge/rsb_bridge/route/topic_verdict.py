@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.age import Expired
-    from rsb_bridge.route.blocking_rules import RouteStatus
+    from rsb_bridge.route.blocking_rules import RouteStatus, Rules
     from rsb_bridge.route.lateness import Late
     from rsb_bridge.telemetry.watches import Loss
 
@@ -228,7 +228,7 @@ def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], co
 
 def judge(facts: Facts) -> Verdict:
     """Return the verdict that counts; of silence, its explanation."""
-    verdict, found = worst(facts.status, (rule(facts) for rule in _RULES))
+    verdict, found = worst(facts.status, _OF_SENDER if facts.status.sends else _OF_RECEIVER, facts)
     if verdict.cause in _SILENCE:
         explained = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
         return verdict if explained is None else replace(explained, state=verdict.state)
@@ -373,12 +373,13 @@ def _nobody(facts: Facts) -> Cause:
 
 
 def _waiting(facts: Facts) -> Verdict | None:
-    if facts.status.came and facts.status.crossing.flows:
+    flows = facts.status.crossing.flows
+    if facts.status.came and flows:
         return None
-    if facts.status.sends and facts.status.crossing.flows and not facts.progress.endpoints:
+    if facts.status.sends and flows and not facts.progress.endpoints:
         text = no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
         return Verdict(State.WAITING, _nobody(facts), text)
-    if facts.status.sends and facts.status.crossing.flows:
+    if facts.status.sends and flows:
         verbs = NOTHING_SINCE_OPENED if facts.status.came_before else PUBLISHED_NOTHING
         if (
             facts.progress.qos
@@ -390,7 +391,7 @@ def _waiting(facts: Facts) -> Verdict | None:
             verbs = NOT_MATCHED
         text = _plural(facts.progress.endpoints, *verbs)
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
-    missing = "" if facts.status.crossing.flows else waits_for(facts.status, facts.progress)
+    missing = "" if flows else waits_for(facts.status, facts.progress)
     text = f"waiting: {missing}" if missing else "no message yet"
     return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
 
@@ -408,14 +409,14 @@ def _expired(facts: Facts) -> Verdict | None:
 
 def _subscription(facts: Facts) -> Verdict | None:
     failure = facts.progress.subscribe_failed
-    if not failure or not facts.status.sends:
+    if not failure:
         return None
     return Verdict(State.DOWN, Cause.SUBSCRIBE_FAILED, failure)
 
 
 def _publishers_qos(facts: Facts) -> Verdict | None:
     qos = facts.progress.qos
-    if not facts.status.sends or qos is None or not facts.progress.described:
+    if qos is None or not facts.progress.described:
         return None
     ours = [each for each in facts.progress.endpoints if each.type_name == facts.progress.type_name]
     others = [each for each in ours if clashes(each.qos, qos)]
@@ -456,7 +457,7 @@ def _stopped(facts: Facts) -> Verdict | None:
 
 def _departed(facts: Facts) -> Verdict | None:
     """Judge a topic whose publisher has left while no message was due."""
-    if not facts.status.sends or not facts.status.crossing.flows or not facts.status.came or facts.progress.endpoints:
+    if not facts.status.came or facts.progress.endpoints or not facts.status.crossing.flows:
         return None
     return Verdict(State.OK, Cause.PUBLISHER_GONE, _publisher_gone(facts))
 
@@ -520,7 +521,7 @@ def _lossy(facts: Facts) -> Verdict | None:
 def _too_large(facts: Facts) -> Verdict | None:
     """Judge what `_lossy` cannot: the newest message of a latched topic, or one before any was sent."""
     progress = facts.progress
-    if not (facts.status.sends and facts.status.crossing.flows and progress.undelivered):
+    if not progress.undelivered or not facts.status.crossing.flows:
         return None
     some = progress.sent > 0 or progress.kept
     if some and not (progress.qos is not None and progress.qos.latched):
@@ -533,7 +534,7 @@ def _too_large(facts: Facts) -> Verdict | None:
 
 def _subscribers(facts: Facts) -> Verdict | None:
     progress, qos = facts.progress, facts.progress.qos
-    if facts.status.sends or qos is None or not (progress.described and progress.type_name):
+    if qos is None or not (progress.described and progress.type_name):
         return None
     deaf = {each: why for each in progress.endpoints if (why := mismatch(progress.type_name, qos, each)) is not None}
     if others := [each for each, why in deaf.items() if why.cause is Cause.TYPE_CONFLICT]:
@@ -594,8 +595,7 @@ def _plural(endpoints: Collection[Endpoint], one: str, several: str, what: str =
     return f"{named(nodes)}{count} {one if len(nodes) == 1 else several}"
 
 
-# The order counts: of equally bad verdicts, `worst` takes the first.
-_RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
+_OF_SENDER: Rules[Facts] = (
     _subscription,
     _publishers_qos,
     _publishers_types,
@@ -607,8 +607,7 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _expired,
     _late,
     _slow,
-    _clocks,
-    _subscribers,
     _waiting,
     _departed,
 )
+_OF_RECEIVER: Rules[Facts] = (_stale, _expired, _late, _clocks, _subscribers, _waiting)

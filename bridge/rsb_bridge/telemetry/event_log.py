@@ -76,7 +76,9 @@ class EventLog:
         It goes to terminals and files from here, and may quote a peer: each text becomes one line of a limited length.
         """
         # Outside of the lock, so that a long text holds up no other thread.
-        cleaned: dict[str, Any] = {name: _one_line(getattr(event, name), most) for name, most in _LENGTHS.items()}
+        cleaned: dict[str, Any] = {
+            name: _one_line(text, most) for name, most in _LENGTHS.items() if (text := getattr(event, name))
+        }
         event = replace(event, **cleaned)
         with self._news:
             self.last = next(self._numbers)

@@ -11,10 +11,10 @@ from rsb_bridge.route.blocking_rules import as_known, first_missing, link_and_ac
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from rsb_bridge.model.snapshot import Stage
-    from rsb_bridge.route.blocking_rules import RouteStatus
+    from rsb_bridge.route.blocking_rules import RouteStatus, Rules
 
 
 class Trouble(NamedTuple):
@@ -102,7 +102,7 @@ class CallsFacts(NamedTuple):
 
 def judge_calls(facts: CallsFacts) -> Verdict:
     """Return the verdict that counts."""
-    return worst(facts.status, (rule(facts) for rule in _RULES))[0]
+    return worst(facts.status, _RULES, facts)[0]
 
 
 def calls_stages(status: RouteStatus, progress: CallsProgress) -> tuple[Stage, ...]:
@@ -186,7 +186,7 @@ def _waiting(facts: CallsFacts) -> Verdict | None:
     return Verdict(State.WAITING, Cause.NO_CALL, text)
 
 
-_RULES: tuple[Callable[[CallsFacts], Verdict | None], ...] = (
+_RULES: Rules[CallsFacts] = (
     _unavailable,
     _awaits_link,
     _unanswered,
