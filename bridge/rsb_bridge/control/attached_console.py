@@ -37,25 +37,20 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
 
-_TICK = 0.25
-"""s between two looks for news: an engine renews its snapshot no more often."""
-_HELLO_WITHIN = 5.0
-"""s. A round figure: a silent connection holds one of the places for consoles."""
+_TICK = 0.25  # s between two looks for news: an engine renews its snapshot no more often
+_PAUSE = 0.0005  # s of rest between two parts of a state, in which the bridge's threads run
+_HELLO_WITHIN = 5.0  # s. A round figure: a silent connection holds one of the places for consoles
+# s for which a console may take nothing, until its connection is given up. A round figure: one that is stopped for 30 s
+# goes on afterwards.
 _STALLED_FOR = 60.0
-"""s for which a console may take nothing, until its connection is given up. A round figure: one that is stopped for
-30 s goes on afterwards."""
-_WAITING_BYTES = 4 << 20
-"""Bytes that may wait for one console beyond a state: answers to commands only."""
-_FEW_EVENTS = 20
-"""Events that are sent at once at first, and at least: 6 kB, half a second of a link of 14 kB/s."""
-_EVENTS_TAKE = 0.5
-"""s from events to the next ones. A connection may keep megabytes (4 MiB over Zenoh), and the states behind them would
-come as late as that takes: minutes on a thin link. A round figure."""
-_PAUSE = 0.0005
-"""s of rest between two parts of a state, in which the bridge's threads run."""
+# s after which a look is answered though nothing is new: the engine has stopped, the bridge's process has not. After
+# 5 s (`remote_engine.ANSWERS_WITHIN`) the console would call the bridge unreachable.
 _ANSWERED_WITHIN = 2.0
-"""s after which a look is answered though nothing is new: the engine has stopped, the bridge's process has not. After
-5 s (`remote_engine.ANSWERS_WITHIN`) the console would call the bridge unreachable."""
+_WAITING_BYTES = 4 << 20  # that may wait for one console beyond a state: answers to commands only
+_FEW_EVENTS = 20  # that are sent at once at first, and at least: 6 kB, half a second of a link of 14 kB/s
+# s from events to the next ones. A connection may keep megabytes (4 MiB over Zenoh), and the states behind them would
+# come as late as that takes: minutes on a thin link. A round figure.
+_EVENTS_TAKE = 0.5
 
 
 class RequestRefused(Wording):

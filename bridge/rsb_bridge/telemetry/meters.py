@@ -7,52 +7,37 @@ from math import sqrt
 
 from rsb_bridge.model.capacity import Capacity, CapacitySource, newer
 
-HISTORY = 120
-"""Seconds of history a route keeps: what the console plots."""
-_WINDOWS = (3, 10, 30)
-"""Seconds of the windows that a rate is taken over; ascending."""
-_SHORTEST_TICK = 0.5
-"""s; a shorter tick is left to the next one, as one message in so short a time says nothing about a rate."""
-_LATENCIES = 512
-"""Samples that percentiles are taken of: the 99th rests on the five largest."""
-_EARLIEST, _LATEST = -1.0, 3600.0
-"""s: plausible transit times, with the error of comparing clocks; on a slow radio link messages wait for minutes."""
-_LARGEST_FIGURE = 1e9
-"""s; a peer may report any number, and screens and JSON show it."""
-_PINGS = 16
-"""Exchanges, one a second: the shortest of them is hardly held up, and a clock that drifts is followed."""
-_DRIFT_RATE = 1e-4
-"""s a second by which two clocks drift apart, at 100 ppm."""
-_DRIFT = 2e-3
-"""s: how far two clocks drift apart over as many pings, at 100 ppm."""
-_SHORTEST_COUNTS, _PART = 3600.0, 600.0
-"""s for which a shortest time counts, about, and of the parts that are forgotten at once. Round figures: a link may be
-full for many minutes, and a path that became longer must not seem full for days."""
-_LEAST = 1e-3
-"""Per second; a smaller smoothed rate is 0, which halving alone would never reach."""
-_SAMPLES, _ENOUGH = 20, 15
-"""Samples that are judged: at the most, and at the least. They are 15 s of a busy topic, 15 messages of a slow one."""
-_JUDGED_OVER = 3.0
-"""Messages, and s: a rate is judged over the longer of both (`RateMeter`, `rsb_bridge.telemetry.watches`)."""
-_RHYTHM_SAMPLES, _RHYTHM_STEADY = 5, 0.1
-"""Samples that show a rhythm before its rate can be learned, and how steady they have to be.
+HISTORY = 120  # s that a route keeps, and the console plots
 
-A few messages at the times at which an operator clicks are none.
-"""
-_STEADY = 0.15
-"""Standard deviation, as a share of the rate, that the rate over so long may have; watches call less than 0.7 slow."""
-_LONGEST_GAP = 60.0
-"""s; a topic with longer ones has no usual rate, as learning it would take more than a quarter of an hour."""
-_QUIET_PERIODS, _QUIET = 5.0, 3.0
-"""Periods and s without a message after which an outage has begun."""
-_CHANGED = 0.15
-"""A change of the rate beyond this share of it is not noise: no more than `_STEADY` allows."""
-_LOWER_FOR = 600.0
-"""s that a lower rate must last until it is the usual one."""
-_WINDOW = 4
-"""Looks that a throughput is taken over, about 1 s each."""
-_ENOUGH_ARRIVALS = 3
-"""Looks that say what a link carries."""
+# Of rates.
+_WINDOWS = (3, 10, 30)  # s that a rate is taken over; ascending
+_SHORTEST_TICK = 0.5  # s; a shorter tick is left to the next one: one message in it says nothing about a rate
+_LEAST = 1e-3  # a second; a smaller smoothed rate is 0, which halving alone would never reach
+_JUDGED_OVER = 3.0  # messages, and s: a rate is judged over the longer of both (`rsb_bridge.telemetry.watches`)
+
+# Of usual rates.
+_SAMPLES, _ENOUGH = 20, 15  # that are judged, at most and at least: 15 s of a busy topic, 15 messages of a slow one
+_RHYTHM_SAMPLES, _RHYTHM_STEADY = 5, 0.1  # that show a rhythm, as an operator's clicks do not, and how steady they are
+_STEADY = 0.15  # of the rate over so long: the standard deviation that it may have; watches call less than 0.7 slow
+_CHANGED = 0.15  # share of the rate beyond which a change is no noise: no more than `_STEADY` allows
+_LOWER_FOR = 600.0  # s that a lower rate lasts until it is the usual one
+_LONGEST_GAP = 60.0  # s; a topic with longer ones has no usual rate: to learn it would take a quarter of an hour
+_QUIET_PERIODS, _QUIET = 5.0, 3.0  # periods, and s, without a message after which an outage has begun
+
+# Of latencies.
+_LATENCIES = 512  # samples that percentiles are taken of: the 99th rests on the five largest
+_EARLIEST, _LATEST = -1.0, 3600.0  # s, with the error of comparing clocks; on a slow radio, messages wait for minutes
+_LARGEST_FIGURE = 1e9  # s; a peer may report any number, and screens and JSON show it
+
+# Of clocks.
+_PINGS = 16  # exchanges, one a second: the shortest is hardly held up, and a clock that drifts is followed
+_DRIFT_RATE, _DRIFT = 1e-4, 2e-3  # s by which two clocks drift apart in a second, and over as many pings, at 100 ppm
+
+# s that a shortest time counts, about, and of the parts that are forgotten at once. Round figures: a link may be full
+# for many minutes, and a path that became longer must not seem full for days.
+_SHORTEST_COUNTS, _PART = 3600.0, 600.0
+
+_WINDOW, _ENOUGH_ARRIVALS = 4, 3  # looks, about 1 s each, of a throughput, and that say what a link carries
 
 
 class Smoothed:

@@ -9,45 +9,37 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+# Of slow topics.
+# Shares of the expected rate: below the one a topic gets slow, above the other it no longer is. The lower one is two
+# standard deviations below the least steady rate that can be learned (`meters._STEADY`). The other lies apart from it,
+# so that a rate about one of them does not flap.
 _SLOW_BELOW, FAST_ABOVE = 0.7, 0.85
-"""Shares of the expected rate: below the one a topic gets slow, above the other it no longer is.
+_SLOW_AFTER, _FAST_AFTER = 5, 3  # s in a row; not measured. A minute would be late news, one second a late message
+_SLOWEST = 0.3  # Hz; the rate of a topic that should have less than that is too uncertain to call it slow
 
-The lower one is two standard deviations below the least steady rate that can be learned (`meters._STEADY`). The other
-lies apart from it, so that a rate about one of them does not flap.
-"""
-_SLOW_AFTER, _FAST_AFTER = 5, 3
-"""s in a row; not measured. A minute would be late news for an operator, one second would count each late message."""
-_SLOWEST = 0.3
-"""Hz; the rate of a topic that should have less than that is too uncertain to call it slow."""
+# Of stopped topics.
+# Periods and s without a message: the longer of both. tests/telemetry/test_regularity.py has publishers at random and
+# in bursts, none of which may be called stopped.
 _STOPPED_PERIODS, _STOPPED_AFTER = 5.0, 2.0
-"""Periods and s without a message: the longer of both.
+_PAUSES = 2.0  # times as long as it has paused before, that a topic may pause. A round figure
+_LONGEST_LEARNED = 600.0  # s of a pause that count: an outage ends, too, and would hide the next one for twice as long
 
-tests/telemetry/test_regularity.py has publishers at random and in bursts, none of which may be called stopped.
-"""
-_PAUSES = 2.0
-"""A topic may pause for so many times as long as it has paused before. A round figure."""
-_LONGEST_LEARNED = 600.0
-"""s of a pause that count. An outage ends by itself, too, and would hide the next one for twice as long."""
-LATELY = 10
-"""s over which losses are counted. Their causes are compared, so all of them are counted for as long."""
+# Of losses.
+LATELY = 10  # s over which losses are counted. Their causes are compared, so all of them are counted for as long
+# Shares of the messages, and messages: from the one on a topic loses messages, below the other it no longer does. Two,
+# so that a loss about one of them does not flap.
 LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
-"""Shares of the messages, and messages: from the one on a topic loses messages, below the other it no longer does.
-
-Two shares, so that a loss about one of them does not flap.
-"""
+# Times as long as between the last two losses in a row for which they count: a topic that ended owes nothing. A round
+# figure.
 _ROW_LASTS = 2.0
-"""Times as long as between the last two losses in a row for which they count: a topic that ended owes nothing.
-A round figure."""
-_FEW_FOR = 10
-"""Ticks in a row with fewer losses than make a fault, after which a topic has recovered: as long as `LATELY`."""
+_FEW_FOR = 10  # ticks in a row with fewer losses than make a fault, after which a topic has recovered: as `LATELY`
+# Ticks in which messages arrive and none is lost, after which a topic recovers, and has recovered. Round figures.
 _LOSSLESS_TICKS, _RECOVERED_TICKS = 2, 4
-"""Ticks in which messages arrive and none is lost, after which a topic recovers, and after which it has recovered.
-Round figures."""
+# Losses that the arrived messages would have had at the share before, so that their absence is not chance: independent
+# ones would be absent in one case of 20 (e^-3).
 _EXPECTED_LOSSES = 3.0
-"""Losses that the arrived messages would have had at the share before, so that their absence is not chance:
-independent ones would be absent in one case of 20 (e^-3)."""
+# Causes of drops that are meant, or that the link's own state explains.
 _NO_LOSS = frozenset({"already published", "link lost", "would loop", "expired", "disarmed"})
-"""Causes of drops that are meant, or that the link's own state explains."""
 
 
 class SlowWatch:

@@ -23,29 +23,26 @@ Address: TypeAlias = tuple[Any, ...]
 CLOSED_BY_PEER = Reason("closed by the other side", EndCode.LEFT)
 """The reason where a stream ended in order, which also happens when the other process is killed."""
 
-_STRANGER_READS = 4096
-"""Bytes that are read at a time from a stranger, so that few of them wait here during a handshake."""
+_STRANGER_READS = 4096  # bytes that are read at a time from a stranger, so that few wait here during a handshake
+# Bytes that are read at a time from a peer that has proven its key: as much as asyncio does. Smaller reads gained
+# nothing (bench/README.md, *Where the time goes*).
 _READS = 256 * 1024
-"""Bytes that are read at a time from a peer that has proven its key: as much as asyncio does. Smaller reads gained
-nothing (bench/README.md, *Where the time goes*)."""
-_LINGER = 2.0
-"""s, of the protocol (PROTOCOL.md, 1)."""
-_TCP_INFO = struct.Struct("=2xB 97x I 16x Q 28x I 40x Q Q I")
-"""The kernel's tcp_info (linux/tcp.h), in part: `tcpi_retransmits`, `tcpi_total_retrans`,
-`tcpi_bytes_acked`, `tcpi_data_segs_out`, `tcpi_bytes_sent`, `tcpi_bytes_retrans` and `tcpi_dsack_dups`. Linux has the
-last ones since 4.19; without them there are no counts."""
-_IN_VAIN = 4
-"""Times, which take 2.4 s at the least: by then a path that loses every third packet counts as lossy."""
+_LINGER = 2.0  # s, of the protocol (PROTOCOL.md, 1)
 
-
-TCP_RTO_MAX_MS = 44
-"""An option since Linux 6.15."""
+# Of TCP.
 RETRIED_AFTER = 1
 """s, the longest wait between retransmissions: the kernel alone would wait ever longer, and so long after the network
 is back."""
+# Round trips and s that it waits at most on a slow path. In a tunnel of 5 kB/s with round trips of 1 to 2 s, a wait of
+# 1 s had the kernel send every second byte twice, and end a connection after 14 s (`bench.robot`); 8 s, none.
 _ROUND_TRIPS, _MOST_RETRIED_AFTER = 4, 8
-"""Round trips and s that it waits at most on a slow path. In a tunnel of 5 kB/s with round trips of 1 to 2 s, a wait of
-1 s had the kernel send every second byte twice, and end a connection after 14 s (`bench.robot`); 8 s, none."""
+_IN_VAIN = 4  # times, which take 2.4 s at least: by then a path that loses every third packet counts as lossy
+TCP_RTO_MAX_MS = 44
+"""An option since Linux 6.15."""
+# The kernel's tcp_info (linux/tcp.h), in part: `tcpi_retransmits`, `tcpi_total_retrans`, `tcpi_bytes_acked`,
+# `tcpi_data_segs_out`, `tcpi_bytes_sent`, `tcpi_bytes_retrans` and `tcpi_dsack_dups`. Linux has the last ones since
+# 4.19; without them there are no counts.
+_TCP_INFO = struct.Struct("=2xB 97x I 16x Q 28x I 40x Q Q I")
 
 
 def retry_after(sock: socket.socket | None, seconds: int) -> None:

@@ -30,30 +30,25 @@ from rsb_bridge.wire.framing import MESSAGE_LIMIT
 if TYPE_CHECKING:
     from rsb_bridge.model.reason import Reason
 
+# s. On a path with 2 s each way, the first packet's answer takes 4 s. Linux before 6.5 sends the next ones after 1, 3
+# and 7 s: with a longer timeout, a network that is back would be found later.
 CONNECT_TIMEOUT = 5.0
-"""s. On a path with 2 s each way, the first packet's answer takes 4 s. Linux before 6.5 sends the next ones after 1, 3
-and 7 s: with a longer timeout, a network that is back would be found later."""
-_NEXT_ADDRESS_AFTER = 0.25
-"""s, the Connection Attempt Delay that RFC 8305 recommends."""
-_BACKLOG = 1024
-"""Connections that the kernel holds until they are accepted; a client whose connection finds no room waits 1 s."""
+_NEXT_ADDRESS_AFTER = 0.25  # s, the Connection Attempt Delay that RFC 8305 recommends
+_BACKLOG = 1024  # connections that wait to be accepted; a client whose connection finds no room tries again after 1 s
+# Bytes that the kernel keeps unsent: 13 ms of 20 Mbit/s. A round figure: more would wait where no newer message can
+# replace it, and with less the connection may run dry between two turns of the loop.
 _NOT_SENT_LOW_WATER = 32 * 1024
-"""Bytes that the kernel keeps unsent: 13 ms of 20 Mbit/s. A round figure: more would wait where no newer message can
-replace it, and with less the connection may run dry between two turns of the loop."""
-_MOST_DISCARDED = 4 << 20
-"""Bytes that a peer may go on to send to a closed connection, of the protocol (PROTOCOL.md, 1)."""
-_TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
-_IDLE, _KEEPALIVE_EVERY = 20, 5
-"""s; the stingiest NATs forget an idle connection within a minute."""
-_GIVEN_UP_AFTER_MS = 6_000
-"""A second more than the time after which the link itself is given up (`link.keepalive.DEAD_AFTER`)."""
-_TCP_CONGESTION = getattr(socket, "TCP_CONGESTION", 13)
-_RESETS = struct.pack("ii", 1, 0)
-"""SO_LINGER of a socket whose `close` resets the connection."""
+_MOST_DISCARDED = 4 << 20  # bytes that a peer may go on to send to a closed connection (PROTOCOL.md, 1)
+_IDLE, _KEEPALIVE_EVERY = 20, 5  # s; the stingiest NATs forget an idle connection within a minute
+_GIVEN_UP_AFTER_MS = 6_000  # a second after the link itself is given up (`link.keepalive.DEAD_AFTER`)
 BBR = "bbr"
 """The congestion control that does not take a radio's lost packets for a full link (bench/README.md, *Thin links*)."""
-_NAME_SIZE = 16
-"""Bytes of the name of a congestion control, TCP_CA_NAME_MAX of Linux."""
+
+# Of Linux.
+_TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
+_TCP_CONGESTION = getattr(socket, "TCP_CONGESTION", 13)
+_NAME_SIZE = 16  # bytes of the name of a congestion control: TCP_CA_NAME_MAX
+_RESETS = struct.pack("ii", 1, 0)  # SO_LINGER of a socket whose `close` resets the connection
 
 
 class _Discarding(StreamHandler):

@@ -29,38 +29,32 @@ if TYPE_CHECKING:
 
     from rsb_bridge.transport.streams import Address
 
-_DATAGRAMS_PER_WAKE, _BYTES_PER_WAKE = 64, 1024 * 1024
-"""What is read before the I/O loop turns to other work: round figures."""
+# Round figures but for those with a source.
+_DATAGRAMS_PER_WAKE, _BYTES_PER_WAKE = 64, 1024 * 1024  # that are read before the I/O loop turns to other work
+# s. Wake-ups that are closer than this read until nothing is left. Others read once: one read mostly returns all that
+# came together (UDP_GRO), a further one that finds nothing costs 1.3 µs, a quarter of a message's way through the
+# kernel (bench/README.md, *UDP*), and the loop calls again if something is left.
 _DENSE = 0.0001
-"""s. Wake-ups that are closer than this read until nothing is left. Others read once: one read mostly returns all that
-came together (UDP_GRO), a further one that finds nothing costs 1.3 µs, a quarter of a message's way through the kernel
-(bench/README.md, *UDP*), and the loop calls again if something is left."""
-_LARGEST = 65_535
-"""Bytes of a datagram with its headers."""
-_RECEIVE_BUFFER = 33, socket.SO_RCVBUF
-_SEND_BUFFER = 32, socket.SO_SNDBUF
-"""The option that forces a buffer's size, and the one that asks for it."""
-_IP_PKTINFO, _IP_MTU, _IPV6_MTU = 8, 14, 24
-_HEADERS = {socket.AF_INET: 28, socket.AF_INET6: 48}
-_UDP_SEGMENT, _UDP_GRO = 103, 104
-_CONTROL_SPACE = socket.CMSG_SPACE(4)
-"""Bytes of ancillary data to receive."""
-_MOST_SEGMENTS = 64
-_LARGEST_RUN = 65_507
-"""Linux's limits of one call: UDP_MAX_SEGMENTS, and an IP packet without the headers."""
-_SEGMENT_SIZE = struct.Struct("=H")
-_RECEIVED_SIZE = struct.Struct("=i")
-_SIOCGSTAMPNS, _TIMESPEC = 0x8907, struct.Struct("@ll")
-"""The request for the time (wall clock) at which the kernel took the packet that was read last (socket(7)). The first
-one has the kernel stamp packets; to read a stamp with each datagram would cost every message."""
+# s until the kernel is asked again for the path's MTU, which ICMP may have changed, or to cut what is sent at once.
 _SIZE_HOLDS = 1.0
-"""s until the kernel is asked again for the path's MTU, which ICMP may have changed, or to cut what is sent at once."""
-_SIZES_KEPT = 256
-"""Addresses whose path's MTU is kept; a peer that roams has a new one each time. Both are round figures."""
+_SIZES_KEPT = 256  # addresses whose path's MTU is kept; a peer that roams has a new one each time
+# Bytes that wait for the kernel: senders of messages stop while the socket is congested, so that only probes, receipts
+# and urgent messages come on top.
 _BACKLOG_LIMIT = 16 * 1024 * 1024
-"""Bytes that wait for the kernel. A round figure: senders of messages stop while the socket is congested, so that only
-probes, receipts and urgent messages come on top."""
 
+# Of Linux.
+_LARGEST = 65_535  # bytes of a datagram with its headers
+_HEADERS = {socket.AF_INET: 28, socket.AF_INET6: 48}
+_MOST_SEGMENTS, _LARGEST_RUN = 64, 65_507  # of one call: UDP_MAX_SEGMENTS, and an IP packet without the headers
+# The option that forces a buffer's size, and the one that asks for it.
+_RECEIVE_BUFFER, _SEND_BUFFER = (33, socket.SO_RCVBUF), (32, socket.SO_SNDBUF)
+_IP_PKTINFO, _IP_MTU, _IPV6_MTU = 8, 14, 24
+_UDP_SEGMENT, _UDP_GRO = 103, 104
+_CONTROL_SPACE = socket.CMSG_SPACE(4)  # for the ancillary data of a received buffer
+_SEGMENT_SIZE, _RECEIVED_SIZE = struct.Struct("=H"), struct.Struct("=i")
+# The request for the time (wall clock) at which the kernel took the packet that was read last (socket(7)). The first
+# one has the kernel stamp packets; to read a stamp with each datagram would cost every message.
+_SIOCGSTAMPNS, _TIMESPEC = 0x8907, struct.Struct("@ll")
 
 Received: TypeAlias = Callable[[DatagramSocket, Datagrams], None]
 
