@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.extension import Extension, Extensions
 from rsb_bridge.link.keepalive import Keepalive
@@ -28,14 +29,17 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
-    from rsb_bridge.link.control_channel import ControlChannel, Slices
+    from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.link.keepalive import ChannelCarrier
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.peer import LinkPath, LinkRates
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
+    from rsb_bridge.transport.streams import Stream
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
+    from rsb_bridge.wire.connection import ClientConnection, ServerConnection
+    from rsb_bridge.wire.events import Established
     from rsb_bridge.wire.messages import ControlMessageBase, Hello, Propose, UrgentMessage, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
@@ -343,26 +347,27 @@ class BaseLink(ABC):
         """The peer with its address, as the log names it."""
         return f"{self._peer_role} at {self.address}"
 
-    def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
-        """Begin a connection: the peer is authenticated."""
+    def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
+        """Begin a connection on a stream whose peer is authenticated, and return what takes its further events."""
+        control = ControlChannel(stream, connection, self.handlers, self.lost)
+        peer, keys = event.peer, event.keys
         self.control, self.peer, self.keys = control, peer, keys
         self.instance = peer.instance
         self._channels = DataChannels(self, keys)
         if self.transport.multiplexed:
-            control.data = self.channels.use_control(control.stream, self.transport, self.shared_port())
+            control.data = self.channels.use_control(stream, self.transport, self.shared_port())
         self._is_silent = False
         self.connections += 1
         self.linked_at = self.context.now()
-        self.keepalive = Keepalive(self, control.stream)
+        self.keepalive = Keepalive(self, stream)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.status.up(self.context.clock.steady())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
-        linked = (
-            f"linked with {self._peer_role} at {control.stream.peer}, {encryption}, rsb-console {peer.version} there"
-        )
+        linked = f"linked with {self._peer_role} at {stream.peer}, {encryption}, rsb-console {peer.version} there"
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
         self.send(self.keepalive.ping())  # the age of messages is unknown until it is answered
         self.extensions.connected(peer.features)
+        return control
 
     def silent(self) -> None:
         """End the connection: nothing has come for as long as the patience lasts."""

@@ -12,7 +12,6 @@ from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn, ServerSearch, failure_of_search, unproven_servers
-from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, server_refusal, with_remedy
 from rsb_bridge.model.budgets import Backoff
@@ -167,7 +166,7 @@ class ClientLink(Link):
         if len(accepting) == 1:
             server = accepting[0]
             established, more = server.confirm()
-            self._linked(server.connection, server.stream, established, more)
+            self.up(server.stream, server.connection, established).receive(more)
             return None
         # Several have the key, and nothing tells which of them is meant (PROTOCOL.md, 12).
         for each in accepting:
@@ -227,9 +226,7 @@ class ClientLink(Link):
         self, connection: ClientConnection, stream: Stream, event: Established | Accepted, more: list[Event]
     ) -> None:
         assert isinstance(event, Established)
-        control = ControlChannel(stream, connection, self.handlers, self.lost)
-        self.up(control, event.peer, event.keys)
-        control.receive(more)
+        self.up(stream, connection, event).receive(more)
 
     def _failed(self, failure: Failure) -> None:
         self.status.attempts += 1

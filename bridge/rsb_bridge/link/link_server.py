@@ -14,7 +14,6 @@ from rsb_bridge import __version__
 from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.feature import feature_names
 from rsb_bridge.link.connecting import ServerSearch
-from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections, Rejected
 from rsb_bridge.link.refused_clients import CAUSES, RefusedClients
 from rsb_bridge.link.server_link import UNKNOWN_ROUTE, DescriptorShare, ServerLink
@@ -33,6 +32,7 @@ from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
+    from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.link.server_link import ClientEntry
     from rsb_bridge.model.reason import Reason
     from rsb_bridge.transport.streams import Address
@@ -229,10 +229,7 @@ class Server:
                 retry_after=_REPLACED_PAUSE,
                 code=EventCode.LINK_REPLACED,
             )
-        link.seen(stream, connection.fingerprint)  # before `up`, which logs which key it was
-        control = ControlChannel(stream, connection, link.handlers, link.lost)
-        link.up(control, event.peer, event.keys)
-        return control
+        return link.accept(stream, connection, event)
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
         """Attach a stream that was opened for routes' data; raise Refusal if none needs it."""
@@ -340,7 +337,7 @@ class _InboundStream(PendingConnection, StreamHandler):
         super().__init__(streams)
         self._admission = streams.admission
         self._connection: ServerConnection = streams.admission.connection()
-        self._stream: Stream | None = None
+        self._stream: Stream  # from `connected` on, which comes first
 
     def connected(self, stream: Stream) -> None:
         self._stream = stream
@@ -351,14 +348,14 @@ class _InboundStream(PendingConnection, StreamHandler):
         self._leave()
 
     def _why_overdue(self) -> tuple[Rejected, str]:
-        if self._stream is None or self._stream.received_bytes:
+        if self._stream.received_bytes:
             return super()._why_overdue()
         return Rejected.SENT_NOTHING, LinkCause.NO_ANSWER
 
     def received(self, data: bytes) -> None:
         stream, connection = self._stream, self._connection
         # The refusal may be delayed, and more may come until then.
-        if stream is None or self.stage in (ConnectionStage.REFUSED, ConnectionStage.OVER):
+        if self.stage in (ConnectionStage.REFUSED, ConnectionStage.OVER):
             return
         events = connection.receive_data(data)
         self.name = connection.name
@@ -425,19 +422,16 @@ class _InboundStream(PendingConnection, StreamHandler):
             stream.close(refusal.message)
 
     def _log(self, code: EventCode, message: str, cause: str = "", name: str = "") -> None:
-        assert self._stream is not None
         self._pending.refusals.log(self._stream, code, message, name, cause)
 
     def _busy(self, message: str) -> bytes:
         return self._connection.refuse(RefusalCode.BUSY, message)
 
     def _close_with(self, answer: bytes, message: str) -> None:
-        assert self._stream is not None
         self._stream.write(answer)
         self._stream.close(message)
 
     def _pause_reading(self) -> None:
-        assert self._stream is not None
         self._stream.pause_reading()
 
     def _for_operator(self, code: RefusalCode, message: str) -> str:

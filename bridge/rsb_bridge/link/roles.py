@@ -178,8 +178,7 @@ class ServerRole:
     async def stop(self) -> None:
         self._stopped = True
         self._tasks.cancel()
-        self._server.stop()  # before the farewell, after which clients come back
-        await _farewell(self.links(), "the server stops")
+        await self._leave(self.links(), "the server stops")
         for link in self.links():
             link.destroy()
 
@@ -258,8 +257,7 @@ class ServerRole:
         step(f"closing {len(linked)} {plural(len(linked), 'link')} on both sides")
         if self._binding is not None:
             self._binding.cancel()  # it would close the ports that are bound below
-        self._server.stop()
-        await _farewell(linked, "restart")
+        await self._leave(linked, "restart")
         step(f"binding {self._context.session.server_ip} port {self._context.session.server_port}")
         if self._stopped:  # during the farewell: a port that is bound now would stay bound
             raise LinkError(Denied.SERVER_STOPS())
@@ -271,6 +269,11 @@ class ServerRole:
             lambda: all(link.linked for link in linked), lambda: "not every client is back yet; they keep trying"
         )
         step("1 client is back" if len(linked) == 1 else f"{len(linked)} clients are back")
+
+    async def _leave(self, links: Iterable[Link], reason: str) -> None:
+        """Stop listening, and say goodbye to clients, which would come back at once."""
+        self._server.stop()
+        await _farewell(links, reason)
 
     def _bind_later(self, reason: str) -> None:
         """Keep trying to bind; `reason` is the last failure."""

@@ -44,9 +44,8 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.ports import Ports
     from rsb_bridge.transport.streams import Address, Stream
     from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
-    from rsb_bridge.wire.events import Attach
-    from rsb_bridge.wire.messages import Welcome
-    from rsb_bridge.wire.sealing import SessionKeys
+    from rsb_bridge.wire.connection import ServerConnection
+    from rsb_bridge.wire.events import Attach, Established
 
 _NAMED = 12
 """Ports that a refusal lists."""
@@ -258,19 +257,18 @@ class ServerLink(Link):
         """Whether the client was last seen at that host."""
         return host == self._seen_host
 
-    def seen(self, stream: Stream, fingerprint: bytes) -> None:
-        """Record the client's address, and the fingerprint of its key, which is empty without encryption."""
+    def accept(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
+        """Link with the client; see `up`."""
         self._seen_at, self._seen_host = stream.peer, stream.host
-        self._seen_key = format_fingerprint(fingerprint)
+        self._seen_key = format_fingerprint(connection.fingerprint)
         self._told = Duplicate()
-
-    def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
-        super().up(control, peer, keys)
+        control = self.up(stream, connection, event)
         _, following = self.fingerprints
         if following:  # the log on disk has it when `client rekey --finish` looks for it
             which = "next" if self._seen_key == following else "old"
             text = f"linked with its {which} key, {self._seen_key}"
             self.context.log(Level.INFO, EventCode.KEY_USED, text, link=self.name, new=self._seen_key)
+        return control
 
     def refused(self, stream: Stream, cause: LinkCause, message: str) -> None:
         """Record the refusal of a client by this name, while the link is down."""
