@@ -119,7 +119,11 @@ class _Merger:
                 isinstance(each, msgspec.Struct) and not isinstance(each, Grant | ArmedName)
                 for each in (*before, *after)
             ):
-                self._entries(key, node, before, after)
+                matched = _matched(before, after)
+                for at, to in matched.items():
+                    self.struct(node.value[at], before[at], after[to])
+                added = [msgspec.to_builtins(each) for to, each in enumerate(after) if to not in matched.values()]
+                self._sequence(key, node, set(range(len(before))) - matched.keys(), added)
                 return True
             # Words keep their layout as long as some go and others come last; any other change writes all of them.
             kept = [each for each in before if each in after]
@@ -135,17 +139,6 @@ class _Merger:
                 self._mapping(node, changes, _QOS_KEYS)
                 return True
         return False
-
-    def _entries(
-        self, key: yaml.Node, node: yaml.SequenceNode, before: Sequence[Entry], after: Sequence[Entry]
-    ) -> None:
-        """Edit a list of topics, of clients or the like."""
-        edited = _matched(before, after)
-        for at, to in edited.items():
-            self.struct(node.value[at], before[at], after[to])
-        gone = set(range(len(before))) - edited.keys()
-        added = [msgspec.to_builtins(each) for to, each in enumerate(after) if to not in edited.values()]
-        self._sequence(key, node, gone, added)
 
     # --- mappings
 
