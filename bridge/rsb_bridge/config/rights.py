@@ -200,16 +200,11 @@ def _pattern_problems(pattern: str, noun: str, location: str) -> Iterator[Proble
 
 
 class Use(NamedTuple):
-    """A peer's use of a topic, a service, an action or a node's parameters by its name on this side.
-
-    Attributes:
-        may: ``publish`` or ``read`` a topic here; ``call`` a service of this side's nodes, or ``serve`` one to them.
-        protocol: the transport, or an empty string if it is not known yet.
-    """
+    """A peer's use of a topic, a service, an action or a node's parameters by its name on this side."""
 
     topic: str
-    may: May
-    protocol: str = ""
+    may: May  # ``publish`` or ``read`` a topic here; ``call`` a service of this side's nodes, or ``serve`` one to them
+    protocol: str = ""  # the transport, or an empty string if it is not known yet
     kind: Kind = "topic"
 
     def __str__(self) -> str:
@@ -234,28 +229,20 @@ class DeniedUse(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """The rights of one peer on this side.
+    """The rights of one peer on this side."""
 
-    Attributes:
-        peer: the client's name; on a client ``the server``.
-        owner: the side with the session file: ``the server``, or the client's name.
-        place: the part of the session file that has `allow` and `deny`: ``of client robot1 in the session file of pc``.
-        allow: the uses that it permits. If empty, it permits all; on a client, `listed`.
-        deny: the uses that it forbids. It is stronger than `allow`.
-        prefix: a client's name, which the names of its topics may have before them here.
-        listed: on a client, the identities of its own topics (`Topic.identity`), which say what the server may publish,
-            call and serve.
-        features: what features permit the peer, by key of session files (`SessionKey.of`).
-    """
-
-    peer: str
-    owner: str
+    peer: str  # the client's name; on a client ``the server``
+    owner: str  # the side with the session file: ``the server``, or the client's name
     place: str
-    allow: tuple[Grant, ...]
-    deny: tuple[Grant, ...]
-    prefix: str = ""
+    """The part of the session file that has `allow` and `deny`: ``of client robot1 in the session file of pc``."""
+    allow: tuple[Grant, ...]  # the uses that it permits. If empty, it permits all; on a client, `listed`
+    deny: tuple[Grant, ...]  # the uses that it forbids. It is stronger than `allow`
+    prefix: str = ""  # a client's name, which the names of its topics may have before them here
     listed: Set[Identity] | None = None
+    """On a client, the identities of its own topics (`Topic.identity`), which say what the server may publish, call and
+    serve."""
     features: Mapping[str, Any] = field(default_factory=dict)
+    """The rights that features give the peer, by key of session files (`SessionKey.of`)."""
 
     def refusal(self, use: Use) -> DeniedUse | None:
         """Return the reason why the peer may not do something, or None if it may."""
@@ -390,37 +377,23 @@ def _text(grant: Grant) -> str:
 
 
 class RightsRow(NamedTuple):
-    """The rights of one peer to some topics or services.
+    """The rights of one peer to some topics or services."""
 
-    Attributes:
-        peer: the client's name; on a client ``the server``.
-        may: ``publish``, ``read`` or both; of services, actions and parameters ``call``, ``serve`` or both.
-        topics: patterns of names in this side's domain.
-        rate: the limit of messages or calls.
-        ports: the ports that they may have here, or an empty string if this side binds none.
-    """
-
-    peer: str
-    may: str
-    topics: str
+    peer: str  # the client's name; on a client ``the server``
+    may: str  # ``publish``, ``read`` or both; of services, actions and parameters ``call``, ``serve`` or both
+    topics: str  # patterns of names in this side's domain
     transports: str
-    rate: str
-    ports: str
+    rate: str  # the limit of messages or calls
+    ports: str  # the ports that they may have here, or an empty string if this side binds none
 
 
 class Listing(NamedTuple):
-    """All rights of one peer on this side.
+    """All rights of one peer on this side."""
 
-    Attributes:
-        peer: as in `RightsRow`.
-        moves: the patterns of `MOVES_A_ROBOT` that it may publish.
-        acts: the names that it may call, except for `ONLY_READ`.
-    """
-
-    peer: str
+    peer: str  # as in `RightsRow`
     rows: tuple[RightsRow, ...]
-    moves: tuple[str, ...]
-    acts: tuple[str, ...]
+    moves: tuple[str, ...]  # the patterns of `MOVES_A_ROBOT` that it may publish
+    acts: tuple[str, ...]  # the names that it may call, except for `ONLY_READ`
 
 
 def listings(session: Session) -> Iterator[Listing]:

@@ -54,24 +54,19 @@ class Effect(enum.Flag):
 
 
 class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_defaults=True):
-    """A command, named by its tag.
+    """A command, named by its tag."""
 
-    Attributes:
-        right: needed to give the command.
-        always: the effect for any value of the fields. Each command that needs a right to change states it.
-        one_at_a_time: whether the command waits for the earlier ones of its kind, because it changes the session.
-        refreshes: whether the next snapshot is made at once, to show the effect.
-        cancellable: whether the engine stops working on the command when nobody waits for the result any more.
-        is_of_links: whether it concerns all links, or the one that its field `link` names. An operator of one robot of
-            a server has it concern that robot.
-    """
-
-    right: ClassVar[Right] = Right.CHANGE
+    right: ClassVar[Right] = Right.CHANGE  # needed to give the command
     always: ClassVar[Effect] = Effect.HARMLESS
+    """The effect for any value of the fields. Each command that needs a right to change states it."""
     one_at_a_time: ClassVar[bool] = False
-    refreshes: ClassVar[bool] = True
+    """Whether the command waits for the earlier ones of its kind, because it changes the session."""
+    refreshes: ClassVar[bool] = True  # whether the next snapshot is made at once, to show the effect
     cancellable: ClassVar[bool] = False
+    """Whether the engine stops working on the command when nobody waits for the result any more."""
     is_of_links: ClassVar[bool] = False
+    """Whether it concerns all links, or the one that its field `link` names. An operator of one robot of a server has
+    it concern that robot."""
 
     @property
     def effect(self) -> Effect:
@@ -92,18 +87,14 @@ class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_d
 
 
 class AddTopic(Command[str], frozen=True, tag="add"):
-    """Bridge one more topic, or follow one more pattern. The result is the key of the route or the pattern.
-
-    Attributes:
-        topic: the new entry. A server also takes its own name of the topic, with the client's name before it
-            (`Session.use_name`).
-        link: on a server, the name of the client.
-    """
+    """Bridge one more topic, or follow one more pattern. The result is the key of the route or the pattern."""
 
     one_at_a_time = True
     is_of_links = True
     topic: Topic
-    link: str = ""
+    """The new entry. A server also takes its own name of the topic, with the client's name before it
+    (`Session.use_name`)."""
+    link: str = ""  # on a server, the name of the client
 
     @property
     def effect(self) -> Effect:
@@ -111,20 +102,16 @@ class AddTopic(Command[str], frozen=True, tag="add"):
 
 
 class EditTopic(Command[str], frozen=True, tag="edit"):
-    """Replace a route's topic, or a pattern. The result is the new key; if the command fails, the old route stays.
-
-    Attributes:
-        key: of the route or the pattern.
-        drop_arm: whether an operator has agreed to end the demand to be armed. Without that, a change from
-            ``arm: true`` to false is refused, and any other change keeps the demand.
-        seen: the entry that the operator has seen, or None. The command is refused if it is another one by now.
-    """
+    """Replace a route's topic, or a pattern. The result is the new key; if the command fails, the old route stays."""
 
     one_at_a_time = True
-    key: str
+    key: str  # of the route or the pattern
     topic: Topic
     drop_arm: bool = False
+    """Whether an operator has agreed to end the demand to be armed. Without that, a change from ``arm: true`` to false
+    is refused, and any other change keeps the demand."""
     seen: Topic | None = None
+    """The entry that the operator has seen, or None. The command is refused if it is another one by now."""
 
     @property
     def effect(self) -> Effect:
@@ -136,15 +123,11 @@ class RemoveTopic(Command[str], frozen=True, tag="remove"):
     """Stop bridging a topic on both sides, or following a pattern.
 
     It returns the lines of this side's session that still demand that the name be armed, or an empty string.
-
-    Attributes:
-        key: of the route or the pattern.
-        drop_arm: whether an operator has agreed to end the demand that the name be armed.
     """
 
     one_at_a_time = True
-    key: str
-    drop_arm: bool = False
+    key: str  # of the route or the pattern
+    drop_arm: bool = False  # whether an operator has agreed to end the demand that the name be armed
 
     @property
     def effect(self) -> Effect:
@@ -164,35 +147,27 @@ class PauseTopics(Command[None], frozen=True, tag="pause"):
 
 
 class Acknowledge(Command[None], frozen=True, tag="acknowledge"):
-    """Acknowledge a fault until its state or its cause changes, or take that back.
-
-    Attributes:
-        key: of a route or a pattern. A route that is down with its link has the link's fault.
-        acknowledged: whether the fault is acknowledged from now on.
-        link: the name of a link, instead of a key.
-        seen: the state and the cause that the operator has seen, or None. Another fault is not acknowledged.
-    """
+    """Acknowledge a fault until its state or its cause changes, or take that back."""
 
     always = Effect.HARMLESS
-    key: str = ""
-    acknowledged: bool = True
-    link: str = ""
+    key: str = ""  # of a route or a pattern. A route that is down with its link has the link's fault
+    acknowledged: bool = True  # whether the fault is acknowledged from now on
+    link: str = ""  # the name of a link, instead of a key
     seen: tuple[State, str] | None = None
+    """The state and the cause that the operator has seen, or None. Another fault is not acknowledged."""
 
 
 class ArmTopic(Command[None], frozen=True, tag="arm"):
     """Arm a topic for the console that gives the command; done once both sides hold it for armed.
 
     The console has to keep the topic armed (`KeepArmed`). Only its messages by hand pass from then on.
-
-    Attributes:
-        shared: whether messages by hand of that operator's other consoles pass, too: the commands of a shell are one
-            console each.
     """
 
     always = Effect.MOVES
     key: str
     shared: bool = False
+    """Whether messages by hand of that operator's other consoles pass, too: the commands of a shell are one console
+    each."""
 
 
 class AskHolder(Command[None], frozen=True, tag="ask_holder"):
@@ -200,68 +175,49 @@ class AskHolder(Command[None], frozen=True, tag="ask_holder"):
 
     The holder has `rsb_bridge.model.by_hand.ASKED_FOR` for an answer; without one it goes over. Meanwhile, the console
     has to give signs of life (`KeepArmed`). A topic that nobody holds is armed at once.
-
-    Attributes:
-        shared: as of `ArmTopic`.
     """
 
     always = Effect.MOVES
     cancellable = True
     key: str
-    shared: bool = False
+    shared: bool = False  # as of `ArmTopic`
 
 
 class TakeArming(Command[None], frozen=True, tag="take_arming"):
-    """Arm a topic for the console that gives the command, after a disarm if another one holds it.
-
-    Attributes:
-        shared: as of `ArmTopic`.
-    """
+    """Arm a topic for the console that gives the command, after a disarm if another one holds it."""
 
     always = Effect.MOVES
     right = Right.TAKE
     key: str
-    shared: bool = False
+    shared: bool = False  # as of `ArmTopic`
 
 
 class AnswerAsker(Command[None], frozen=True, tag="answer_asker"):
-    """Answer an operator who asks the console that gives the command for its arming of a topic.
-
-    Attributes:
-        gives: whether the topic goes over.
-        who: the operator who asks, as the holder has seen, or empty. An answer to another one is refused.
-    """
+    """Answer an operator who asks the console that gives the command for its arming of a topic."""
 
     always = Effect.MOVES
     key: str
-    gives: bool
-    who: str = ""
+    gives: bool  # whether the topic goes over
+    who: str = ""  # the operator who asks, as the holder has seen, or empty. An answer to another one is refused
 
 
 class DisarmTopic(Command[None], frozen=True, tag="disarm"):
-    """Disarm a topic, even if another operator armed it; done once no earlier message can be published.
-
-    Attributes:
-        own: whether to do so only if the console that gives the command holds it.
-    """
+    """Disarm a topic, even if another operator armed it; done once no earlier message can be published."""
 
     always = Effect.HARMLESS
     key: str
-    own: bool = False
+    own: bool = False  # whether to do so only if the console that gives the command holds it
 
 
 class KeepArmed(Command[Held], frozen=True, tag="keep_armed"):
     """Keep armed all topics that this console has armed, and open what it asks for; due at least every 2 s.
 
     A topic disarms if its console is silent for 5 s, or if its operator presses no key within its deadman time.
-
-    Attributes:
-        pressed: whether the operator has pressed a key since the last command, so that deadman times start again.
     """
 
     right = Right.LOOK
     refreshes = False
-    pressed: bool
+    pressed: bool  # whether the operator has pressed a key since the last command, so that deadman times start again
 
 
 class ReleaseArmed(Command[None], frozen=True, tag="release_armed"):
@@ -318,17 +274,13 @@ class Reload(Command[Reloaded], frozen=True, tag="reload"):
     """Read the session file again, and change what differs; links and topics that do not differ go on.
 
     Unsaved changes of operators give way to the file. A file with mistakes changes nothing.
-
-    Attributes:
-        dry_run: whether to report only, and change nothing.
-        drop_arm: whether an operator has agreed to end the demands to arm that the file does not make any more.
-        seen: `Reloaded.digest` of the changes to which an operator has agreed, or empty. Others are refused.
     """
 
     one_at_a_time = True
-    dry_run: bool = False
+    dry_run: bool = False  # whether to report only, and change nothing
     drop_arm: bool = False
-    seen: str = ""
+    """Whether an operator has agreed to end the demands to arm that the file does not make any more."""
+    seen: str = ""  # `Reloaded.digest` of the changes to which an operator has agreed, or empty. Others are refused
 
     @property
     def effect(self) -> Effect:
@@ -343,45 +295,33 @@ class Save(Command[None], frozen=True, tag="save"):
 
 
 class Topics(Command[tuple[TopicInfo, ...]], frozen=True, tag="topics"):
-    """List the topics, services, actions and nodes that can be bridged.
-
-    Attributes:
-        link: whose peer's graph to list, or None for the graph of this side.
-    """
+    """List the topics, services, actions and nodes that can be bridged."""
 
     right = Right.LOOK
-    link: str | None = None
+    link: str | None = None  # whose peer's graph to list, or None for the graph of this side
 
 
 class Peek(Command[PeekedMessage | None], frozen=True, tag="peek"):
     """Wait for a topic's next message. The result is None if none has passed within some seconds: ask again.
 
     A topic shows a message every half second at most. Messages take no extra step while nobody peeks.
-
-    Attributes:
-        kept: whether to take the message of a latched topic that a late joiner gets.
     """
 
     right = Right.LOOK
     refreshes = False
     cancellable = True
     key: str
-    kept: bool = False
+    kept: bool = False  # whether to take the message of a latched topic that a late joiner gets
 
 
 class DraftMessage(Command[Draft], frozen=True, tag="draft"):
-    """Make a message for an operator to change: one that passes soon, or the type's defaults.
-
-    Attributes:
-        topic: its name on this side.
-        type_name: its type, or an empty string if the topic has one already.
-    """
+    """Make a message for an operator to change: one that passes soon, or the type's defaults."""
 
     right = Right.LOOK
     refreshes = False
     cancellable = True
-    topic: str
-    type_name: str = ""
+    topic: str  # its name on this side
+    type_name: str = ""  # its type, or an empty string if the topic has one already
 
 
 class Publish(Command[Published], frozen=True, tag="publish"):
@@ -390,30 +330,23 @@ class Publish(Command[Published], frozen=True, tag="publish"):
     A topic that has to be armed takes it only while it is armed, and with a ticket that is younger than
     `rsb_bridge.model.by_hand.TICKET_LIFE`: so nothing is published that waited in a frozen process or a tunnel. Each
     answer brings a ticket.
-
-    Attributes:
-        topic: its name on this side.
-        fields: of the message, as YAML; missing ones have their defaults.
-        type_name: its type, or an empty string if the topic has one already.
-        ticket: from the answer before, or 0.
-        rest: fields of a message that is published unless the next one comes in time, or an empty string for none:
-            a robot that is driven stops if its operator's console is gone. Only for topics that have to be armed and
-            limit the age of messages.
-        rest_after: s in which the next message is due.
-        reduce: whether a velocity beyond the topic's limits is reduced to them, and not refused: for one who drives by
-            keys, and sees what is reduced.
     """
 
     always = Effect.MOVES
     refreshes = False
     cancellable = True
-    topic: str
-    fields: str
-    type_name: str = ""
-    ticket: int = 0
+    topic: str  # its name on this side
+    fields: str  # of the message, as YAML; missing ones have their defaults
+    type_name: str = ""  # its type, or an empty string if the topic has one already
+    ticket: int = 0  # from the answer before, or 0
     rest: str = ""
-    rest_after: Annotated[float, Meta(gt=0, le=LONGEST_REST)] = REST_AFTER
+    """Fields of a message that is published unless the next one comes in time, or an empty string for none: a robot
+    that is driven stops if its operator's console is gone. Only for topics that have to be armed and limit the age of
+    messages."""
+    rest_after: Annotated[float, Meta(gt=0, le=LONGEST_REST)] = REST_AFTER  # s in which the next message is due
     reduce: bool = False
+    """Whether a velocity beyond the topic's limits is reduced to them, and not refused: for one who drives by keys, and
+    sees what is reduced."""
 
 
 class DescribeType(Command[str], frozen=True, tag="describe"):
@@ -438,18 +371,13 @@ class Call(Command[str], frozen=True, tag="call"):
     """Call by hand, from either side. The types have to be installed where the bridge runs.
 
     The result is the response, as YAML.
-
-    Attributes:
-        key: of a route that is no topic's.
-        request: the fields as YAML, or an empty string for the defaults.
-        lane: one of the route's services (`RouteSnapshot.lanes`).
     """
 
     always = Effect.MOVES
     cancellable = True
-    key: str
-    request: str
-    lane: str = ""
+    key: str  # of a route that is no topic's
+    request: str  # the fields as YAML, or an empty string for the defaults
+    lane: str = ""  # one of the route's services (`RouteSnapshot.lanes`)
 
 
 class Stop(Command[None], frozen=True, tag="stop"):
@@ -463,17 +391,12 @@ class Stop(Command[None], frozen=True, tag="stop"):
 
 @dataclass(frozen=True, slots=True)
 class ActingOperator:
-    """The person who gives commands. As text, the name and the place: ``anna on pts/3``.
-
-    Attributes:
-        account: what the kernel or a key proves, or an empty string if nothing does: the same account, the same person.
-        name: for people; several of them may have the same.
-        place: of the person's console, in words.
-    """
+    """The person who gives commands. As text, the name and the place: ``anna on pts/3``."""
 
     account: str
-    name: str
-    place: str = ""
+    """The identity that the kernel or a key proves, or an empty string: the same account, the same person."""
+    name: str  # for people; several of them may have the same
+    place: str = ""  # of the person's console, in words
 
     def __str__(self) -> str:
         return f"{self.name} {self.place}".strip()

@@ -22,22 +22,15 @@ _NAME_LENGTH = 64
 
 @dataclass(frozen=True, slots=True)
 class Purpose:
-    """A purpose of routes.
+    """A purpose of routes."""
 
-    Attributes:
-        name: the purpose in proposals, and the first part of its routes' names.
-        in_graph: whether ROS nodes have its names. Only then, the rules of topics hold: of their names, prefixes and
-            types, of rights by pattern, of demands to arm, of loops, and of sessions.
-        is_shown: whether operators see its routes as rows, in the history and in the log.
-        fills_link: whether it fills the link on purpose, which then does not count as full.
-        type_name: the type of its messages, which is installed nowhere, or an empty string for topics.
-    """
-
-    name: str
+    name: str  # the purpose in proposals, and the first part of its routes' names
     in_graph: bool = False
-    is_shown: bool = True
-    fills_link: bool = False
-    type_name: str = ""
+    """Whether ROS nodes have its names. Only then, the rules of topics hold: of their names, prefixes and types, of
+    rights by pattern, of demands to arm, of loops, and of sessions."""
+    is_shown: bool = True  # whether operators see its routes as rows, in the history and in the log
+    fills_link: bool = False  # whether it fills the link on purpose, which then does not count as full
+    type_name: str = ""  # the type of its messages, which is installed nowhere, or an empty string for topics
     type_hash: str = ""
 
     def route_name(self, *parts: str) -> str:

@@ -69,19 +69,12 @@ OperatorMay = Literal["look", "change", "take"]
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One mistake in a session.
+    """One mistake in a session."""
 
-    Attributes:
-        location: the key in the file: ``topics[2].protocol``, or an empty string for the session as a whole.
-        message: the mistake and its remedy.
-        line: of the session file, from 1, or None if there is no file.
-        place: the location for a person: ``topic /scan, protocol``, or an empty string if it is `location`.
-    """
-
-    location: str
-    message: str
-    line: int | None = None
-    place: str = ""
+    location: str  # the key in the file: ``topics[2].protocol``, or an empty string for the session as a whole
+    message: str  # the mistake and its remedy
+    line: int | None = None  # of the session file, from 1, or None if there is no file
+    place: str = ""  # the location for a person: ``topic /scan, protocol``, or an empty string if it is `location`
 
     def __str__(self) -> str:
         place = self.place or self.location
@@ -99,57 +92,45 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     A session file lists services, actions and parameters under keys of their own. If the name is a pattern
     (`rsb_bridge.model.patterns`), the entry is a template for each matching name of the sending side.
-
-    Attributes:
-        topic: its name on the client, absolute (``/scan``); of parameters, their node's.
-        direction: ``transmit`` goes from client to server, ``receive`` the other way; of what is not a topic, the
-            direction of the requests.
-        type: ``pkg/msg/Name`` (``pkg/srv/Name``, ``pkg/action/Name``), a short thesis name (``LaserScan``), or
-            ``auto``: from either side's graph.
-        protocol: the transport, or None for tcp on an IP link and bluetooth on an RFCOMM link.
-        port: a TCP or UDP port or an RFCOMM channel of its own (topics may share a channel), or None for the link's.
-        qos: ``auto``, a profile's name, a depth, or a mapping of `rsb_bridge.model.qos.Qos` fields.
-        remote_topic: its name on the server, or None for the same name, after the prefix if `use_name` is set.
-        compression: or None for zstd on Bluetooth and no compression elsewhere.
-        max_rate: Hz, or None for no limit.
-        expected_rate: Hz, shown with the real rate, or None to learn it.
-        stale_after: s without a message until a warning, 0 for no warning, or None for the session's.
-        late_after: s that a message may take until the topic is late, 0 for no limit, or None for the session's.
-        max_age: s; an older message or request is dropped instead of published, 0 for no limit, or None for
-            `rsb_bridge.model.demands.ARMED` on what requires arming and no limit elsewhere.
-        paused: the topic is set up, and carries nothing until it is resumed.
-        arm: whether it carries nothing until an operator of either side arms it on a console.
-        deadman: s without a key on that console after which it disarms, 0 for never, or None for `DEADMAN`.
-        on_end: what the robot gets when the arming ends: ``zero``, ``none`` or the fields of a message; None for zero
-            of types that drive robots, and nothing of others.
-        limits: what a hand may ask of a robot, or None for any velocity; only of Twist and TwistStamped.
-        timeout: s that a call waits for its answer, or None for `CALL_TIMEOUT`; not for topics.
-        priority: on a full link, topics of a higher priority get a larger share; only for topics.
-        excepts: names on the client that a pattern leaves out, patterns or not; ``except`` in a file.
     """
 
-    topic: str
+    topic: str  # its name on the client, absolute (``/scan``); of parameters, their node's
     direction: Direction
+    """``transmit`` goes from client to server, ``receive`` the other way; of what is not a topic, the direction of the
+    requests."""
     type: str = "auto"
-    protocol: Protocol | None = None
+    """``pkg/msg/Name`` (``pkg/srv/Name``, ``pkg/action/Name``), a short thesis name (``LaserScan``), or ``auto``: from
+    either side's graph."""
+    protocol: Protocol | None = None  # the transport, or None for tcp on an IP link and bluetooth on an RFCOMM link
     port: int | None = None
+    """A TCP or UDP port or an RFCOMM channel of its own (topics may share a channel), or None for the link's."""
     qos: str | int | dict[str, Any] = "auto"
+    """``auto``, a profile's name, a depth, or a mapping of `rsb_bridge.model.qos.Qos` fields."""
     remote_topic: str | None = None
-    compression: Compression | None = None
-    max_rate: float | None = None
-    expected_rate: float | None = None
-    stale_after: float | None = None
+    """Its name on the server, or None for the same name, after the prefix if `use_name` is set."""
+    compression: Compression | None = None  # or None for zstd on Bluetooth and no compression elsewhere
+    max_rate: float | None = None  # Hz, or None for no limit
+    expected_rate: float | None = None  # Hz, shown with the real rate, or None to learn it
+    stale_after: float | None = None  # s without a message until a warning, 0 for no warning, or None for the session's
     late_after: float | None = None
+    """s that a message may take until the topic is late, 0 for no limit, or None for the session's."""
     max_age: float | None = None
-    paused: bool = False
-    arm: bool = False
+    """s; an older message or request is dropped instead of published, 0 for no limit, or None for
+    `rsb_bridge.model.demands.ARMED` on what requires arming and no limit elsewhere."""
+    paused: bool = False  # the topic is set up, and carries nothing until it is resumed
+    arm: bool = False  # whether it carries nothing until an operator of either side arms it on a console
     deadman: float | None = None
+    """s without a key on that console after which it disarms, 0 for never, or None for `DEADMAN`."""
     on_end: str | dict[str, Any] | None = None
+    """The robot gets this when the arming ends: ``zero``, ``none`` or the fields of a message; None for zero of types
+    that drive robots, and nothing of others."""
     limits: VelocityLimits | None = None
+    """The most that a hand may ask of a robot, or None for any velocity; only of Twist and TwistStamped."""
     kind: Kind = "topic"
-    timeout: float | None = None
-    priority: Priority = "normal"
+    timeout: float | None = None  # s that a call waits for its answer, or None for `CALL_TIMEOUT`; not for topics
+    priority: Priority = "normal"  # on a full link, topics of a higher priority get a larger share; only for topics
     excepts: tuple[str, ...] = ()
+    """Names on the client that a pattern leaves out, patterns or not; ``except`` in a file."""
 
     def __post_init__(self) -> None:
         _write_out(self)
@@ -182,53 +163,39 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 class Grant(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A right of the other side of a link to some topics, or to some services, of this side; in `deny`, a prohibition.
-
-    Attributes:
-        topics: a pattern (shell glob) of their names on this side; of a client, with or without its prefix.
-        services: a pattern of the names of services and actions, and of nodes with parameters.
-        may: ``publish`` topics here or ``read`` them here; ``call`` what nodes of this side provide, or ``serve``:
-            provide what is offered to nodes of this side; or None for both.
-        protocol: the transports that may carry them, or None for all.
-        max_rate: Hz, of each topic and direction, or of the calls of each service; None for no limit. Only in `allow`.
-    """
+    """A right of a link's other side to some topics, or to some services, of this side; in `deny`, a prohibition."""
 
     topics: str | None = None
-    services: str | None = None
+    """A pattern (shell glob) of their names on this side; of a client, with or without its prefix."""
+    services: str | None = None  # a pattern of the names of services and actions, and of nodes with parameters
     may: May | None = None
-    protocol: Protocol | tuple[Protocol, ...] | None = None
+    """``publish`` topics here or ``read`` them here; ``call`` what nodes of this side provide, or ``serve``: provide
+    what is offered to nodes of this side; or None for both."""
+    protocol: Protocol | tuple[Protocol, ...] | None = None  # the transports that may carry them, or None for all
     max_rate: float | None = None
+    """Hz, of each topic and direction, or of the calls of each service; None for no limit. Only in `allow`."""
 
 
 class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A client that a server accepts.
+    """A client that a server accepts."""
 
-    Attributes:
-        name: as in the client's session.
-        key_file: its key, or None for the server's `Session.key_file`.
-        next_key_file: the key that replaces it, and is valid, too, or None for none; if `key_file` is None, the
-            default is `Session.next_key_file`.
-        use_name: whether its topics have a prefix on the server, or None for the server's `Session.use_name`.
-        allow: its rights, each entry a `Grant`, or a pattern of topics; if empty, it may bridge everything. If several
-            entries match a topic, each of them narrows the rights to it.
-        deny: what it may not bridge, each entry a `Grant`, or a pattern of topics and services alike; stronger than
-            `allow`.
-        topics: the topics that the server proposes whenever it links, as the client sees them.
-        profile: of its link, or None for the server's `Session.profile`.
-        group: its group of the fleet, or None.
-        features: values of the features' keys that are about a peer, as in `Session`.
-    """
-
-    name: str
-    key_file: str | None = None
+    name: str  # as in the client's session
+    key_file: str | None = None  # its key, or None for the server's `Session.key_file`
     next_key_file: str | None = None
+    """The key that replaces it, and is valid, too, or None for none; if `key_file` is None, the default is
+    `Session.next_key_file`."""
     use_name: bool | None = None
+    """Whether its topics have a prefix on the server, or None for the server's `Session.use_name`."""
     allow: tuple[str | Grant, ...] = ()
+    """Its rights, each entry a `Grant`, or a pattern of topics; if empty, it may bridge everything. If several entries
+    match a topic, each of them narrows the rights to it."""
     deny: tuple[str | Grant, ...] = ()
-    topics: tuple[Topic, ...] = ()
-    profile: ProfileName | None = None
-    group: str | None = None
-    features: dict[str, Any] = {}
+    """Names that it may not bridge, each entry a `Grant`, or a pattern of topics and services alike; stronger than
+    `allow`."""
+    topics: tuple[Topic, ...] = ()  # the topics that the server proposes whenever it links, as the client sees them
+    profile: ProfileName | None = None  # of its link, or None for the server's `Session.profile`
+    group: str | None = None  # its group of the fleet, or None
+    features: dict[str, Any] = {}  # values of the features' keys that are about a peer, as in `Session`
 
     def is_prefixed(self, session: Session) -> bool:
         """Whether its topics have its name before them on the server of a session."""
@@ -236,43 +203,26 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
 
 
 class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Somebody who may attach to this bridge over a network, with a key of their own.
+    """Somebody who may attach to this bridge over a network, with a key of their own."""
 
-    Attributes:
-        name: in events and logs.
-        key_file: their key. No other operator and no link may have the same.
-        may: ``look`` only, or ``change`` what the bridge does, or also ``take`` an arming without asking its holder.
-    """
-
-    name: str
-    key_file: str
+    name: str  # in events and logs
+    key_file: str  # their key. No other operator and no link may have the same
     may: OperatorMay = "look"
+    """``look`` only, or ``change`` what the bridge does, or also ``take`` an arming without asking its holder."""
 
 
 class ArmedName(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, rename={"excepts": "except"}
 ):
-    """A name that requires arming on this side, on every route.
+    """A name that requires arming on this side, on every route. What has no text here is as in `Topic`."""
 
-    Attributes:
-        name: a name or a pattern on this side.
-        kind: of what has the name, or None for every kind.
-        type: of what has the name, or None for every type.
-        client: on a server, the client whose entry had it: that client's `topic` requires arming under any name.
-        topic: the name on the client, or None for the same.
-        excepts: as in `Topic`, names on the client.
-        deadman: as in `Topic`.
-        max_age: as in `Topic`.
-        on_end: as in `Topic`.
-        limits: as in `Topic`.
-    """
-
-    name: str
-    kind: Kind | None = None
-    type: str | None = None
+    name: str  # a name or a pattern on this side
+    kind: Kind | None = None  # of what has the name, or None for every kind
+    type: str | None = None  # of what has the name, or None for every type
     client: str | None = None
-    topic: str | None = None
-    excepts: tuple[str, ...] = ()
+    """On a server, the client whose entry had it: that client's `topic` requires arming under any name."""
+    topic: str | None = None  # the name on the client, or None for the same
+    excepts: tuple[str, ...] = ()  # names on the client
     deadman: float | None = None
     max_age: float | None = None
     on_end: str | dict[str, Any] | None = None

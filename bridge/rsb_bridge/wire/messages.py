@@ -478,38 +478,7 @@ LeaseMessage: TypeAlias = Lease | Settled
 UrgentMessage: TypeAlias = Lease | Disarm
 """The messages that may cross as datagrams besides. Each may come twice, late, or before those sent earlier."""
 ControlMessage: TypeAlias = (
-    Propose
-    | Accept
-    | Refuse
-    | Describe
-    | Ready
-    | Publishers
-    | Provide
-    | ByHand
-    | Neighbours
-    | Close
-    | Amend
-    | Edit
-    | EditAnswer
-    | Limit
-    | Pause
-    | Arm
-    | Armed
-    | Disarm
-    | AskForArming
-    | AskEnded
-    | Settled
-    | Lease
-    | Ping
-    | Pong
-    | Report
-    | Receipts
-    | ListTopics
-    | TopicList
-    | AskType
-    | TypeText
-    | Follow
-    | Followed
-    | Duplicate
-    | Shutdown
-)
+    Propose | Accept | Refuse | Describe | Ready | Publishers | Provide | ByHand | Neighbours | Close | Amend | Edit
+    | EditAnswer | Limit | Pause | Arm | Armed | Disarm | AskForArming | AskEnded | Settled | Lease | Ping | Pong
+    | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | Duplicate | Shutdown
+)  # fmt: skip
