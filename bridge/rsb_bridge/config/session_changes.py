@@ -119,12 +119,11 @@ class ClientError(ValueError):
     """A server's list of clients cannot be changed so. The message names the remedy."""
 
 
-def with_client(session: Session, client: Client) -> Session:
-    """Add a client to a server's session.
+# --- a server's list of clients. All functions raise a ClientError if the session has no such list
 
-    Raises:
-        ClientError: it has a client of that name.
-    """
+
+def with_client(session: Session, client: Client) -> Session:
+    """Add a client. One of that name is a ClientError, too."""
     clients = _clients(session)
     if any(each.name == client.name for each in clients):
         raise ClientError(ClientProblem.EXISTS(name=client.name))
@@ -132,41 +131,25 @@ def with_client(session: Session, client: Client) -> Session:
 
 
 def with_changed_client(session: Session, client: Client) -> Session:
-    """Replace the entry of a client in a server's session.
-
-    Raises:
-        ClientError: it has no client of that name.
-    """
+    """Replace the entry of the client of that name."""
     old = client_named(session, client.name)
-    clients = tuple(client if each == old else each for each in _clients(session))
-    return session.with_clients(clients)
+    return session.with_clients(tuple(client if each == old else each for each in _clients(session)))
 
 
 def without_client(session: Session, name: str) -> Session:
-    """Return a server's session without one of its clients.
-
-    Raises:
-        ClientError: there is no such client.
-    """
     old = client_named(session, name)
-    clients = tuple(each for each in _clients(session) if each != old)
-    return session.with_clients(clients)
+    return session.with_clients(tuple(each for each in _clients(session) if each != old))
 
 
 def client_named(session: Session, name: str) -> Client:
-    """Find a client of a server by its name.
-
-    Raises:
-        ClientError: the server has no client of that name.
-    """
+    """Find a client by its name. None of that name is a ClientError, too."""
     clients = _clients(session)
     names = [each.name for each in clients]
-    if name not in names:
-        near = difflib.get_close_matches(name, names, n=1)
-        if near:
-            raise ClientError(ClientProblem.MISSPELT(name=name, near=near[0]))
-        raise ClientError(ClientProblem.UNKNOWN(name=name, names=", ".join(names) or "none"))
-    return clients[names.index(name)]
+    if name in names:
+        return clients[names.index(name)]
+    if near := difflib.get_close_matches(name, names, n=1):
+        raise ClientError(ClientProblem.MISSPELT(name=name, near=near[0]))
+    raise ClientError(ClientProblem.UNKNOWN(name=name, names=", ".join(names) or "none"))
 
 
 def _clients(session: Session) -> tuple[Client, ...]:

@@ -144,26 +144,21 @@ def take_frame(stream: bytearray) -> bytes | None:
     return frame
 
 
+# --- writing frames. A name that is too long is a ValueError
+
+
 def preamble_frame(kind: PreambleKind, body: bytes = b"") -> bytes:
     """Return a preamble frame, without its length."""
     return MAGIC + bytes((VERSION, kind)) + body
 
 
 def control_header(suite: CipherSuite, name: str, fingerprint: bytes = bytes(FINGERPRINT_LENGTH)) -> bytes:
-    """Return the part of a CONTROL frame before its handshake message; `fingerprint` is of the key, zeros for none.
-
-    Raises:
-        ValueError: the name is too long.
-    """
+    """Return the part of a CONTROL frame before its handshake message; `fingerprint` is of the key, zeros for none."""
     return preamble_frame(PreambleKind.CONTROL, bytes((suite,)) + _packed_name(name) + fingerprint)
 
 
 def operator_header(version: int, operator: str, engine: str, fingerprint: bytes) -> bytes:
-    """Return the part of an OPERATOR frame before its handshake message.
-
-    Raises:
-        ValueError: a name is too long.
-    """
+    """Return the part of an OPERATOR frame before its handshake message."""
     body = _CONTROL_VERSION.pack(version) + _packed_name(operator) + _packed_name(engine)
     return preamble_frame(PreambleKind.OPERATOR, body + fingerprint)
 
@@ -185,15 +180,14 @@ def refuse_frame(code: RefusalCode, message: str) -> bytes:
     return preamble_frame(PreambleKind.REFUSE, bytes((code,)) + message.encode(errors="replace")[:MESSAGE_LIMIT])
 
 
-def parse_preamble(frame: bytes) -> tuple[PreambleKind, bytes]:
-    """Read the part of a preamble frame that is the same in every version.
+# --- reading frames. An invalid one is a ProtocolError
 
-    Returns:
-        The kind and its body.
+
+def parse_preamble(frame: bytes) -> tuple[PreambleKind, bytes]:
+    """Return the kind of a preamble frame and its body, which are the same in every version.
 
     Raises:
         ForeignProtocolError: this is no preamble frame.
-        ProtocolError: its kind is unknown.
         Refusal: the peer speaks another version.
     """
     if len(frame) < PREFIX_LENGTH or not frame.startswith(MAGIC):
@@ -210,11 +204,6 @@ def parse_preamble(frame: bytes) -> tuple[PreambleKind, bytes]:
 
 
 def parse_control(frame: bytes) -> ControlPreamble:
-    """Read a CONTROL frame.
-
-    Raises:
-        ProtocolError: the frame is invalid.
-    """
     body = frame[PREFIX_LENGTH:]
     if len(body) < 2 or len(body) < 2 + body[1] + FINGERPRINT_LENGTH:
         raise ProtocolError(Broken.CONTROL_TOO_SHORT())
@@ -225,11 +214,6 @@ def parse_control(frame: bytes) -> ControlPreamble:
 
 
 def parse_operator(frame: bytes) -> OperatorPreamble:
-    """Read an OPERATOR frame.
-
-    Raises:
-        ProtocolError: the frame is invalid.
-    """
     names_at = PREFIX_LENGTH + _CONTROL_VERSION.size
     if len(frame) < names_at:
         raise ProtocolError(Broken.OPERATOR_TOO_SHORT(field="version"))
@@ -262,11 +246,6 @@ def _read_name(encoded: bytes, frame: str) -> str:
 
 
 def parse_data(frame: bytes) -> Attach:
-    """Read a DATA frame.
-
-    Raises:
-        ProtocolError: the frame is invalid.
-    """
     end = PREFIX_LENGTH + _DATA.size
     if len(frame) < end:
         raise ProtocolError(Broken.DATA_TOO_SHORT())
@@ -275,11 +254,7 @@ def parse_data(frame: bytes) -> Attach:
 
 
 def parse_suite(body: bytes) -> CipherSuite:
-    """Read the cipher suite at the beginning of a CONTROL or RETRY frame's body.
-
-    Raises:
-        ProtocolError: there is no such suite.
-    """
+    """Read the cipher suite at the beginning of a CONTROL or RETRY frame's body."""
     try:
         return CipherSuite(body[0])
     except (IndexError, ValueError):
@@ -287,17 +262,12 @@ def parse_suite(body: bytes) -> CipherSuite:
 
 
 def parse_refuse(body: bytes) -> tuple[RefusalCode, str]:
-    """Read a REFUSE frame's body.
-
-    It is not authenticated, and its message goes to a terminal: unprintable characters are replaced.
-
-    Raises:
-        ProtocolError: the frame is invalid.
-    """
+    """Read a REFUSE frame's body."""
     try:
         code = RefusalCode(body[0])
     except (IndexError, ValueError):
         raise ProtocolError(Broken.UNKNOWN_REFUSAL()) from None
+    # It is not authenticated, and the message goes to a terminal.
     return code, sanitize_text(body[1 : 1 + MESSAGE_LIMIT].decode(errors="replace"))
 
 
