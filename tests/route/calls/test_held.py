@@ -100,7 +100,7 @@ def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
     offers_of(route).servers[SEND_GOAL] = server
     route.goals.asked(goal(1))
     kept = KeptCall(SEND_GOAL, b"caller", GOAL, 0.0, again=again)
-    route._begin(CallerCall(SEND_GOAL, len(GOAL), 0.0, server, b"caller", kept), GOAL, lease=0, stamp=0)
+    route._begin(CallerCall(SEND_GOAL, len(GOAL), 0.0, server, b"caller", kept), GOAL)
     route.deliver([(CallFrame(What.REFUSED, SEND_GOAL, 1, 0, why.encode()).pack(), 0, 0)])
     assert server.answered == ([b"caller"] if rejected else [])
     assert [each.state for each in route.goals.snapshot(set())] == ["rejected" if rejected else "unknown"]

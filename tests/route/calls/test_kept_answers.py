@@ -6,7 +6,7 @@ import pytest
 from tests.support import constants
 from tests.support.goals import cancel_request, cancel_response, goal, goal_request, goal_response, result_response
 
-from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL
+from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.route.calls.kept_calls import (
     INTERRUPTION,
     SENT_KEPT,
@@ -132,7 +132,7 @@ def test_a_client_that_was_closed_has_no_answers() -> None:
     answers.clients_closed()
     assert answers.to_ask(SERVERS) == [asks(GET_RESULT)]
     assert answers.decide(asks(SEND_GOAL), 1, again=True) is AnswerAction.ANSWER
-    assert answers.decide(asks(SEND_GOAL, 2), 1, again=True) is AnswerAction.LOSE, "it may have come to the server"
+    assert answers.decide(asks(SEND_GOAL, 2), 1, again=True) is Refused.LOST, "it may have come to the server"
     assert asks(CANCEL_GOAL) not in answers
 
 
@@ -146,11 +146,9 @@ def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch)
     assert [asks(GET_RESULT, number) in answers for number in range(1, 5)] == [True, False, True, True]
     answers.asked(asks(GET_RESULT, 5), 5, SERVERS)
     assert [asks(GET_RESULT, number) in answers for number in range(1, 6)] == [False, False, True, True, True]
-    assert answers.decide(asks(SEND_GOAL), 1, again=True) is AnswerAction.LOSE, (
-        "it may have been one of those forgotten"
-    )
+    assert answers.decide(asks(SEND_GOAL), 1, again=True) is Refused.LOST, "it may have been one of those forgotten"
     answers.expire(INTERRUPTION + 2 * SENT_KEPT + 1)
-    assert answers.decide(asks(SEND_GOAL), 1, again=True) is AnswerAction.REFUSE, "it is too new for that"
+    assert answers.decide(asks(SEND_GOAL), 1, again=True) is Refused.NOT_ARRIVED, "it is too new for that"
 
 
 def test_what_calls_wait_for_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:

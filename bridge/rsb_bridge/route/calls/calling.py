@@ -372,7 +372,7 @@ class CallingRoute(CallsRoute):
                 continue
             stamp = request.stamp if with_age else 0
             call = CallerCall(lane, size, now, server, request.caller)
-            self._remember(call, payload, stamp)
+            self._remember(call, payload)
             self._begin(call, payload, request.lease, stamp)
         self.flush()
 
@@ -380,7 +380,7 @@ class CallingRoute(CallsRoute):
         """Handle a caller's request that is not sent."""
         self.failures.refused(why)
 
-    def _remember(self, call: CallerCall, payload: bytes, stamp: int) -> None:
+    def _remember(self, call: CallerCall, payload: bytes) -> None:
         """Note, of a caller's call that is about to be sent, what later steps need."""
 
     def _too_late(self, lane: int, requests: Sequence[Request]) -> None:
@@ -389,7 +389,7 @@ class CallingRoute(CallsRoute):
             self._asked_for(len(request.payload))
         self.failures.lost(len(requests), "it is no longer offered")
 
-    def _begin(self, call: CallerCall, payload: bytes, lease: int, stamp: int, what: What = What.CALL) -> None:
+    def _begin(self, call: CallerCall, payload: bytes, lease: int = 0, stamp: int = 0, what: What = What.CALL) -> None:
         """Send a call that has its place in the budget."""
         # `_asked_for` notes this, too, but not of a call that is sent again in a new opening.
         self.came = True

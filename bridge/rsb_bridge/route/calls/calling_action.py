@@ -104,10 +104,8 @@ class CallingActionRoute(CallingRoute):
         if lane == SEND_GOAL:
             self._reject(server, request.caller, request.payload)
 
-    def _remember(self, call: CallerCall, payload: bytes, stamp: int) -> None:
-        call.kept = KeptCall(
-            call.lane, call.caller, payload, call.asked_at, again=False, instance=self.peer.instance, stamp=stamp
-        )
+    def _remember(self, call: CallerCall, payload: bytes) -> None:
+        call.kept = KeptCall(call.lane, call.caller, payload, call.asked_at, again=False, instance=self.peer.instance)
         if call.lane == SEND_GOAL and (goal := goal_of(payload)) is not None:
             self.goals.asked(goal)
 
@@ -155,7 +153,7 @@ class CallingActionRoute(CallingRoute):
         """Have a pending call wait until it can be sent again; return False if it cannot be kept."""
         if call.kept is None:
             return False
-        return self.waiting.keep(call.kept._replace(again=True, stamp=0), self.context.now())
+        return self.waiting.keep(call.kept._replace(again=True), self.context.now())
 
     def _keep_requests(self, lane: int, requests: Sequence[Request]) -> None:
         """Keep requests until the action can be reached."""
@@ -180,7 +178,7 @@ class CallingActionRoute(CallingRoute):
                 server, sent = self._offers.servers[kept.lane], kept._replace(instance=instance)
                 call = CallerCall(kept.lane, size, kept.asked, server, kept.caller, sent)
                 what = What.AGAIN if kept.again else What.CALL
-                self._begin(call, kept.payload, lease=0, stamp=kept.stamp, what=what)
+                self._begin(call, kept.payload, what=what)
             elif not self.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
                 self.failures.refused(why)
                 self._unanswered(kept)
@@ -202,10 +200,6 @@ class CallingActionRoute(CallingRoute):
 
     def tick(self) -> None:
         """Expire and resend calls, and update counts; called once a second."""
-        self._expire_waiting()
-        super().tick()
-
-    def _expire_waiting(self) -> None:
         if expired := self.waiting.expire(self.context.now()):
             self.calls.expired += len(expired)
             self.failures.say("a call about a goal waited too long for the action to be reached again")
@@ -218,6 +212,7 @@ class CallingActionRoute(CallingRoute):
             self.advance()  # nobody waits for the answer to a goal any more
         elif not self._reach and self._offers.types and not self._awaits_end:
             self._offers.close()
+        super().tick()
 
     @property
     def _awaits_end(self) -> bool:

@@ -8,12 +8,11 @@ server has answered meanwhile.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.route.calls.goals import STATES, cancel_of, goal_of, state_of
 
 if TYPE_CHECKING:
@@ -46,7 +45,6 @@ class KeptCall(NamedTuple):
         asked: when the caller asked, in s.
         again: whether it was sent before.
         instance: the peer's process that it was sent to, or empty if it was not sent.
-        stamp: the time from which its age counts, in ns, or 0 without a limit.
     """
 
     lane: int
@@ -55,7 +53,6 @@ class KeptCall(NamedTuple):
     asked: float
     again: bool
     instance: str = ""
-    stamp: int = 0
 
 
 class KeptCalls:
@@ -67,7 +64,7 @@ class KeptCalls:
 
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout
-        self._calls: OrderedDict[bytes, tuple[KeptCall, float]] = OrderedDict()  # by caller; until when
+        self._calls: dict[bytes, tuple[KeptCall, float]] = {}  # by caller, oldest first; until when
         self._bytes = 0
 
     def __len__(self) -> int:
@@ -100,7 +97,11 @@ class KeptCalls:
 
     def expire(self, now: float) -> list[KeptCall]:
         """Remove and return the calls that have waited too long."""
-        return [self._drop(caller) for caller, (_, until) in list(self._calls.items()) if until <= now]
+        over = [call for call, until in self._calls.values() if until <= now]
+        for call in over:
+            del self._calls[call.caller]
+            self._bytes -= len(call.payload)
+        return over
 
     def release(self) -> list[KeptCall]:
         """Remove and return all calls, in the order in which to send them."""
@@ -109,14 +110,9 @@ class KeptCalls:
         self._bytes = 0
         return sorted(calls, key=lambda call: _FIRST.index(call.lane))
 
-    def _drop(self, caller: bytes) -> KeptCall:
-        call, _ = self._calls.pop(caller)
-        self._bytes -= len(call.payload)
-        return call
-
 
 class AnswerAction(Enum):
-    """The decision on a call."""
+    """The decision on a call that is not refused."""
 
     ASK = auto()
     """Ask the server."""
@@ -124,10 +120,6 @@ class AnswerAction(Enum):
     """Wait for the answer to an earlier call with the same question."""
     ANSWER = auto()
     """Send the kept answer."""
-    REFUSE = auto()
-    """Refuse a goal that never arrived: it must not begin late."""
-    LOSE = auto()
-    """Refuse a goal that may have arrived: it must not begin twice."""
 
 
 class CallIdentity(NamedTuple):
@@ -213,11 +205,12 @@ class KeptAnswers:
         assert answer is not None
         return answer
 
-    def decide(self, question: CallIdentity, call: int, *, again: bool) -> AnswerAction:
-        """Decide how to handle a call.
+    def decide(self, question: CallIdentity, call: int, *, again: bool) -> AnswerAction | Refused:
+        """Decide how to handle a call, or why to refuse it.
 
         A result does not change, so that one answer serves all calls for it. Other calls go to the server, unless the
-        call was sent to it before.
+        call was sent to it before. A goal that never arrived must not begin late, and one that may have arrived must
+        not begin twice.
 
         Args:
             question: the question of the call.
@@ -228,7 +221,7 @@ class KeptAnswers:
         if kept is None and again and question.lane == SEND_GOAL:
             # The question may have been among those forgotten too early. It would have been kept for so long at most.
             lately = self._looked - self._forgot_at <= INTERRUPTION + 2 * SENT_KEPT
-            return AnswerAction.LOSE if lately else AnswerAction.REFUSE
+            return Refused.LOST if lately else Refused.NOT_ARRIVED
         if kept is None:
             return AnswerAction.ASK
         if not again and question.lane != GET_RESULT:
@@ -236,7 +229,7 @@ class KeptAnswers:
         if kept.answer is not None:
             return AnswerAction.ANSWER
         if not kept.number and question.lane == SEND_GOAL:
-            return AnswerAction.LOSE
+            return Refused.LOST
         kept.calls.append(call)
         self._waiting[call] = question
         kept.until = None
@@ -246,23 +239,18 @@ class KeptAnswers:
         """Note that the server was asked, under the client's number, and the calls that wait for its answer.
 
         The number is 0 for a result that is asked for later.
-
-        If two goals have the same id, the answer to the first is kept: the server refuses the second.
         """
         kept = self._kept.get(question)
-        self._waiting.update(dict.fromkeys(calls, question))
-        if kept is not None and question.lane == GET_RESULT:
-            self._by_number.pop((question.lane, kept.number), None)
-            kept.number, kept.servers = number, servers
-            kept.calls += calls
-        elif kept is not None and question.lane == SEND_GOAL:
-            return
-        else:
-            calls = (*(kept.calls if kept is not None else ()), *calls)
+        if kept is not None and question.lane == SEND_GOAL:
+            return  # another goal with the same id, which the server refuses: the answer to the first one is kept
+        if kept is None or question.lane != GET_RESULT:
+            waiting = kept.calls if kept is not None else []
             self._forget(question)
-            self._kept[question] = Kept(number, servers, [*calls])
-            # Once more: `_forget` has dropped the calls of this question.
-            self._waiting.update(dict.fromkeys(calls, question))
+            kept = self._kept[question] = Kept(0, servers, waiting)
+        self._by_number.pop((question.lane, kept.number), None)
+        kept.number, kept.servers = number, servers
+        kept.calls += calls
+        self._waiting.update(dict.fromkeys(kept.calls, question))
         if number:
             self._by_number[question.lane, number] = question
         if len(self._kept) > MOST_KEPT:

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
 
-_REFUSALS = {AnswerAction.REFUSE: Refused.NOT_ARRIVED, AnswerAction.LOSE: Refused.LOST}
 _CANCELLED_WITHIN = 5.0  # s. A round figure: an operator has to hear soon that a robot may go on
 
 
@@ -153,8 +152,8 @@ class ProvidingActionRoute(ProvidingRoute):
             super()._pass_on(frame, call)
             return
         todo = self.answers.decide(question, frame.call, again=frame.what is What.AGAIN)
-        if todo in _REFUSALS:
-            self._give_up(frame.call, _REFUSALS[todo])
+        if isinstance(todo, Refused):
+            self._give_up(frame.call, todo)
         elif todo is AnswerAction.ANSWER:
             self._answer(frame.call, self.answers.answer(question))
         elif todo is AnswerAction.ASK and frame.lane == GET_RESULT:
