@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.model import commands
-from rsb_bridge.model.by_hand import REST_AFTER
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -14,7 +13,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-    from rsb_bridge.model.by_hand import Draft, Held, Published
+    from rsb_bridge.model.by_hand import Held
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, State, TopicInfo
@@ -189,22 +188,6 @@ class EngineApi(ABC):
 
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
         return self.do(commands.Peek(key, kept))
-
-    def draft_message(self, topic: str, type_name: str = "") -> Future[Draft]:
-        return self.do(commands.DraftMessage(topic, type_name))
-
-    def publish(
-        self,
-        topic: str,
-        fields: str,
-        type_name: str = "",
-        *,
-        ticket: int = 0,
-        rest: str = "",
-        rest_after: float = REST_AFTER,
-        reduce: bool = False,
-    ) -> Future[Published]:
-        return self.do(commands.Publish(topic, fields, type_name, ticket, rest, rest_after, reduce))
 
     def describe(self, key: str) -> Future[str]:
         return self.do(commands.DescribeType(key))

@@ -30,9 +30,13 @@ BRINGS: Mapping[str, str] = {
 """Keys of session files, and the feature of this project that brings each: an installation without it says so."""
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
-BRINGS_COMMANDS: Mapping[str, str] = {"bench": "bench", "doctor": "doctor", "look": "pictures", "report": "history"}
+BRINGS_COMMANDS: Mapping[str, str] = {
+    "bench": "bench", "doctor": "doctor", "look": "pictures", "pub": "driving", "report": "history",
+}  # fmt: skip
 """The same of subcommands."""
-BRINGS_ACTIONS: Mapping[str, str] = {"drive": "driving", "history": "history", "look": "pictures"}
+BRINGS_ACTIONS: Mapping[str, str] = {
+    "drive": "driving", "history": "history", "look": "pictures", "publish": "driving",
+}  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""
 
 T = TypeVar("T")

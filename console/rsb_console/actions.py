@@ -78,6 +78,8 @@ class Action:
         run: of a feature, what it does: a coroutine function of the main screen
             (`rsb_console.screens.main.MainScreen`); else None.
         on_robot: the same on screens that show a robot; or None.
+        with_message: the same with a message that another screen has made, such as a goal on a map: a coroutine
+            function of a `rsb_console.console_api.Console`, a topic, a type and fields as YAML; or None.
         after: of a feature, the id of the action that it follows in help and palette; or empty, to be the last.
         chapters: the keys of the screens that it opens, for the help.
     """
@@ -94,6 +96,7 @@ class Action:
     also: str = ""
     run: Callable[[Any], Awaitable[None]] | None = None
     on_robot: OnRobot | None = None
+    with_message: Callable[[Any, str, str, str], Awaitable[None]] | None = None
     after: str = ""
     chapters: tuple[KeyChapter, ...] = ()
 
@@ -134,8 +137,6 @@ _OF_CORE: tuple[Action, ...] = (
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="deadman, safety, enable"),
     Action("call", "C", "call", "Call the service or action by hand; of a node: set a parameter",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="request, send a goal, param get list"),
-    Action("publish", "S", "publish", "Publish a message by hand, on any topic of this side",
-           Group.OPERATE, changes=True, also="pub, send, template, goal pose"),
     Action("detail", "enter", "detail", "Open the details, then a topic's message; or the full log line",
            Group.VIEW, needs_topic=True, in_footer=True),
     Action("message", "v", "message", "View a topic's messages, as a picture or as text", Group.VIEW, needs_topic=True),

@@ -24,7 +24,7 @@ from rsb_bridge.model.topic_keys import ForeignKey
 from rsb_console.command.call_command import CallProblem
 from rsb_console.command.remote import RemoteProblem
 from rsb_console.command.target import RouteChoice
-from rsb_console.session.manual_messages import LandingText
+from rsb_console.session.manual_messages import AnswerText
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -198,7 +198,7 @@ def test_a_call_prints_the_response(ran: Any, engine: ScriptedEngine, monkeypatc
     (landed,) = printed.pop("landed")
     assert printed == {"ok": True, "response": {"success": True, "message": "docked"}}
     assert landed["ok"]
-    assert says(landed["report"], LandingText.ANSWERED, link=DOCK.link)
+    assert says(landed["report"], AnswerText.ANSWERED, link=DOCK.link)
     surroundings.set_stdin(monkeypatch, "speed: 2\n")
     assert ran("call", "/dock", "-").code == 0
     assert ran("call", "/navigate", "--lane", "cancel_goal").code == 0

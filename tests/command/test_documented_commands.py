@@ -27,9 +27,7 @@ from tests.support.running import Running
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.feature import BRINGS_COMMANDS
-from rsb_bridge.model.audience import Audience
-from rsb_bridge.model.by_hand import Draft, Published
-from rsb_bridge.model.commands import Call, DraftMessage, Publish
+from rsb_bridge.model.commands import Call
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, PeekedMessage, State
 from rsb_console.command.shell import INTERRUPTED, OK
@@ -207,10 +205,6 @@ class Robot(Running):
     def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
         if type(command) in OF_FEATURES:
             return self._done(OF_FEATURES[type(command)](command), "of a feature")
-        if isinstance(command, DraftMessage):
-            return self._done(Draft("geometry_msgs/msg/PoseStamped", "pose: {}\n"), "draft", command.topic)
-        if isinstance(command, Publish):
-            return self._done(Published(is_done=True, audience=Audience(1)), "publish", command.topic)
         if isinstance(command, Call):
             return self._done(_ANSWERS[command.lane], "call", command.key)
         return super()._execute(command, step)

@@ -17,8 +17,6 @@ from tests.support.fleet import ServerEngine
 from tests.support.inside import state_of
 from tests.support.waiting import eventually
 
-from rsb_bridge.model.audience import Audience
-from rsb_bridge.model.by_hand import Published
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
@@ -173,7 +171,6 @@ def test_a_status_is_of_one_robot(engine: ServerEngine, fleet: Fleet) -> None:
         ("robot1", "--", "echo", "/scan", "--once"),
         ("robot1", "--", "hz", "/scan"),
         ("robot1", "--", "bw", "/scan"),
-        ("robot1", "--", "pub", "/cmd_vel", "", "--rate", "10"),
         ("robot1", "--", "events", "--follow"),
         ("robot1", "--", "wait", "--for", "linked"),
         ("robot1", "--", "status", "--bridge", "other"),
@@ -186,20 +183,16 @@ def test_what_is_no_command_for_a_robot(engine: ServerEngine, fleet: Fleet, argu
     assert engine.commands == []
 
 
-@pytest.mark.parametrize("words", [("pub", "/camera"), ("call", "/dock")])
 def test_each_robot_gets_what_standard_input_has(
-    engine: ServerEngine, fleet: Fleet, monkeypatch: pytest.MonkeyPatch, words: tuple[str, str]
+    engine: ServerEngine, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not only the first one, while the others get the defaults of every field."""
     routes = tuple(call_route("service", "/dock", key=f"dock {name}", link=name) for name in ("robot1", "robot2"))
     engine.now = replace(engine.now, routes=(*engine.now.routes, *routes))
-    engine.published = [Published(is_done=True, audience=Audience(1))] * 2
     engine.called.set_result("success: true\n")
     surroundings.set_stdin(monkeypatch, "data: true")
-    assert fleet("exec", "robot1", "robot2", "--", *words, "-").code == 0
-    published = [each[1].fields for each in engine.commands if each[0] == "publish"]  # type: ignore[attr-defined]
-    called = [each[2] for each in engine.commands if each[0] == "call"]
-    assert published + called == ["data: true"] * 2
+    assert fleet("exec", "robot1", "robot2", "--", "call", "/dock", "-").code == 0
+    assert [each[2] for each in engine.commands if each[0] == "call"] == ["data: true"] * 2
 
 
 def test_what_would_change(engine: ServerEngine, fleet: Fleet) -> None:

@@ -416,7 +416,6 @@ NEEDED = {
     "wait": "--for stopped",
     "add": "/scan transmit",
     "look": "/scan --once",
-    "pub": "/scan {}",
     "call": "/dock",
     "param dump": "/n",
     "param describe": "/n a",

@@ -31,7 +31,6 @@ from rsb_bridge.model.snapshot import (
 )
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.by_hand import Draft, Published
     from rsb_bridge.model.snapshot import PeekedMessage
 
 T = TypeVar("T")
@@ -225,9 +224,6 @@ class ScriptedEngine(EngineApi):
         self.reloads = Reloaded(("/scan (transmit): max_rate none → 5.0",))
         self.looking: Future[PeekedMessage | None] = Future()
         self.looking.cancel()  # nobody looks yet
-        self.drafts: dict[str, Draft] = {}
-        self.published: list[Published | EngineError] = []
-        self.publishing: Future[Published] = Future()
 
     def start(self) -> None:
         self.running = True
@@ -298,17 +294,6 @@ class ScriptedEngine(EngineApi):
                     return self._done(self.peeked.pop(0), "peek", key, kept)
                 self.looking = Future()  # until a message comes
                 return self.looking
-            case commands.DraftMessage(topic, type_name):
-                self.commands.append(("draft", topic, type_name))
-                draft = self.drafts.get(topic)
-                return refused("nobody knows its type \x1b[2J") if draft is None else answered(draft)
-            case commands.Publish():
-                self.commands.append(("publish", command))
-                self.publishing = Future()  # until the test answers
-                if self.published:
-                    answer = self.published.pop(0)
-                    return refused(str(answer)) if isinstance(answer, EngineError) else answered(answer)
-                return self.publishing
             case commands.Template(key, lane):
                 if lane in self.templates:
                     return self._done(self.templates[lane], "template", key, lane)

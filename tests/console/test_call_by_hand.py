@@ -36,7 +36,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.screens.call_screen import CallText, answer_lines
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import MainText
-from rsb_console.session.manual_messages import LandingText
+from rsb_console.session.manual_messages import AnswerText
 from rsb_console.session.parameter_values import KIND_NAMES, ValueText, refusal, set_request
 from rsb_console.widgets.lines import ScrolledLines
 
@@ -88,7 +88,7 @@ async def test_a_service_is_called_once_it_is_confirmed_and_answers(app: Console
     await shown(pilot, CallText.WAITING_UNTIL, sign="▸", limit=30)
     engine_of(app).called.set_result("success: true\nmessage: moved\n")
     await shown(pilot, "message: moved")
-    await shown(pilot, LandingText.ANSWERED, link="robot1", nodes="a node", where="there")
+    await shown(pilot, AnswerText.ANSWERED, link="robot1", nodes="a node", where="there")
     await gone(pilot, CallText.WAITING)
 
 

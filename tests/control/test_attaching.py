@@ -26,7 +26,7 @@ from rsb_bridge.control.control_sockets import AttachProblem
 from rsb_bridge.control.protocol import VersionProblem
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import AddTopic, AskHolder, Command, Peek, Publish, R, Retry
+from rsb_bridge.model.commands import AddTopic, AskHolder, Call, Command, Peek, R, Retry
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 
@@ -130,7 +130,7 @@ def test_a_refusal_comes_back_in_words(machine: Machine) -> None:
 def test_a_command_that_is_no_unicode_is_refused_and_the_next_one_is_not(machine: Machine) -> None:
     remote = machine.attach_to(ScriptedEngine())
     with pytest.raises(InvalidRequestError, match=pattern(protocol.RequestProblem.NOT_UNICODE)):
-        remote.publish("/text", "data: \udcff").result(30)
+        remote.call("/text", "data: \udcff").result(30)
     remote.retry().result(30)
 
 
@@ -494,15 +494,15 @@ def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine
 
 
 @pytest.mark.parametrize("leaves", [True, False], ids=["leaves", "gives up"])
-@pytest.mark.parametrize("command", [Peek("/scan"), Publish("/text", "data: x"), AskHolder("/scan")])
-def test_who_leaves_or_gives_up_looking_publishing_or_asking_does_so_no_more(
+@pytest.mark.parametrize("command", [Peek("/scan"), Call("/text", "data: x"), AskHolder("/scan")])
+def test_who_leaves_or_gives_up_looking_calling_or_asking_does_so_no_more(
     machine: Machine, command: Command[Any], leaves: bool
 ) -> None:
     class Quiet(ScriptedEngine):
         asked: list[Future[Any]]
 
         def do(self, command: Command[R], step: Any = None) -> Future[R]:
-            if not isinstance(command, Peek | Publish | AskHolder):
+            if not isinstance(command, Peek | Call | AskHolder):
                 return super().do(command, step)
             self.asked.append(Future())
             return self.asked[-1]

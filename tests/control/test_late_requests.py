@@ -18,7 +18,7 @@ from rsb_bridge.control.protocol import AnyCommand, RequestProblem
 from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.commands import AnswerAsker, ArmTopic, AskHolder, Call, PauseTopics, Publish, TakeArming
+from rsb_bridge.model.commands import AnswerAsker, ArmTopic, AskHolder, Call, PauseTopics, TakeArming
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ MOVING: list[Command[Any]] = [
     commands.Retry(),
     commands.Restart(),
     commands.Reload(),
-    Publish("/scan", "{}"),
     Call("/scan", "{}"),
 ]
 
@@ -133,23 +132,21 @@ def test_a_refused_command_that_is_given_up_is_not_repeated(machine: Machine, mo
     assert [each[0] for each in engine.commands] == ["pause"]
 
 
-@pytest.mark.parametrize("rest", ["", "{}"])
 def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
-    machine: Machine, monkeypatch: pytest.MonkeyPatch, rest: str
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The console, or its connection to the bridge, hangs between the command and its refusal."""
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)
     eventually(lambda: remote._ticket)
-    stood = (TICKET_LIFE if rest else OLD_AFTER) + 0.1
     now = [Clock.steady()]
     replaced.STEADY_CLOCK.set(monkeypatch, staticmethod(lambda: now[0]))
 
     def stand_still(_: object) -> None:
-        now[0] += stood
+        now[0] += OLD_AFTER + 0.1
 
     each_again(monkeypatch, stand_still)
     slow_line(remote, monkeypatch, TICKET_LIFE + 0.5)
     with pytest.raises(EngineError, match=pattern(RequestProblem.TOO_LATE)):
-        remote.do(Publish("/scan", "{}", rest=rest)).result(60)
+        remote.do(Call("/scan", "{}")).result(60)
     assert engine.commands == []

@@ -28,12 +28,10 @@ if TYPE_CHECKING:
 
 COMMANDS: tuple[AnyCommand, ...] = (
     *CHANGES,
-    commands.Publish("/t", "{x: 1}", "T", 5, "{}", 0.25),
     commands.KeepArmed(pressed=True),
     commands.ReleaseArmed(),
     commands.Topics("robot1"),
     commands.Peek("k", kept=True),
-    commands.DraftMessage("/t", "T"),
     commands.DescribeType("k"),
     commands.Template("k", "send_goal"),
 )

@@ -60,7 +60,6 @@ CHANGES: tuple[AnyCommand, ...] = (
     commands.ChangeClient(Client("robot2")),
     commands.RemoveClient("robot2"),
     commands.Call("key", "{}"),
-    commands.Publish("/cmd_vel", "{}"),
     commands.Retry(),
     commands.ShutDownLinks(),
     commands.Restart(),

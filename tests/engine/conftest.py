@@ -36,18 +36,10 @@ def _answers_take_their_time() -> Iterator[None]:
 
 
 @pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A first message by hand waits for nodes and routes as long as a busy machine takes, not 3 s."""
-    constants.PUBLISHING_MATCHED_WITHIN.set(monkeypatch, 100.0)
-    constants.LINK_ARMING_ANSWERED_WITHIN.set(monkeypatch, 25.0)
-
-
-@pytest.fixture
 def long_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Topics stay armed, and tickets valid, while a busy machine stands still for more than a second."""
+    """Topics stay armed while a busy machine stands still for more than a second."""
     for name, seconds in TIMES.items():
         monkeypatch.setattr(lease, name, seconds)
-    constants.PUBLISHING_TICKET_LIFE.set(monkeypatch, 60.0)
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec.structs import replace
 from std_srvs.srv import SetBool
-from tests.engine.test_publishing import publish
 from tests.support import constants
 from tests.support.bridge import balance, carries, happened, heard, linked, route
 from tests.support.domain import LATCHED, RELIABLE, text
@@ -16,11 +15,8 @@ from tests.support.inside import inside
 from tests.support.long import long_cases
 from tests.support.relay import TCP
 from tests.support.waiting import eventually, holds
-from tests.support.wording import says
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
-from rsb_bridge.engine.publishing import PublishProblem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
@@ -202,28 +198,6 @@ def test_a_command_that_disarms_ends_once_nothing_is_published_any_more(
     (server.pause(key, True) if what == "pause" else server.remove_topic(key)).result(30)
     assert 0.0 < may_be_published <= time.monotonic() - began
     assert not half.settling.under_way
-
-
-def test_while_the_other_side_is_not_heard_nobody_is_told_to_arm_what_is_armed(
-    both_armed: tuple[Engine, Engine], relay: Relay, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    constants.LEASE_GIVEN_UP_AFTER.set(monkeypatch, 60.0)
-    constants.DEAD_AFTER.set(monkeypatch, 60.0)
-    constants.PUBLISHING_TICKET_LIFE.set(monkeypatch, 60.0)
-    server, client = both_armed
-    relay.stall()
-
-    def refused() -> str:
-        try:
-            publish(server, "data: held up")
-        except EngineError as error:
-            return str(error)
-        return ""
-
-    assert says(eventually(refused), PublishProblem.NOT_HEARD, topic="/cmd")
-    assert armed(server, client) == [True, True]
-    relay.stall(False)
-    eventually(lambda: not refused())
 
 
 def test_what_is_armed_over_udp_does_not_wait_for_tcp(

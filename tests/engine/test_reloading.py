@@ -315,7 +315,7 @@ def test_a_disk_that_hangs_holds_up_other_changes_for_a_while_only(
 ) -> None:
     """A late answer resumes nothing."""
     constants.ENGINE_READ_WITHIN.set(monkeypatch, 0.5)
-    constants.BRIDGE_OLD_AFTER.set(monkeypatch, 0.1)
+    constants.OLD_AFTER.set(monkeypatch, 0.1)
     client = bridge.client(Topic("/kept", "transmit"), Topic("/held", "transmit", paused=True))
     file, answers = Edited(client, tmp_path / "robot1.yaml"), threading.Event()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,11 +10,8 @@ import pytest
 from tests.link.test_arming import propose, route
 from tests.link.test_route_table import hear_all, pair_of
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands
-from rsb_bridge.link.extension import LinkError
-from rsb_bridge.model.commands import ArmTopic, DraftMessage
+from rsb_bridge.model.commands import ArmTopic
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
@@ -83,11 +79,3 @@ def test_before_a_topic_is_armed(loop: VirtualLoop, ros: Loads, make_context: Ca
     assert ros.loaded == [(TWIST, False)]
     assert route(pc).arming.phase is ArmingPhase.ASKED
     armed.cancel()
-
-
-def test_for_a_message_by_hand(loop: VirtualLoop, ros: Loads, make_context: Callable[..., Context]) -> None:
-    unused = cast("Any", None)
-    publishing = Publishing(make_context(ros=ros), list, unused, unused)
-    with contextlib.suppress(EngineError, LinkError, RosError):
-        loop.run_until_complete(publishing.draft(DraftMessage("/cmd_vel", "Twist")))
-    assert ros.loaded == [(TWIST, False)]

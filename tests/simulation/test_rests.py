@@ -2,7 +2,7 @@
 
 The robot's motors are the judge. The node publishes ten velocities a second, so while it drives the motors hear
 something all the time, and once it no longer does, the last thing that they hear is a rest: at most 1.2 s after the
-link was cut, and 0.1 s after the robot's bridge knows of any other end (docs/by-hand.md).
+link was cut, and 0.1 s after the robot's bridge knows of any other end (docs/stopping.md).
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
+from tests.simulation.drivers import LAYOUT, Drivers, written
 from tests.simulation.mutations import nothing
 from tests.simulation.ros import Writer, hash_of
-from tests.simulation.test_take_over import _LAYOUT, Drivers, _written
 from tests.simulation.world import Violation
 from tests.support.long import long_cases
 
@@ -28,8 +28,8 @@ from rsb_bridge.route.rest_message import RestMessage
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterable, Sequence
 
+    from tests.simulation.drivers import Driver
     from tests.simulation.engine_host import Run
-    from tests.simulation.test_take_over import Driver
 
     from rsb_bridge.model.transports import Protocol
     from rsb_bridge.ros.ros_interface import RawMessage
@@ -174,7 +174,7 @@ class Heard(Drivers):
         self.robot.session = msgspec.structs.replace(self.robot.session, topics=topics)
 
     def _hear(self, batch: Sequence[RawMessage]) -> None:
-        self.speeds += [_LAYOUT.unpack_from(each.payload, 4)[0] for each in batch]
+        self.speeds += [LAYOUT.unpack_from(each.payload, 4)[0] for each in batch]
 
     def hear(self, life: Callable[[Writer], Coroutine[Any, Any, None]]) -> None:
         """Live with the node's publisher, whose messages cross."""
@@ -193,7 +193,7 @@ class Heard(Drivers):
 
     async def publish_speeds(self, node: Writer, speeds: Iterable[float], every: float) -> None:
         for speed in speeds:
-            node.publish(_written({"linear": {"x": str(speed)}}))
+            node.publish(written({"linear": {"x": str(speed)}}))
             await asyncio.sleep(every)
 
 

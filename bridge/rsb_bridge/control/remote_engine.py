@@ -18,10 +18,9 @@ from rsb_bridge.control import protocol
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError, try_connect
 from rsb_bridge.control.protocol import CommandRequest, ControlProtocolError, RequestProblem, UnexpectedMessage
 from rsb_bridge.control.states import StateReceiver, UntrustedMessages
-from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import Publish, R, is_undo
+from rsb_bridge.model.commands import R, is_undo
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.telemetry.event_log import EventLog
@@ -144,9 +143,8 @@ class _Waiting(Generic[R]):
 
     @property
     def is_old(self) -> bool:
-        """Whether nobody may want it any more: a velocity after a moment, anything else after some seconds."""
-        life = TICKET_LIFE if isinstance(self.command, Publish) and self.command.rest else OLD_AFTER
-        return self.command.expires and Clock.steady() - self.given_at > life
+        """Whether nobody may want it any more."""
+        return self.command.expires and Clock.steady() - self.given_at > self.command.life
 
     def end(self, result: Callable[[], R] | EngineError) -> None:
         if not self.future.set_running_or_notify_cancel():

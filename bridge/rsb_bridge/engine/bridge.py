@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import itertools
 import logging
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -22,7 +23,6 @@ from rsb_bridge.config.keys import shared_key_problem
 from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.inspector import RouteInspector
-from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, find_route, undo_mark
 from rsb_bridge.feature import installed
 from rsb_bridge.link.extension import LinkError
@@ -32,7 +32,6 @@ from rsb_bridge.link.reloading import ReloadStep
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.model import commands
 from rsb_bridge.model.budgets import Backoff
-from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import operator
@@ -44,7 +43,7 @@ from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.manual_call import CallError
-from rsb_bridge.route.peeking import PeekError
+from rsb_bridge.route.peeking import PeekError, Peeking
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.telemetry.acknowledgements import find_faulty
@@ -74,6 +73,7 @@ a process that was stopped has had no time. A look costs 3 ms on a busy machine.
 
 _OF_ONE_ROUTE = commands.PauseTopics, commands.Call
 """Commands whose effect shows on no other route than that of their key."""
+_EVERY_TOPIC = ""
 
 _logger = logging.getLogger(__name__)
 
@@ -93,6 +93,7 @@ class Bridge:
         graph_watch: reacts to changes of the ROS graph.
         handlers: execute commands, by the command's type. The engine adds handlers for commands that read files.
         log: of operators' commands.
+        peeking: gives messages that pass.
     """
 
     def __init__(
@@ -109,11 +110,9 @@ class Bridge:
         self.graph_watch = GraphWatch(context, self.role.links, self._names.changed)
         self.log = CommandLog(context.events)
         self._tasks = Tasks(context.loop, lambda: None)
-        inspector = RouteInspector(self)
-        self._publishing = Publishing(context, self.links, self.log, inspector.peeking)
+        self.peeking = Peeking(context)
         self._arming = ArmingCommands(self)
         self.handlers: Handlers = {
-            **self._publishing.handlers,
             commands.Acknowledge: self._acknowledge,
             commands.Retry: self._retry,
             commands.ShutDownLinks: self._shut_down,
@@ -122,8 +121,10 @@ class Bridge:
         self._changing = asyncio.Lock()
         """Held by the command that changes the session, so that the next one sees all of its effect."""
         self._stopping = asyncio.Event()
+        self._ending: Counter[str] = Counter()
+        """How many commands end the motions on each topic; `_EVERY_TOPIC` for all."""
         self._shutdown_watch: LastingSubscription | None = None
-        self._parts: list[EnginePart] = [TopicCommands(self), self._arming, inspector]
+        self._parts: list[EnginePart] = [TopicCommands(self), self._arming, RouteInspector(self)]
         self._parts += [part for feature in installed() for part in feature.parts(self)]
         for part in self._parts:
             self.handlers |= part.handlers
@@ -142,7 +143,21 @@ class Bridge:
         return find_route(self, key)
 
     async def end_motions(self, topics: set[str] | None = None) -> bool:
-        return await self._publishing.end_motions(topics)
+        ending = Counter((_EVERY_TOPIC,) if topics is None else topics)
+        self._ending += ending
+        waited = False
+        try:
+            for part in self._parts:
+                with self._guarded(part):
+                    waited |= await part.end_motions(topics)
+        finally:
+            # Until the caller waits for anything, by when it has disarmed them.
+            self.context.loop.call_soon(self._ending.subtract, ending)
+        return waited
+
+    def may_move(self, topic: str) -> bool:
+        """Whether a motion may begin on a topic: not while motions end there, or the bridge does."""
+        return not self._ending[topic] and not self._ending[_EVERY_TOPIC]
 
     @property
     def session(self) -> Session:
@@ -205,7 +220,6 @@ class Bridge:
                 await link.table.tick_routes()
                 link.guarded(link.tick)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
-            self._publishing.tick()
             for part in self._parts:
                 with self._guarded(part):
                     part.tick(self._snapshots.latest)
@@ -231,8 +245,9 @@ class Bridge:
     async def _close(self) -> None:
         if self._shutdown_watch is not None:
             self._shutdown_watch.close()
-        # Before the links end: the message that ends a motion has to cross them.
-        await self._publishing.close()
+        # Before anything else takes its time: the message that ends a motion has to cross the links. Then none begins.
+        self._ending[_EVERY_TOPIC] += 1
+        await self.end_motions()
         for part in self._parts:
             with self._guarded(part):
                 await part.close()
@@ -309,7 +324,7 @@ class Bridge:
         )
         given_at = self.context.now()
         async with self._changing if command.one_at_a_time else contextlib.nullcontext():
-            if command.expires and self.context.now() - given_at > OLD_AFTER:
+            if command.expires and self.context.now() - given_at > command.life:
                 raise EngineError(Unable.TOO_LATE())
             try:
                 return cast("R", await act(command))

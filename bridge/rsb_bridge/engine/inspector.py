@@ -19,7 +19,6 @@ from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.route.calls.manual_call import CallError
-from rsb_bridge.route.peeking import Peeking
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.wire.messages import ByHand
 
@@ -39,16 +38,11 @@ _GOAL_ID_BYTES = 16
 
 
 class RouteInspector(EnginePart):
-    """Executes commands that look at messages and types, or call by hand.
-
-    Attributes:
-        peeking: gives messages that pass.
-    """
+    """Executes commands that look at messages and types, or call by hand."""
 
     def __init__(self, bridge: CommandedBridge) -> None:
         self._bridge = bridge
         self._context = bridge.context
-        self.peeking = Peeking(bridge.context)
         self._calls = 0
         self.handlers = {
             Call: self.call,
@@ -61,7 +55,7 @@ class RouteInspector(EnginePart):
         _, route = find_route(self._bridge, command.key)
         if not isinstance(route, TopicRoute):
             raise LinkError(f"{route.local_topic} has calls, no messages")
-        return await self.peeking.peek(route, kept=command.kept)
+        return await self._bridge.peeking.peek(route, kept=command.kept)
 
     async def describe(self, command: DescribeType) -> str:
         link, route = find_route(self._bridge, command.key)

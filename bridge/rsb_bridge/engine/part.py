@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Mapping, Sequence
+    from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
     from concurrent.futures import Future
 
     from rsb_bridge.model.commands import Command
@@ -31,6 +31,16 @@ class EnginePart:
 
     def open(self) -> None:
         """Begin, before the links do. May raise what `Bridge.start` takes for a reason not to start."""
+
+    async def end_motions(self, topics: Collection[str] | None) -> bool:
+        """Stop the robots that it moves on some topics, or on all, as that is about to become impossible.
+
+        Before it has a robot move, it asks `Bridge.may_move`.
+
+        Returns:
+            Whether it waited for anything.
+        """
+        return False
 
     def tick(self, snapshot: Snapshot) -> None:
         """Do the regular work, once a second, with the newest snapshot."""

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.peeking import Peeking
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import EventLog
 
@@ -69,17 +70,19 @@ class CommandedBridge(Protocol):
 
     Attributes:
         log: of operators' commands.
+        peeking: gives messages that pass.
     """
 
     context: Context
     role: BridgeRole
     log: CommandLog
+    peeking: Peeking
 
     def links(self) -> list[Link]:
         """Return all links, up or down."""
 
     async def end_motions(self, topics: set[str] | None = None) -> bool:
-        """Stop what operators drive by hand, on some topics or all, before that is no longer possible.
+        """Stop the robots that operators move, on some topics or all, before that is no longer possible.
 
         Returns:
             Whether that took a while, in which the peer may have changed anything.

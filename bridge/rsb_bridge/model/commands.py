@@ -11,12 +11,11 @@ import contextlib
 import enum
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import msgspec
-from msgspec import Meta
 
-from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER, Draft, Held, Published
+from rsb_bridge.model.by_hand import OLD_AFTER, Held
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, State, TopicInfo
 
@@ -84,6 +83,11 @@ class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_d
     def expires(self) -> bool:
         """Whether an attached console's command is void if it comes late, because it may move a robot."""
         return Effect.MOVES in self.effect
+
+    @property
+    def life(self) -> float:
+        """Seconds for which it may be on its way, if it expires."""
+        return OLD_AFTER
 
 
 class AddTopic(Command[str], frozen=True, tag="add"):
@@ -312,41 +316,6 @@ class Peek(Command[PeekedMessage | None], frozen=True, tag="peek"):
     cancellable = True
     key: str
     kept: bool = False  # whether to take the message of a latched topic that a late joiner gets
-
-
-class DraftMessage(Command[Draft], frozen=True, tag="draft"):
-    """Make a message for an operator to change: one that passes soon, or the type's defaults."""
-
-    right = Right.LOOK
-    refreshes = False
-    cancellable = True
-    topic: str  # its name on this side
-    type_name: str = ""  # its type, or an empty string if the topic has one already
-
-
-class Publish(Command[Published], frozen=True, tag="publish"):
-    """Publish a message in this side's domain, as a node would; routes take it to the other side.
-
-    A topic that has to be armed takes it only while it is armed, and with a ticket that is younger than
-    `rsb_bridge.model.by_hand.TICKET_LIFE`: so nothing is published that waited in a frozen process or a tunnel. Each
-    answer brings a ticket.
-    """
-
-    always = Effect.MOVES
-    refreshes = False
-    cancellable = True
-    topic: str  # its name on this side
-    fields: str  # of the message, as YAML; missing ones have their defaults
-    type_name: str = ""  # its type, or an empty string if the topic has one already
-    ticket: int = 0  # from the answer before, or 0
-    rest: str = ""
-    """Fields of a message that is published unless the next one comes in time, or an empty string for none: a robot
-    that is driven stops if its operator's console is gone. Only for topics that have to be armed and limit the age of
-    messages."""
-    rest_after: Annotated[float, Meta(gt=0, le=LONGEST_REST)] = REST_AFTER  # s in which the next message is due
-    reduce: bool = False
-    """Whether a velocity beyond the topic's limits is reduced to them, and not refused: for one who drives by keys, and
-    sees what is reduced."""
 
 
 class DescribeType(Command[str], frozen=True, tag="describe"):

@@ -15,7 +15,7 @@ These are no gates:
 - a full queue and a lost link: no rule keeps these messages back.
 - pause, arming and loops of a message that `LastLater` sends: `sending.OutgoingPath` asks them once more.
 - a message with a lease's number on a route that needs no arming: `incoming.IncomingRoute` drops it as it unpacks it.
-- what an operator publishes by hand: `engine.publishing.Publishing` asks `why_not_by_hand` of all routes of the topic
+- what an operator publishes by hand: the feature `driving` asks `why_not_by_hand` of all routes of the topic
   together, then whether it is about to be disarmed, who holds it, whether the robot would stop by itself, the limits of
   its velocity, and last the command's ticket.
 """

@@ -19,6 +19,7 @@ from rsb_console.command.remote_arguments import (
     add_fleet_commands,
     add_remote_commands,
     lazily,
+    say_what_runs,
 )
 from rsb_console.command.shell import print_line
 
@@ -106,9 +107,10 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     add_remote_commands(command, _complete, _console_options)
     add_call_commands(command, _complete)
     add_client_commands(command, _complete)
-    add_fleet_commands(command, _complete, _console_options)
+    run_in_fleet = add_fleet_commands(command, _complete, _console_options)
     for feature in installed():
         feature.subcommands(command, _complete)
+    say_what_runs(run_in_fleet, subparsers.choices)
     summary = "print the completion script for a shell"
     script = command("completion", local_commands.completion, summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")

@@ -19,7 +19,6 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.text import plural
 from rsb_console.command.formatting import json_line
-from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
 from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge
 from rsb_console.fleet.fleet import Memory, RobotFleet, UnknownRobotError, memory_path
@@ -161,8 +160,8 @@ def _exec(arguments: Namespace) -> int:
     words: list[str] = arguments.words
     if not words:
         raise UsageError("no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera")
-    if words[0] not in IN_FLEET:
-        raise UsageError(f"{words[0]} cannot run for a robot; these can: {', '.join(IN_FLEET)}")
+    if words[0] not in arguments.able:
+        raise UsageError(f"{words[0]} cannot run for a robot; these can: {', '.join(arguments.able)}")
     command = _parsed(words)
     with _fleet(arguments) as fleet:
         robots = _chosen(fleet, arguments)
@@ -191,16 +190,8 @@ def _parsed(words: Sequence[str]) -> Namespace:
     from rsb_console.command.arguments import parser_and_commands  # noqa: PLC0415 -- it imports this one's arguments
 
     parsed = parser_and_commands()[0].parse_args([*words])
-    if words[0] == "events" and parsed.follow:
-        raise UsageError("events --follow does not end: follow one robot's server at a time")
-    if words[0] == "echo" and not parsed.once and parsed.count is None:
-        raise UsageError("echo does not end: give --once, or --count N")
-    if words[0] in ("hz", "bw") and parsed.count is None and parsed.lasts is None:
-        raise UsageError(f"{words[0]} does not end by itself: give --count N or --for N")
-    if words[0] == "pub" and parsed.rate is not None and parsed.count is None:
-        raise UsageError("pub --rate does not end by itself: give --count N")
-    if words[0] in ("echo", "wait") and parsed.timeout is None:
-        raise UsageError(f"{words[0]} may wait for ever: give --timeout N")
+    if "endless" in parsed and (problem := parsed.endless(parsed)):
+        raise UsageError(problem)
     if any(getattr(parsed, name, None) for name in ("bridge", "control", "way", "link")):
         raise UsageError("name the robots before --, and no bridge or link after it")
     for name in ("request", "message"):

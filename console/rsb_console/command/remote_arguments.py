@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from rsb_bridge.config.file_form import key_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
-from rsb_console.command.argument_values import above_0, count, seconds, timeout, window_seconds, within
+from rsb_console.command.argument_values import above_0, count, seconds, timeout, window_seconds
 from rsb_console.command.ways import ways
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from rsb_bridge.model.session import Kind
 
@@ -86,23 +87,6 @@ exit codes:
   0  the messages are printed
   1  the messages did not come in time
 {NO_BRIDGE}"""
-_PUB = f"""\
-The bridge publishes on its side, as a node would, and its routes take the message to
-the other side. The type has to be installed where this bridge runs. A topic that has
-to be armed takes messages only while it is armed. Missing fields have their defaults;
-a time may be now, a header auto.
-
-for example:
-  rsb-console pub /goal_pose --template > goal.yaml
-  rsb-console pub /goal_pose - < goal.yaml
-  rsb-console pub /cmd_vel '{{linear: {{x: 0.2}}}}' --rate 10
-  rsb-console pub /words 'data: hello' --type std_msgs/msg/String
-
-exit codes:
-  0  published, and taken by a subscription here or by a link
-  1  refused, or nobody gets it
-{NO_BRIDGE}
-  130  interrupted by Ctrl-C"""
 _EXIT_FIGURES = f"""\
 The bridge's own figures, {{where}}.
 
@@ -227,6 +211,7 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     """Add the commands that print messages, events or figures until an interrupt."""
     events = remote("events", "print the events of a running bridge")
     events.add_argument("--follow", action="store_true", help="continue with new events")
+    events.set_defaults(endless=_endless_events)
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT)
     wanted = wait.add_argument(
         "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
@@ -234,14 +219,14 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     )  # fmt: skip
     complete(wanted, "awaited")
     wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
+    wait.set_defaults(endless=lambda arguments: _UNTIL.format("wait") if arguments.timeout is None else "")
     echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
     _echo_arguments(echo, complete)
-    _pub_arguments(remote("pub", "publish messages by hand", _PUB, about_topic=True), complete)
     for name, summary, more in (
         ("hz", "print a topic's rate, once a second", _EXIT_HZ),
         ("bw", "print a topic's bandwidth and message size, once a second", _EXIT_BW),
     ):
-        _figures_arguments(remote(name, summary, more, about_topic=True), complete)
+        _figures_arguments(name, remote(name, summary, more, about_topic=True), complete)
     route_arguments(remote("info", "print all details of one topic or service", _EXIT_INFO, about_topic=True), complete)
 
 
@@ -256,28 +241,34 @@ def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
     echo.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo.add_argument("--no-arr", dest="arrays", action="store_false", help="leave out the elements of arrays")
     echo.add_argument("--full-length", action="store_true", help="print all elements of arrays, not only the first 128")
+    echo.set_defaults(endless=_endless_echo)
 
 
-def _pub_arguments(pub: argparse.ArgumentParser, complete: Complete) -> None:
-    complete(pub.add_argument("topic", metavar="TOPIC", help="its name on this bridge's side"), "available")
-    pub.add_argument(
-        "message", nargs="?", metavar="YAML", help="fields of the message; - reads them from standard input"
-    )
-    pub.add_argument("--template", action="store_true", help="print a message to begin with, and publish nothing")
-    pub.add_argument("--type", default="", metavar="TYPE", help="type of a topic that nobody has yet")
-    pub.add_argument("--rate", type=within(0.01, 100), metavar="HZ", help="repeat, at most 100 times a second")
-    pub.add_argument(
-        "--count", type=count, metavar="N", help="stop after N messages; default: with --rate never, else 1"
-    )
-    pub.set_defaults(command=lazily("pub", "pub_command"), kind="topic")
+def _endless_events(arguments: argparse.Namespace) -> str:
+    return "events --follow does not end: follow one robot's server at a time" if arguments.follow else ""
 
 
-def _figures_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
+def _endless_echo(arguments: argparse.Namespace) -> str:
+    if not arguments.once and arguments.count is None:
+        return "echo does not end: give --once, or --count N"
+    return _UNTIL.format("echo") if arguments.timeout is None else ""
+
+
+def _endless_figures(name: str, arguments: argparse.Namespace) -> str:
+    endless = arguments.count is None and arguments.lasts is None
+    return f"{name} does not end by itself: give --count N or --for N" if endless else ""
+
+
+def _figures_arguments(name: str, parser: argparse.ArgumentParser, complete: Complete) -> None:
     route_arguments(parser, complete, kinds=("topic",))
     parser.add_argument("--count", type=count, metavar="N", help="stop after N times; default: until interrupted")
     parser.add_argument("--for", dest="lasts", type=above_0, metavar="N", help="stop after N s; default: never")
     window = "take the figures over the last N s, at most 120 (%(default)s)"
     parser.add_argument("--window", type=window_seconds, default=10, metavar="N", help=window)
+    parser.set_defaults(endless=partial(_endless_figures, name))
+
+
+_UNTIL = "{} may wait for ever: give --timeout N"
 
 
 def place_options(parser: argparse.ArgumentParser, complete: Complete, *, all_bridges: bool = False) -> None:
@@ -551,17 +542,17 @@ exit codes:
   0  done on every robot that has the topic, or no change was necessary
   1  stopped, declined, or a robot was not reached; with --dry-run: it would fail on one
 {_NO_SERVER}"""
-IN_FLEET = (
+_IN_FLEET = (
     "status", "topics", "add", "edit", "remove", "pause", "resume", "ack", "disarm", "retry", "events", "echo", "hz",
-    "bw", "info", "wait", "call", "param", "pub",
+    "bw", "info", "wait", "call", "param",
 )  # fmt: skip
-"""Commands that `exec` runs."""
+"""Commands of the core that `exec` runs."""
 
 
 def add_fleet_commands(
     command: AddCommand, complete: Complete, console_options: Callable[[argparse.ArgumentParser], None]
-) -> None:
-    """Add `fleet` and its own commands; for the arguments see `add_remote_commands`."""
+) -> argparse.ArgumentParser:
+    """Add `fleet` and its own commands (arguments as of `add_remote_commands`). Return the parser of `exec`."""
     fleet = command("fleet", lazily("show", "fleet_command"), "show all robots on one screen", _FLEET)
     bridge_options(fleet, complete, which=_WHICH_SERVER, all_bridges=True)
     fleet.add_argument(
@@ -575,10 +566,7 @@ def add_fleet_commands(
     commands = fleet.add_subparsers(metavar="COMMAND", parser_class=_FleetParser)
     forget = _add_fleet_command(commands, complete, "dismiss", "forget robots that are gone for good", _DISMISS)
     complete(forget.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
-    listed = f"{', '.join(IN_FLEET[:8])},\n{', '.join(IN_FLEET[8:])}"
-    run = _add_fleet_command(
-        commands, complete, "exec", "run a command for some robots", _EXEC.replace("{commands}", listed)
-    )
+    run = _add_fleet_command(commands, complete, "exec", "run a command for some robots", _EXEC)
     complete(run.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
     run.usage = "rsb-console fleet exec [NAME ...] [--group GROUP] [--all] [--fleet FILE] [--json] -- COMMAND ..."
     edit = _add_fleet_command(commands, complete, "edit", "change a topic of some robots, one after the other", _EDIT)
@@ -592,6 +580,14 @@ def add_fleet_commands(
     edit.add_argument(
         "--settle", type=seconds, default=10.0, metavar="N", help="seconds that a robot has to stay well (10)"
     )
+    return run
+
+
+def say_what_runs(run: argparse.ArgumentParser, commands: Mapping[str, argparse.ArgumentParser]) -> None:
+    """Have the parser of `fleet exec` know which commands it runs."""
+    able = [*_IN_FLEET, *(name for name, each in commands.items() if each.get_default("in_fleet"))]
+    run.set_defaults(able=able)
+    run.epilog = _EXEC.replace("{commands}", f"{', '.join(able[:8])},\n{', '.join(able[8:])}")
 
 
 def _add_fleet_command(

@@ -203,15 +203,6 @@ class BridgeOperations:
         if engine is not None and route is not None and route.lanes:
             await self._console.ask(CallScreen(self._console, route))
 
-    async def publish(self) -> None:
-        """Publish by hand, on the topic under the cursor or another one."""
-        from rsb_console.screens.publish_screen import Message, PublishScreen  # noqa: PLC0415 -- keeps the start short
-
-        if self._console.engine is not None:
-            route = self._route
-            topic = route.topic if route is not None and route.calls is None else ""
-            await self._console.ask(PublishScreen(self._console, Message(topic, "", "")))
-
     async def retry(self) -> None:
         from rsb_console.screens.links_screen import lets_back  # noqa: PLC0415 -- keeps the start short
 

@@ -1,8 +1,8 @@
 """Drives a robot by keys, over a topic that has to be armed and whose old messages are dropped.
 
-A key counts for `_KEY_LASTS`, and the engine ends a motion by itself if no further command comes
-(`rsb_bridge.model.commands.Publish.rest`). So the robot stops if the operator lets the key go, if the terminal or the
-console hangs, or if the way to the bridge does. Keys that come late never arrive here (`GuardedScreen`), unless a
+A key counts for `_KEY_LASTS`, and the engine ends a motion by itself if no further command comes (`Publish.rest`). So
+the robot stops if the operator lets the key go, if the terminal or the console hangs, or if the way to the bridge
+does. Keys that come late never arrive here (`GuardedScreen`), unless a
 terminal multiplexer hides that they are late: then `Steering` asks for the rhythm of a key that a hand holds.
 """
 
@@ -31,8 +31,10 @@ from rsb_console.look.formats import PatternRow
 from rsb_console.screens.dialog import ArmScreen, ConfirmScreen
 from rsb_console.screens.main import MainText
 from rsb_console.screens.take_over import AskHolderScreen
-from rsb_console.session.manual_messages import ByHandText, Landing, full_type, hearing
+from rsb_console.session.manual_messages import full_type
 from rsb_console.terminal.input_queue import DIALOG, SEEN_AFTER, GuardedScreen, InputGate
+from rsb_extras.driving.landing import ByHandText, Landing, hearing
+from rsb_extras.driving.publish_requests import DraftMessage, Publish
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -209,7 +211,7 @@ async def drive(console: Console, route: RouteSnapshot) -> None:
     type_name = full_type(route)
     if not type_name and console.engine is not None:
         with contextlib.suppress(EngineError):  # then the reason names what is missing
-            type_name = (await asyncio.wrap_future(console.engine.draft_message(route.topic))).type_name
+            type_name = (await asyncio.wrap_future(console.engine.do(DraftMessage(route.topic)))).type_name
     if problem := why_not_driven(route, type_name):
         console.notify(problem, title="Not done", severity="warning", markup=False)
         return
@@ -390,14 +392,16 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         if engine is None:
             raise EngineError(ByHandText.NO_SESSION())
         published = await asyncio.wrap_future(
-            engine.publish(
-                self._route.topic,
-                velocity(type_name, forward, turn),
-                type_name,
-                ticket=self._ticket,
-                rest=velocity(type_name, 0.0, 0.0),
-                rest_after=_RESTS_AFTER,
-                reduce=True,
+            engine.do(
+                Publish(
+                    self._route.topic,
+                    velocity(type_name, forward, turn),
+                    type_name,
+                    ticket=self._ticket,
+                    rest=velocity(type_name, 0.0, 0.0),
+                    rest_after=_RESTS_AFTER,
+                    reduce=True,
+                )
             )
         )
         self._ticket, self._links, self._audience = published.ticket, published.links, published.audience

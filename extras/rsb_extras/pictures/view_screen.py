@@ -30,7 +30,6 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID
 from rsb_console.look import formats
 from rsb_console.screens.dialog import FullScreen
-from rsb_console.screens.publish_screen import Message, PublishScreen
 from rsb_console.session.manual_messages import full_type
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
@@ -78,6 +77,7 @@ _KEYS = ("space hold", "t text", "+- zoom", "p file", "h how", "<> rate", "â†â†
 """The more important ones first: on a narrow screen, the others are not shown."""
 _MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
 _ON_ROBOT = {action.id: action.on_robot for action in ACTIONS if action.on_robot is not None}
+_PUBLISH = next((action.with_message for action in ACTIONS if action.with_message is not None), None)
 _TURN = 15.0
 """Degrees by which a key turns a goal."""
 _GOAL_TOPIC = "/goal_pose"
@@ -276,7 +276,7 @@ class ViewScreen(FullScreen[bool]):
         """Return the keys that have room in so many cells."""
         type_name = self._subject.type_name
         keys = ["esc", *(_MAP_KEYS if self._layers else ()), *(_POINT_KEYS if _is_points(type_name) else ())]
-        keys += ["g goal"] if is_map(type_name) and not self.console.readonly else []
+        keys += ["g goal"] if is_map(type_name) and _PUBLISH and not self.console.readonly else []
         routes = self._routes
         for name, action in _ON_ROBOT.items():
             if self.app.check_action(name, ()) and any(map(action.suits, routes)):
@@ -453,7 +453,7 @@ class ViewScreen(FullScreen[bool]):
 
     def action_goal(self) -> None:
         """Begin to set a goal in the middle of the map."""
-        if self.console.readonly:
+        if self.console.readonly or _PUBLISH is None:
             return
         if (scale := self._scale) is None:
             self.notify(ViewText.NO_MAP(), severity="warning", markup=False)
@@ -477,7 +477,12 @@ class ViewScreen(FullScreen[bool]):
             return
         fields, self._goal = self._goal.fields(), None
         self._draw()
-        self.app.push_screen(PublishScreen(self.console, Message(self._goal_topic(), POSE, fields)))
+        self._publish(fields)
+
+    @work(group=DIALOG)
+    async def _publish(self, fields: str) -> None:
+        if _PUBLISH is not None:
+            await _PUBLISH(self.console, self._goal_topic(), POSE, fields)
 
     @property
     def _where(self) -> str:

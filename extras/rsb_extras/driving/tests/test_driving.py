@@ -10,7 +10,6 @@ import pytest
 from tests.console.driving import (
     Decorator,
     engine_as,
-    engine_of,
     gone,
     is_shown,
     notified,
@@ -20,7 +19,7 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.console.scripted import SESSION, route
 from tests.support.wording import says
 from textual.events import Key
 from textual.pilot import Pilot
@@ -28,13 +27,11 @@ from textual.pilot import Pilot
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.audience import Audience, Deaf
-from rsb_bridge.model.by_hand import Draft, Published, VelocityLimits
-from rsb_bridge.model.commands import Publish
+from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.take_over import HandOverText
-from rsb_console.session.manual_messages import ByHandText, HearingText
 from rsb_console.terminal.pulse import Pulse
 from rsb_extras.driving.drive_screen import (
     TWIST,
@@ -46,7 +43,10 @@ from rsb_extras.driving.drive_screen import (
     velocity,
     why_not_driven,
 )
+from rsb_extras.driving.landing import ByHandText, HearingText
+from rsb_extras.driving.publish_requests import Draft, Publish, Published
 from rsb_extras.driving.tests import driving_places
+from rsb_extras.driving.tests.publishing_engine import PublishingEngine, engine_of
 
 SPEED, TURN = 0.2, 0.5
 
@@ -95,7 +95,7 @@ class Clock:
         return self.now
 
 
-class Robot(ScriptedEngine):
+class Robot(PublishingEngine):
     """An engine that asks for a ticket, and takes 0.1 s for each command."""
 
     clock: Clock
@@ -111,8 +111,8 @@ class Robot(ScriptedEngine):
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    driving_places.TIME.set(monkeypatch, made)
-    driving_places.STOOD_STILL.set(monkeypatch, float("inf"))  # as this clock does
+    driving_places.DRIVE_TIME.set(monkeypatch, made)
+    driving_places.DRIVE_STOOD_STILL.set(monkeypatch, float("inf"))  # as this clock does
     monkeypatch.setattr(Robot, "clock", made, raising=False)
     return made
 
@@ -642,5 +642,5 @@ async def test_what_is_asked_is_within_the_limits_and_their_line_is_shown(
 def test_the_smallest_limits_of_all_robots_on_the_topic_count() -> None:
     slow = replace(ARMED, key="2", link="robot2", limits=VelocityLimits(0.05), limited_by=("pc.yaml:3",))
     elsewhere = replace(LIMITED, key="3", topic="/other", limits=VelocityLimits(0.01), limited_by=("pc.yaml:9",))
-    snapshot = replace(ScriptedEngine(SESSION).snapshot(), routes=(LIMITED, slow, elsewhere))
+    snapshot = replace(PublishingEngine(SESSION).snapshot(), routes=(LIMITED, slow, elsewhere))
     assert limits_on(LIMITED, snapshot) == (VelocityLimits(0.05, 0.3), ["robot.yaml:14", "pc.yaml:3"])

@@ -47,7 +47,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.screens.help import KeyList
 from rsb_console.screens.message_screen import MessageScreen
-from rsb_console.screens.publish_screen import PublishScreen
+from rsb_console.widgets.form import FormScreen
 from rsb_extras.pictures.goal_on_map import POSE, Goal
 from rsb_extras.pictures.look_requests import AnswerProblem, LookAtTopics
 from rsb_extras.pictures.picture import (
@@ -461,7 +461,7 @@ async def test_the_form_has_the_goals_pose(app: ConsoleApp, pilot: Pilot[None]) 
     await pilot.press("g", "right", "enter", *["left"] * 12)
     goal = goal_of(app)
     await pilot.press("enter")
-    await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
+    await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
     values = form_of(app).values
     assert (values["topic"], values["type"]) == ("/goal_pose", POSE)
     fields: Any = read_fields(values["message"])
@@ -501,7 +501,7 @@ async def test_a_goal_goes_to_the_side_of_the_map(app: ConsoleApp, pilot: Pilot[
         await comes(pilot, viewed(MAP))
         put(app, route("/robot2/scan"), *routes)
         await pilot.press("g", "enter", "enter")
-        await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
+        await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
         assert form_of(app).values["topic"] == topic
         await pilot.press("escape")
         await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")

@@ -11,7 +11,7 @@ from tests.support.wording import says
 
 from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Snapshot
-from rsb_console.session.manual_messages import HearingText, Landing, LandingText
+from rsb_extras.driving.landing import HearingText, Landing, LandingText
 
 ROUTE = route("/cmd", outgoing=True, ledger=Ledger(offered=7, delivered=5, dropped={"disarmed": 2}), latency_p50=0.012)
 LINKS = ("robot1",)

@@ -14,13 +14,14 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.cdr.known_types import reduced, speeds_of, stamped
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
+from rsb_bridge.engine.part import EnginePart
 from rsb_bridge.link.extension import LinkError, check_names
 from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.peer_operators import acting_operator
-from rsb_bridge.model.by_hand import TICKET_LIFE, TWISTS, Draft, Published, smallest_limits
+from rsb_bridge.model.by_hand import TICKET_LIFE, TWISTS, smallest_limits
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import DraftMessage, Publish, account, console
+from rsb_bridge.model.commands import account, console
 from rsb_bridge.model.demands import NO_DEMAND
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
@@ -38,17 +39,15 @@ from rsb_bridge.route.peeking import PeekError
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.route.topic_verdict import audience, mismatch
 from rsb_bridge.wire.messages import ByHand
+from rsb_extras.driving.publish_requests import Draft, DraftMessage, Publish, Published
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from rsb_bridge.channel.channel import DataChannel
-    from rsb_bridge.context import Context
-    from rsb_bridge.engine.part import Handlers
-    from rsb_bridge.engine.topic_commands import CommandLog
-    from rsb_bridge.link.link import Link
+    from rsb_bridge.engine.bridge import Bridge
+    from rsb_bridge.model.snapshot import Snapshot
     from rsb_bridge.ros.ros_interface import Publisher
-    from rsb_bridge.route.peeking import Peeking
     from rsb_bridge.telemetry.event_log import About
 
 TOPICS = 32
@@ -78,7 +77,6 @@ _LONG = 4_096
 _REST_CROSSES = 0.1
 """s in which the message that ends a motion is sent, before its topic is disarmed or the bridge stops.
 A round figure: if it gets lost, the robot's side publishes a rest by itself."""
-_EVERY_TOPIC = ""
 _STAMP = {"sec", "nanosec"}
 
 
@@ -149,21 +147,16 @@ class _Publication:
         return rest
 
 
-class Publishing:
+class Publishing(EnginePart):
     """Executes `Publish` and `DraftMessage`."""
 
-    def __init__(
-        self, context: Context, links: Callable[[], Sequence[Link]], log: CommandLog, peeking: Peeking
-    ) -> None:
-        self._context = context
-        self._links = links
-        self._log = log
-        self._peeking = peeking
+    def __init__(self, bridge: Bridge) -> None:
+        self._bridge = bridge
+        self._context = context = bridge.context
         self._publications: dict[str, _Publication] = {}
-        self._ending: Counter[str] = Counter()  # topics whose motions end; `_EVERY_TOPIC` for all
         self._long = asyncio.Lock()
         self._first_ticket = context.random.getrandbits(40)  # tickets of another engine, or an earlier one, are void
-        self.handlers: Handlers = {DraftMessage: self.draft, Publish: self.publish}
+        self.handlers = {DraftMessage: self.draft, Publish: self.publish}
 
     # --- commands
 
@@ -274,26 +267,14 @@ class Publishing:
         except RosError as error:
             self._context.log(Level.WARNING, EventCode.OPERATOR_PUBLISH_ENDED, f"{topic}: {error}", topic=topic)
 
-    async def end_motions(self, topics: Collection[str] | None = None) -> bool:
-        """End the motions on topics that are about to be disarmed, or all: later, nothing could stop the robots.
-
-        No command is taken until the caller has disarmed them, which it has to do before it waits for anything.
-
-        Returns:
-            Whether something moved, so that time has passed.
-        """
-        ending = Counter((_EVERY_TOPIC,) if topics is None else topics)
-        self._ending += ending
-        try:
-            named = self._publications if topics is None else topics
-            moving = {topic: each for topic, each in self._publications.items() if topic in named and each.rest}
-            for topic, publication in moving.items():
-                self._rest(publication, topic)
-            if moving:
-                await asyncio.sleep(_REST_CROSSES)
-            return bool(moving)
-        finally:
-            self._context.loop.call_soon(self._ending.subtract, ending)
+    async def end_motions(self, topics: Collection[str] | None) -> bool:
+        named = self._publications if topics is None else topics
+        moving = {topic: each for topic, each in self._publications.items() if topic in named and each.rest}
+        for topic, publication in moving.items():
+            self._rest(publication, topic)
+        if moving:
+            await asyncio.sleep(_REST_CROSSES)
+        return bool(moving)
 
     def _ticket(self) -> int:
         return self._first_ticket + int(self._context.clock.steady() * 1e3)
@@ -322,7 +303,7 @@ class Publishing:
                 raise LinkError(PublishProblem.NOT_HEARD(topic=topic))
             _, reason = requiring[0].arming.why_at(now)
             raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})"))
-        if armed and (self._ending[topic] or self._ending[_EVERY_TOPIC]):
+        if armed and not self._bridge.may_move(topic):
             raise LinkError(PublishProblem.ENDING(topic=topic))
         for route in armed:
             if not route.arming.is_held_by(console(), account()):
@@ -371,7 +352,7 @@ class Publishing:
     # --- types
 
     def _routes(self, topic: str) -> list[TopicRoute[DataChannel]]:
-        routes = [route for link in self._links() for route in link.routes.values()]
+        routes = [route for link in self._bridge.links() for route in link.routes.values()]
         return [route for route in routes if isinstance(route, TopicRoute) and route.local_topic == topic]
 
     async def _resolve(self, topic: str, wanted: str) -> TopicSpec:
@@ -420,7 +401,7 @@ class Publishing:
         for route in routes:
             # A side that does not answer hides none of the others.
             with contextlib.suppress(LinkError):
-                for info in await topics_of_peer(self._links(), route.peer.name):
+                for info in await topics_of_peer(self._bridge.links(), route.peer.name):
                     if info.topic == route.far_topic and info.kind == "topic" and info.type_name:
                         types[info.type_name] = set()
         return types
@@ -469,7 +450,7 @@ class Publishing:
             return None
         try:
             async with asyncio.timeout(_LAST_WITHIN):
-                peeked = await self._peeking.peek(route, kept=True)
+                peeked = await self._bridge.peeking.peek(route, kept=True)
         except (TimeoutError, PeekError):
             return None
         return peeked.payload if peeked is not None and len(peeked.payload) == peeked.size else None
@@ -543,12 +524,12 @@ class Publishing:
         if not is_first:
             return
         line = sanitize_text(" ".join(fields.split()))
-        self._log.add(EventCode.OPERATOR_PUBLISHED, "published", topic=topic, new=line)
+        self._bridge.log.add(EventCode.OPERATOR_PUBLISHED, "published", topic=topic, new=line)
         for route in taking:
             route.peer.send(ByHand(route=route.id, lane=0, request=line, who=who))
 
-    def tick(self) -> None:
-        """Close publishers that are not used any more. Called once a second."""
+    def tick(self, snapshot: Snapshot) -> None:
+        """Close publishers that are not used any more."""
         now = self._context.now()
         for topic, publication in list(self._publications.items()):
             if publication.commands or publication.rest is not None or now - publication.used_at < ENDS_AFTER:
@@ -564,9 +545,7 @@ class Publishing:
 
     async def close(self) -> None:
         """End all motions, and close all publishers. No message follows."""
-        # For good: `end_motions` alone would let commands in again.
-        self._ending[_EVERY_TOPIC] += 1
-        await self.end_motions()
+        await self.end_motions(None)
         for publication in self._publications.values():
             self._close(publication)
         self._publications.clear()

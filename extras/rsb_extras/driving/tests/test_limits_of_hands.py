@@ -8,15 +8,16 @@ import msgspec
 import pytest
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.serialization import deserialize_message
-from tests.engine.test_publishing import can_be_armed, driven, publish
 from tests.support.bridge import route
 from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.engine.publishing import PublishProblem
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.session import ArmedName, Topic
+from rsb_extras.driving.publish_requests import Publish
+from rsb_extras.driving.publishing import PublishProblem
+from rsb_extras.driving.tests.test_publishing import can_be_armed, driven, publish
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -102,14 +103,14 @@ def test_arming_is_asked_first_then_the_holder_the_deadman_the_limits_and_the_ti
 
     def refuses(engine: Engine, speed: float, rest: str, problem: PublishProblem) -> None:
         with pytest.raises(EngineError, match=pattern(problem)):
-            engine.publish("/cmd", f"linear: {{x: {speed}}}", rest=rest).result(30)  # without a ticket
+            engine.do(Publish("/cmd", f"linear: {{x: {speed}}}", rest=rest)).result(30)  # without a ticket
 
     refuses(server, 9.0, "{}", PublishProblem.NOT_ARMED)
     consoles.arm(server)
     refuses(client, 9.0, "{}", PublishProblem.ANOTHER_DRIVES)
     refuses(server, 9.0, "{}", PublishProblem.NO_DEADMAN)
     refuses(server, 9.0, "", PublishProblem.BEYOND_LIMITS)
-    assert not server.publish("/cmd", "linear: {x: 0.1}").result(30).is_done
+    assert not server.do(Publish("/cmd", "linear: {x: 0.1}")).result(30).is_done
     assert not motors.payloads
 
 

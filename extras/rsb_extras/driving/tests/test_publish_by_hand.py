@@ -9,7 +9,6 @@ from tests.console.driving import (
     NARROW,
     WIDE,
     Decorator,
-    engine_of,
     fill,
     form_of,
     gone,
@@ -21,7 +20,7 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import ScriptedEngine, call_route, route
+from tests.console.scripted import call_route, route
 from tests.support.long import long
 from tests.support.wording import says
 from textual.events import Paste
@@ -30,13 +29,13 @@ from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.audience import Audience, Deaf
-from rsb_bridge.model.by_hand import Draft, Published
-from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.publish_screen import PublishScreen, PublishText
-from rsb_console.session.manual_messages import HearingText
+from rsb_extras.driving.landing import HearingText
+from rsb_extras.driving.publish_requests import Draft, Publish, Published
+from rsb_extras.driving.publish_screen import PublishScreen, PublishText
+from rsb_extras.driving.tests.publishing_engine import PublishingEngine, engine_of
 
 STRING = "std_msgs/msg/String"
 WORDS = route("/words", outgoing=True, spec=Topic("/words", "transmit"), type_name=STRING)
@@ -48,8 +47,8 @@ ALONE = Published(is_done=True, ticket=5, type_name=STRING)
 def on(*sizes: Any, routes: tuple[RouteSnapshot, ...] = (WORDS,), drafts: dict[str, Draft] | None = None) -> Decorator:
     """A test's steps run once the form is open, for the topic under the cursor."""
 
-    def make(session: Any, base: Any) -> ScriptedEngine:
-        engine = ScriptedEngine(session, base, routes)
+    def make(session: Any, base: Any) -> PublishingEngine:
+        engine = PublishingEngine(session, base, routes)
         engine.drafts = {"/words": DRAFT} if drafts is None else drafts
         return engine
 

@@ -11,24 +11,27 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from msgspec import structs
-from tests.console.scripted import ScriptedEngine, route
+from tests.console.scripted import route
 from tests.support import replaced, surroundings
 from tests.support.commands import rsb_console
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.audience import Audience, Deaf
-from rsb_bridge.model.by_hand import OLD_AFTER, Draft, Published
+from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
-from rsb_console.command import pub_command
-from rsb_console.command.pub_command import _LOOK_EVERY, PubText
-from rsb_console.session.manual_messages import REPORTED_WITHIN, ByHandText, LandingText
+from rsb_extras.driving import pub_command
+from rsb_extras.driving.landing import REPORTED_WITHIN, ByHandText, LandingText
+from rsb_extras.driving.pub_command import _LOOK_EVERY, PubText
+from rsb_extras.driving.publish_requests import Draft, Published
+from rsb_extras.driving.tests import driving_places
+from rsb_extras.driving.tests.publishing_engine import PublishingEngine
 
 if TYPE_CHECKING:
     from tests.support.control import Machine
 
-    from rsb_bridge.model.commands import Publish
+    from rsb_extras.driving.publish_requests import Publish
 
 STRING = "std_msgs/msg/String"
 TAKEN = Published(is_done=True, ticket=5, type_name=STRING, audience=Audience(1, ("/log",)), links=("robot1",))
@@ -37,8 +40,8 @@ OLD = Published(is_done=False, ticket=7, type_name=STRING)
 
 
 @pytest.fixture
-def engine(machine: Machine, here: None) -> ScriptedEngine:
-    return machine.have(ScriptedEngine())
+def engine(machine: Machine, here: None) -> PublishingEngine:
+    return machine.have(PublishingEngine())
 
 
 @pytest.fixture
@@ -67,16 +70,16 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    replaced.PUB_TIME.set(monkeypatch, made)
+    driving_places.PUB_TIME.set(monkeypatch, made)
     replaced.STEADY_CLOCK.set(monkeypatch, staticmethod(made.steady))
     return made
 
 
-def sent(engine: ScriptedEngine) -> list[Publish]:
+def sent(engine: PublishingEngine) -> list[Publish]:
     return [command[1] for command in engine.commands if command[0] == "publish"]  # type: ignore[misc]
 
 
-def test_one_message(ran: Any, engine: ScriptedEngine) -> None:
+def test_one_message(ran: Any, engine: PublishingEngine) -> None:
     engine.published = [TAKEN]
     done = ran("/words", "data: hello")
     assert (done.code, done.err) == (0, "")
@@ -87,7 +90,7 @@ def test_one_message(ran: Any, engine: ScriptedEngine) -> None:
 
 
 def test_the_message_of_standard_input_and_the_type_of_a_new_topic(
-    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+    ran: Any, engine: PublishingEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine.published = [TAKEN]
     surroundings.set_stdin(monkeypatch, "data: hello\n")
@@ -96,7 +99,7 @@ def test_the_message_of_standard_input_and_the_type_of_a_new_topic(
 
 
 def test_no_more_of_standard_input_is_read_than_a_message_may_have(
-    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+    ran: Any, engine: PublishingEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine.published = [EngineError("too long")]
     surroundings.set_stdin(monkeypatch, "#" * (2 * FIELDS_LENGTH))
@@ -106,7 +109,7 @@ def test_no_more_of_standard_input_is_read_than_a_message_may_have(
 
 @pytest.mark.parametrize(("options", "every"), [((), 1.0), (("--rate", "4"), 0.25)])
 def test_some_messages_once_a_second_or_at_a_rate(
-    ran: Any, engine: ScriptedEngine, clock: Clock, options: tuple[str, ...], every: float
+    ran: Any, engine: PublishingEngine, clock: Clock, options: tuple[str, ...], every: float
 ) -> None:
     engine.published = [TAKEN] * 3
     done = ran("/words", "data: hello", "--count", "3", *options)
@@ -128,7 +131,7 @@ def test_some_messages_once_a_second_or_at_a_rate(
     ],
 )
 def test_messages_at_a_rate_end_with_what_stops_the_robot(
-    rate: str, armed: bool, on_end: str, end: tuple[str, float], ran: Any, engine: ScriptedEngine, clock: Clock
+    rate: str, armed: bool, on_end: str, end: tuple[str, float], ran: Any, engine: PublishingEngine, clock: Clock
 ) -> None:
     """The engine publishes it, so that it comes even if the command is killed."""
     arming = ArmingSnapshot(armed=armed, on_end=on_end)
@@ -139,7 +142,7 @@ def test_messages_at_a_rate_end_with_what_stops_the_robot(
 
 
 def test_messages_that_are_late_are_not_made_up_for(
-    ran: Any, engine: ScriptedEngine, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    ran: Any, engine: PublishingEngine, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine.published = [TAKEN] * 4
     publish = pub_command.publish
@@ -148,12 +151,12 @@ def test_messages_that_are_late_are_not_made_up_for(
         clock.now += 1.0 if not sent(engine) else 0.0
         return publish(*arguments)
 
-    replaced.PUB_PUBLISH.set(monkeypatch, slowly)
+    driving_places.PUB_PUBLISH.set(monkeypatch, slowly)
     assert ran("/words", "", "--count", "4", "--rate", "4").code == 0
     assert clock.slept == [0.0, 0.25, 0.25]
 
 
-def test_without_a_count_a_rate_lasts_until_it_is_interrupted(engine: ScriptedEngine, clock: Clock) -> None:
+def test_without_a_count_a_rate_lasts_until_it_is_interrupted(engine: PublishingEngine, clock: Clock) -> None:
     clock.most = 7
     engine.published = [TAKEN] * 7
     done = rsb_console("pub", "/words", "data: hello", "--rate", "10")
@@ -164,14 +167,14 @@ def test_without_a_count_a_rate_lasts_until_it_is_interrupted(engine: ScriptedEn
 
 @pytest.mark.parametrize("options", [(), ("--count", "1"), ("--rate", "10", "--count", "1")])
 def test_after_the_last_message_it_does_not_wait(
-    ran: Any, engine: ScriptedEngine, clock: Clock, options: tuple[str, ...]
+    ran: Any, engine: PublishingEngine, clock: Clock, options: tuple[str, ...]
 ) -> None:
     engine.published = [TAKEN]
     assert len(ran("/words", "", *options).out.splitlines()) == 1
     assert clock.slept == []
 
 
-def test_where_it_does_not_go_is_named(ran: Any, engine: ScriptedEngine) -> None:
+def test_where_it_does_not_go_is_named(ran: Any, engine: PublishingEngine) -> None:
     down = route("/words", State.DOWN, outgoing=True, link="robot2", reason="no link \x1b[2J")
     engine.now = replace(engine.now, routes=(down,))
     engine.published = [TAKEN]
@@ -181,7 +184,7 @@ def test_where_it_does_not_go_is_named(ran: Any, engine: ScriptedEngine) -> None
     assert "\x1b" not in done.err
 
 
-def test_nobody_gets_it(ran: Any, engine: ScriptedEngine) -> None:
+def test_nobody_gets_it(ran: Any, engine: PublishingEngine) -> None:
     engine.published = [ALONE]
     done = ran("/words", "data: hello")
     assert (done.code, done.out) == (1, "")
@@ -191,7 +194,7 @@ def test_nobody_gets_it(ran: Any, engine: ScriptedEngine) -> None:
     assert (done.code, done.json["ok"], done.json["count"]) == (1, False, 1)
 
 
-def test_the_result_for_programs(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
+def test_the_result_for_programs(ran: Any, engine: PublishingEngine, clock: Clock) -> None:
     routes = (
         route("/words", State.DOWN, key="2", outgoing=True, link="robot2", reason="no link"),
         route("/words", key="3", link="robot3"),
@@ -240,7 +243,7 @@ DEAF = Deaf("/base", "qos_incompatible", "no way")
 )
 def test_the_exit_code_says_whether_anybody_hears(
     ran: Any,
-    engine: ScriptedEngine,
+    engine: PublishingEngine,
     clock: Clock,
     monkeypatch: pytest.MonkeyPatch,
     near: Audience,
@@ -255,7 +258,7 @@ def test_the_exit_code_says_whether_anybody_hears(
         engine.now = replace(engine.now, routes=(replace(words, ledger=delivered, audience=far),))
         return publish(*arguments)
 
-    replaced.PUB_PUBLISH.set(monkeypatch, published)
+    driving_places.PUB_PUBLISH.set(monkeypatch, published)
     for options in ((), ("--json",)):
         engine.now = replace(engine.now, routes=(words,))
         engine.published = [structs.replace(TAKEN, audience=near)]
@@ -269,7 +272,7 @@ def test_the_exit_code_says_whether_anybody_hears(
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)])
-def test_a_refusal(ran: Any, engine: ScriptedEngine, options: tuple[str, ...]) -> None:
+def test_a_refusal(ran: Any, engine: PublishingEngine, options: tuple[str, ...]) -> None:
     engine.published = [EngineError("no luck \x1b[2J")]
     done = ran("/words", "data: hello", *options)
     assert done.code == 1
@@ -289,12 +292,12 @@ def test_a_refusal(ran: Any, engine: ScriptedEngine, options: tuple[str, ...]) -
         ("/words", "", "--count", "-1"),
     ],
 )
-def test_wrong_usage(engine: ScriptedEngine, arguments: tuple[str, ...]) -> None:
+def test_wrong_usage(engine: PublishingEngine, arguments: tuple[str, ...]) -> None:
     assert rsb_console("pub", *arguments).returncode == 2
     assert engine.commands == []
 
 
-def test_a_new_ticket_for_each_message(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
+def test_a_new_ticket_for_each_message(ran: Any, engine: PublishingEngine, clock: Clock) -> None:
     """Once a second, each ticket may have become too old."""
     engine.published = [OLD, TAKEN, OLD, TAKEN]
     assert ran("/cmd_vel", "", "--count", "2").code == 0
@@ -302,7 +305,7 @@ def test_a_new_ticket_for_each_message(ran: Any, engine: ScriptedEngine, clock: 
     assert len(clock.slept) == 1
 
 
-def test_a_bridge_that_answers_too_slowly(ran: Any, engine: ScriptedEngine) -> None:
+def test_a_bridge_that_answers_too_slowly(ran: Any, engine: PublishingEngine) -> None:
     engine.published = [OLD, OLD, OLD, TAKEN]
     done = ran("/cmd_vel", "")
     assert done.code == 1
@@ -310,7 +313,7 @@ def test_a_bridge_that_answers_too_slowly(ran: Any, engine: ScriptedEngine) -> N
     assert len(sent(engine)) == 3
 
 
-def test_a_slow_start_makes_no_message_old(machine: Machine, engine: ScriptedEngine) -> None:
+def test_a_slow_start_makes_no_message_old(machine: Machine, engine: PublishingEngine) -> None:
     """A small computer takes longer to load the program than a command may be old."""
     engine.published = [OLD, TAKEN]
     words = ["rsb-console", "pub", "/words", "data: hello", "--rate", "10", "--count", "1"]
@@ -322,7 +325,7 @@ def test_a_slow_start_makes_no_message_old(machine: Machine, engine: ScriptedEng
     assert [each.ticket for each in sent(engine)] == [0, 7]
 
 
-def test_a_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:
+def test_a_message_to_begin_with(ran: Any, engine: PublishingEngine) -> None:
     engine.drafts["/words"] = Draft(STRING, "data: ''\n")
     done = ran("/words", "--template")
     assert (done.code, done.out, done.err) == (0, "data: ''\n", "")
@@ -332,7 +335,7 @@ def test_a_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:
     assert engine.commands == [("draft", "/words", ""), ("draft", "/words", STRING)]
 
 
-def test_no_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:
+def test_no_message_to_begin_with(ran: Any, engine: PublishingEngine) -> None:
     done = ran("/words", "--template")
     assert (done.code, done.out) == (1, "")
     assert "\x1b" not in done.err

@@ -16,7 +16,7 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.time import Time
-from tests.support import constants, replaced
+from tests.support import constants
 from tests.support.bridge import balance, carries, happened, is_accepted, now, protocol_of, route
 from tests.support.domain import BEST_EFFORT, LATCHED, RELIABLE, Domain, text
 from tests.support.waiting import eventually, holds
@@ -25,12 +25,10 @@ from tests.support.wording import pattern, says
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.topic_rules import TopicMistake
-from rsb_bridge.engine.publishing import AT_ONCE, MATCHED_WITHIN, TOPICS, PublishProblem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import (
     ActingOperator,
     PauseTopics,
-    Publish,
     ReleaseArmed,
     RemoveTopic,
     Restart,
@@ -39,7 +37,10 @@ from rsb_bridge.model.commands import (
     on_console,
 )
 from rsb_bridge.model.session import ArmedName, Client, Topic
-from rsb_console.session.manual_messages import Landing, LandingText
+from rsb_extras.driving.landing import Landing, LandingText
+from rsb_extras.driving.publish_requests import Draft, DraftMessage, Publish
+from rsb_extras.driving.publishing import AT_ONCE, MATCHED_WITHIN, TOPICS, PublishProblem
+from rsb_extras.driving.tests import driving_places
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -48,14 +49,23 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.consoles import Consoles
     from tests.support.domain import Listener
+    from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.by_hand import Published
     from rsb_bridge.model.wording import Wording
+    from rsb_extras.driving.publish_requests import Published
 
 STRING, TWIST, TWIST_STAMPED = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
 DRIVEN = Topic("/cmd", "receive", arm=True, deadman=0.0)
+
+
+def give(engine: Engine, topic: str, fields: str, type_name: str = "", ticket: int = 0) -> Future[Published]:
+    return engine.do(Publish(topic, fields, type_name, ticket))
+
+
+def draft(engine: Engine, topic: str, type_name: str = "") -> Draft:
+    return engine.do(DraftMessage(topic, type_name)).result(30)
 
 
 def publish(engine: Engine, fields: str, topic: str = "/cmd", **more: object) -> Published:
@@ -161,13 +171,13 @@ def test_many_come_in_order_and_each_operator_is_recorded_once(bridge: Bridge, p
 
 
 def test_a_publisher_that_is_not_used_is_closed(bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.PUBLISHING_ENDS_AFTER.set(monkeypatch, 100.0)
+    driving_places.ENDS_AFTER.set(monkeypatch, 100.0)
     listener = robot.listener("/text")
     client = bridge.client()
     publish(client, "data: a", "/text")
     publish(client, "data: b", "/text")
     eventually(lambda: listener.matched == 1)
-    constants.PUBLISHING_ENDS_AFTER.set(monkeypatch, 0.1)
+    driving_places.ENDS_AFTER.set(monkeypatch, 0.1)
     eventually(lambda: listener.matched == 0)
     eventually(lambda: [new for *_, new in of(client, EventCode.OPERATOR_PUBLISH_ENDED)] == ["2"])
 
@@ -177,7 +187,7 @@ def test_a_publisher_that_is_not_used_is_closed(bridge: Bridge, robot: Domain, m
 
 def test_what_is_refused(bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing of it shows in the graph, and none of it takes one of the places."""
-    constants.PUBLISHING_ENDS_AFTER.set(monkeypatch, 100.0)
+    driving_places.ENDS_AFTER.set(monkeypatch, 100.0)
     text_there, armed_there = robot.listener("/text"), robot.listener("/cmd")
     client = bridge.client(armed=("/cm*", ArmedName("/*", type=TWIST)))
     eventually(lambda: {each.topic for each in client.topics(None).result(30)} >= {"/text", "/cmd"})
@@ -189,13 +199,13 @@ def test_what_is_refused(bridge: Bridge, robot: Domain, monkeypatch: pytest.Monk
     )
     for topic, fields, type_name, problem in refused:
         with pytest.raises(EngineError, match=pattern(problem)):
-            client.publish(topic, fields, type_name).result(30)
+            give(client, topic, fields, type_name).result(30)
     for fields in ("dta: x", "data: [1]", "data: !x y", "- 1"):
         with pytest.raises(InvalidRequestError):
-            client.publish("/text", fields).result(30)
+            give(client, "/text", fields).result(30)
     for number in range(TOPICS):
         with pytest.raises(EngineError):
-            client.publish(f"/text{number}", "no field: 1", STRING).result(30)
+            give(client, f"/text{number}", "no field: 1", STRING).result(30)
     assert not text_there.matched
     assert not armed_there.matched
     publish(client, "data: x", "/text")  # a demand of another type is none
@@ -203,7 +213,7 @@ def test_what_is_refused(bridge: Bridge, robot: Domain, monkeypatch: pytest.Monk
     for number in range(TOPICS - 1):
         publish(client, "", f"/text{number}", type_name=STRING)
     with pytest.raises(EngineError, match=pattern(PublishProblem.TOO_MANY)):
-        client.publish("/more", "", STRING).result(30)
+        give(client, "/more", "", STRING).result(30)
 
 
 def test_a_topic_of_two_types(bridge: Bridge, robot: Domain) -> None:
@@ -211,7 +221,7 @@ def test_a_topic_of_two_types(bridge: Bridge, robot: Domain) -> None:
     listeners = robot.listener("/two"), other.listener("/two", Twist)
     client = bridge.client()
     with pytest.raises(EngineError, match=pattern(PublishProblem.TYPES_DIFFER)):
-        eventually(lambda: client.publish("/two", "").result(30) and False)
+        eventually(lambda: give(client, "/two", "").result(30) and False)
     publish(client, "data: x", "/two", type_name=STRING)
     eventually(lambda: listeners[0].texts(10)[-1:] == ["x"])
     assert not listeners[1].payloads
@@ -233,7 +243,7 @@ def test_nothing_is_published_unless_it_is_armed(
     # The server's session demands nothing: until the client has proposed the topic, it is none of the bridge's.
     eventually(lambda: any(each.topic == "/cmd" for each in engine.snapshot().routes))
     with pytest.raises(EngineError):
-        engine.publish("/cmd", "data: too soon", STRING).result(30)
+        give(engine, "/cmd", "data: too soon", STRING).result(30)
     eventually(lambda: can_be_armed(server, client))
     with pytest.raises(EngineError, match=pattern(PublishProblem.NOT_ARMED)):
         publish(engine, "data: disarmed")
@@ -252,17 +262,17 @@ def test_an_old_command_is_not_carried_out(
 ) -> None:
     """A command without a ticket, or with one that is old, of another time or another engine, only gets a new one."""
     life = 30.0
-    constants.PUBLISHING_TICKET_LIFE.set(monkeypatch, life)
+    driving_places.TICKET_LIFE.set(monkeypatch, life)
     motors = robot.listener("/cmd")
     pc.publisher("/cmd")
     server, client = bridge.both(DRIVEN)
     eventually(lambda: can_be_armed(server, client))
     consoles.arm(server)
     ticket = publish(server, "data: first").ticket
-    assert server.publish("/cmd", "data: second", ticket=ticket).result(30).is_done
+    assert give(server, "/cmd", "data: second", ticket=ticket).result(30).is_done
     another = publish(client, "", "/text", type_name=STRING).ticket
     for old in (0, ticket - int((life + 0.2) * 1000), ticket + 60_000, another):
-        published = server.publish("/cmd", "data: old", ticket=old).result(30)
+        published = give(server, "/cmd", "data: old", ticket=old).result(30)
         assert not published.is_done
     publish(server, "data: new", ticket=published.ticket)
     eventually(lambda: "new" in motors.texts(10))
@@ -358,7 +368,7 @@ def test_a_topic_is_driven_whose_type_only_the_robot_knows(
     motors = robot.listener("/cmd", Twist)
     server, _ = bridge.both(replace(DRIVEN, type=type_name))
     eventually(lambda: route(server, "/cmd").arming is not None)
-    assert server.draft_message("/cmd").result(30).type_name == TWIST
+    assert draft(server, "/cmd").type_name == TWIST
     consoles.arm(server)
     drive(server, 0.1)
     eventually(lambda: speeds(motors)[:1] == [0.1])
@@ -403,7 +413,7 @@ def test_a_message_has_the_sessions_type_and_names_who_has_another(
     engine = bridge.both(Topic("/cmd", "receive" if from_server else "transmit", type="Twist"))[not from_server]
     eventually(lambda: now(engine).routes)
     # Also once the other side has reported what it has.
-    holds(lambda: engine.draft_message("/cmd").result(30).type_name == TWIST, 3.0)
+    holds(lambda: draft(engine, "/cmd").type_name == TWIST, 3.0)
     landing = Landing("/cmd", now(engine))
     eventually(lambda: publish(engine, "linear: {x: 0.1}").links)
     eventually(lambda: landing.is_settled(now(engine), ("robot1",)))
@@ -494,7 +504,7 @@ def test_a_message_without_ticket_leaves_the_rest(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also if it needs another publisher."""
-    constants.PUBLISHING_RESOLVE_EVERY.set(monkeypatch, 0.0)
+    driving_places.RESOLVE_EVERY.set(monkeypatch, 0.0)
     motors = robot.listener("/cmd", Twist)
     server, _ = driven(bridge, pc, consoles)
     drive(server, 0.1)
@@ -503,7 +513,7 @@ def test_a_message_without_ticket_leaves_the_rest(
     pc.publisher("/cmd", Twist, QoSProfile(depth=10, deadline=Duration(seconds=5)))
     drive(server, 0.2, rest_after=2.0)
     pc.clear()
-    assert not server.publish("/cmd", "linear: {x: 0.3}").result(30).is_done
+    assert not give(server, "/cmd", "linear: {x: 0.3}").result(30).is_done
     eventually(lambda: speeds(motors) == [0.1, 0.0, 0.2, 0.0])
 
 
@@ -621,7 +631,7 @@ def may_read(monkeypatch: pytest.MonkeyPatch) -> Iterator[Event]:
         assert len(text) < 5_000 or event.wait(60)
         return read_fields(text)
 
-    replaced.PUBLISHING_READ_FIELDS.set(monkeypatch, reads)
+    driving_places.READ_FIELDS.set(monkeypatch, reads)
     yield event
     event.set()
 
@@ -633,7 +643,7 @@ def test_long_messages_hold_up_no_short_one(bridge: Bridge, robot: Domain, may_r
     """However many consoles publish them: driving goes on."""
     robot.listener("/text")
     client = bridge.client()
-    long = [client.publish(f"/long{number}", LONG, STRING) for number in range(TOPICS - 1)]
+    long = [give(client, f"/long{number}", LONG, STRING) for number in range(TOPICS - 1)]
     publish(client, "data: short", "/text")
     assert not any(each.done() for each in long)
     may_read.set()
@@ -646,7 +656,7 @@ def test_an_operator_leaves_room_for_the_next(bridge: Bridge, robot: Domain, may
 
     def publish_as(who: str, fields: str) -> Future[Published]:
         with acting(who):
-            return client.publish("/text", fields)
+            return give(client, "/text", fields)
 
     waiting = [publish_as("anna", LONG) for _ in range(AT_ONCE)]
     with pytest.raises(EngineError, match=pattern(PublishProblem.TOO_FAST)):
@@ -672,15 +682,15 @@ def test_a_draft_has_the_fields_of_a_message_that_passes_or_the_types_defaults(
     server, client = bridge.both(Topic("/goal", "transmit"))
     pc.listener("/goal", PoseStamped)
     eventually(lambda: now(server).routes and route(server, "/goal").messages_total)
-    draft = server.draft_message("/goal").result(30)
-    fields = yaml.safe_load(draft.fields)
-    assert (draft.is_last, draft.type_name) == (True, POSE)
+    made = draft(server, "/goal")
+    fields = yaml.safe_load(made.fields)
+    assert (made.is_last, made.type_name) == (True, POSE)
     assert (fields["header"], fields["pose"]["position"]["x"]) == ({"stamp": "now", "frame_id": "map"}, 2.5)
-    draft = client.draft_message("/nobody", POSE).result(30)
-    fields = yaml.safe_load(draft.fields)
-    assert not draft.is_last
+    made = draft(client, "/nobody", POSE)
+    fields = yaml.safe_load(made.fields)
+    assert not made.is_last
     assert (fields["header"]["stamp"], fields["pose"]["orientation"]["w"]) == ("now", 1.0)
-    assert publish(client, draft.fields, "/nobody", type_name=draft.type_name).audience.count == 0
+    assert publish(client, made.fields, "/nobody", type_name=made.type_name).audience.count == 0
 
 
 def test_the_type_of_the_other_sides_subscription_is_taken(bridge: Bridge, pc: Domain) -> None:
@@ -713,9 +723,32 @@ def test_the_type_of_a_publisher_that_left_is_forgotten(
 
     def is_forgotten() -> bool:
         with contextlib.suppress(EngineError):  # while the two sides learn that it has left, there are two types
-            return engine.draft_message("/cmd").result(30).type_name == TWIST_STAMPED
+            return draft(engine, "/cmd").type_name == TWIST_STAMPED
         return False
 
     eventually(is_forgotten)
     assert publish(engine, "twist: {linear: {x: 0.1}}").type_name == TWIST_STAMPED
     eventually(lambda: base.payloads or not publish(engine, "twist: {linear: {x: 0.1}}"))
+
+
+def test_while_the_other_side_is_not_heard_nobody_is_told_to_arm_what_is_armed(
+    both_armed: tuple[Engine, Engine], relay: Relay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.LEASE_GIVEN_UP_AFTER.set(monkeypatch, 60.0)
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
+    driving_places.TICKET_LIFE.set(monkeypatch, 60.0)
+    server, client = both_armed
+    relay.stall()
+
+    def refused() -> str:
+        try:
+            publish(server, "data: held up")
+        except EngineError as error:
+            return str(error)
+        return ""
+
+    assert says(eventually(refused), PublishProblem.NOT_HEARD, topic="/cmd")
+    assert armed(server)
+    assert armed(client)
+    relay.stall(False)
+    eventually(lambda: not refused())

@@ -7,24 +7,18 @@ at once, and an arming goes over through a rest.
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import struct
-from collections import Counter
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
-import msgspec
 import pytest
 from tests.simulation.beds import until
-from tests.simulation.conditions import STILL
+from tests.simulation.drivers import RATE, SIGN_OF_LIFE_EVERY, TWIST, Driver, Drivers, written
 from tests.simulation.mutations import nothing
-from tests.simulation.ros import Reader, Writer, hash_of
-from tests.simulation.world import Violation, World
+from tests.simulation.ros import Writer, hash_of
+from tests.simulation.world import Violation
 from tests.support.long import long_cases
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.engine.topic_commands import ArmingCommands, find_route
 from rsb_bridge.model.commands import (
     AnswerAsker,
@@ -32,127 +26,31 @@ from rsb_bridge.model.commands import (
     AskHolder,
     DisarmTopic,
     KeepArmed,
-    Publish,
     TakeArming,
     console,
     operator,
 )
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Topic
 from rsb_bridge.route.arming import Arming
 from rsb_bridge.route.rest_message import RestMessage
+from rsb_extras.driving.publish_requests import Publish
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Sequence
+    from collections.abc import Coroutine
 
-    from tests.simulation.engine_host import EngineHost, Run
-
-    from rsb_bridge.model.calls import Fields
-    from rsb_bridge.model.commands import Command
     from rsb_bridge.model.transports import Protocol
-    from rsb_bridge.ros.ros_interface import RawMessage
-    from rsb_bridge.route.route import Route
 
-_SECONDS = 240.0
-_TWIST = "geometry_msgs/msg/Twist"
-_CDR = b"\0\1\0\0"
-_LAYOUT = struct.Struct("<6d")
-_RATE = 10.0
-"""Hz of a driver's commands."""
-_SIGN_OF_LIFE_EVERY = 0.5
 _CHANGES = 6
 """How often the robot has to change its driver, at least, for a world to prove something."""
 
 
-def _written(fields: Fields) -> bytes:
-    linear = fields.get("linear", {}) if isinstance(fields, dict) else {}
-    return _CDR + _LAYOUT.pack(float(linear.get("x", 0)), *(0.0,) * 5)  # type: ignore[union-attr, arg-type]
-
-
-@dataclass(eq=False)
-class Driver:
-    name: str
-    host: EngineHost
-    speed: float
-    stands_still: bool = False
-
-
-class Drivers:
-    """A robot, a server, and their operators.
-
-    Attributes:
-        changes: how often the motors heard another driver than before.
-    """
-
-    def __init__(self, seed: int, protocol: Protocol) -> None:
-        self.world = world = World(seed, replace(STILL, topics=(0,)))
-        world.invariants.check = lambda: None  # type: ignore[method-assign]  # they count the world's own flows
-        self.random = world.random("drivers")
-        self.heard: Counter[str] = Counter()
-        self.changes = 0
-        (robot,) = world.robots
-        self.robot, self.server = robot.host, world.server
-        entry = Topic("/cmd", "receive", protocol=protocol, type=_TWIST, arm=True, deadman=20.0, remote_topic="/cmd")
-        self.robot.session = msgspec.structs.replace(self.robot.session, topics=(entry,))
-        for host in (self.robot, self.server):
-            host.domain.installed[_TWIST] = hash_of(_TWIST)
-            host.domain.written[_TWIST] = _written
-            host.on_run = lambda _: None  # its messages are no flow's
-        self.drivers = (
-            Driver("anna", self.server, 0.1),
-            Driver("bert", self.server, 0.2),
-            Driver("carol", self.robot, 0.3),
-        )
-        self._by_speed = {each.speed: each for each in self.drivers}
-        self._last = self._driver = ""  # whose message the motors heard last, and whose that moved
-        Reader(self.robot.domain, "/motors", "/cmd", _TWIST, hash_of(_TWIST), Qos(depth=1000), self._hear)
-
-    # --- what must never be
-
-    def _hear(self, batch: Sequence[RawMessage]) -> None:
-        for message in batch:
-            speed = _LAYOUT.unpack_from(message.payload, len(_CDR))[0]
-            name = self._by_speed[speed].name if speed else ""
-            if name and self._last not in ("", name):
-                self.world.wrong(f"{name} drives right after {self._last}: no rest in between")
-            if name and self._driver != name:
-                self.changes += bool(self._driver)
-                self._driver = name
-            self._last = name
-            self.heard[name] += 1
-
-    # --- what operators do
-
-    def _route(self, host: EngineHost) -> Route | None:
-        links = host.run.links() if host.run is not None else []
-        return next((route for link in links for route in link.routes.values()), None)
-
-    async def do(self, driver: Driver, make: Callable[[Route], Command[Any]]) -> Any:
-        """Give a command about the topic; None if it is refused."""
-        run, route = driver.host.run, self._route(driver.host)
-        if run is None or route is None:
-            return None
-        with contextlib.suppress(EngineError):
-            return await run.command(run.bridge.do(make(route)), driver.name)
-
-    def _holds(self, driver: Driver) -> bool:
-        route = self._route(driver.host)
-        return route is not None and route.arming.console == driver.name
-
-    def is_asked(self, driver: Driver) -> bool:
-        route = self._route(driver.host)
-        return route is not None and route.arming.question is not None
-
-    async def stay(self, driver: Driver) -> None:
-        """Give signs of life."""
-        while True:
-            await asyncio.sleep(_SIGN_OF_LIFE_EVERY)
-            await self.do(driver, lambda _: KeepArmed(pressed=True))
+class Hands(Drivers):
+    """Operators who arm the robot, ask for it, take it and drive by hand."""
 
     async def sit(self, driver: Driver) -> None:
         """Give signs of life, and answer others' questions now and then."""
         while True:
-            await asyncio.sleep(_SIGN_OF_LIFE_EVERY)
+            await asyncio.sleep(SIGN_OF_LIFE_EVERY)
             if driver.stands_still:
                 continue
             await self.do(driver, lambda _: KeepArmed(pressed=True))
@@ -166,7 +64,7 @@ class Drivers:
         """Drive while it is this driver's, and even if it is not, as hands do that have not read the screen."""
         ticket, random = 0, self.random
         while True:
-            await asyncio.sleep(random.choice((1 / _RATE, 1 / _RATE, random.uniform(0.0, 2.0))))
+            await asyncio.sleep(random.choice((1 / RATE, 1 / RATE, random.uniform(0.0, 2.0))))
             if driver.stands_still or not (self._holds(driver) or random.random() < 0.2):
                 continue
             ticket = await self.publish(driver, ticket, random.choice(("", "linear: {x: 0.0}")))
@@ -178,7 +76,7 @@ class Drivers:
             lambda route: Publish(
                 route.local_topic,
                 f"linear: {{x: {driver.speed}}}",
-                _TWIST,
+                TWIST,
                 ticket=ticket,
                 rest=rest,
                 rest_after=0.5 if rest else 5.0,
@@ -190,7 +88,7 @@ class Drivers:
         ticket = 0
         for _ in range(5):  # of which the first brings a ticket
             ticket = await self.publish(driver, ticket)
-            await asyncio.sleep(1 / _RATE)
+            await asyncio.sleep(1 / RATE)
 
     async def want(self, driver: Driver) -> None:
         random = self.random
@@ -201,61 +99,6 @@ class Drivers:
             wants = (DisarmTopic,) if self._holds(driver) else (ArmTopic, AskHolder, AskHolder, TakeArming)
             await self.command(driver, random.choice(wants))
 
-    async def command(self, driver: Driver, command: Callable[[str], Command[Any]]) -> None:
-        await self.do(driver, lambda route: command(route.key))
-
-    def local_name(self, host: EngineHost) -> str:
-        route = self._route(host)
-        assert route is not None
-        return route.local_topic
-
-    # --- what befalls them
-
-    async def befall(self) -> None:
-        random, loop = self.random, self.world.loop
-        ends = self.server.machine, self.robot.machine
-        while True:
-            await asyncio.sleep(random.uniform(3.0, 10.0))
-            seconds = random.choice((0.4, 1.2, 2.5, 6.0))
-            match random.choice(("console", "process", "network", "kill")):
-                case "console":
-                    driver = random.choice(self.drivers)
-                    driver.stands_still = True
-                    await asyncio.sleep(seconds)
-                    driver.stands_still = False
-                case "process":
-                    run = self._run()
-                    if run is not None:
-                        loop.freeze(run.process)
-                        try:
-                            await asyncio.sleep(seconds)
-                        finally:
-                            loop.thaw(run.process, reads_first=random.random() < 0.5)
-                case "network":
-                    self.world.network.cut(*ends)
-                    await asyncio.sleep(seconds)
-                    self.world.network.heal(*ends)
-                case _:
-                    await self.end_a_bridge(seconds)
-
-    async def end_a_bridge(self, seconds: float) -> None:
-        """End a bridge for so long. A robot's own bridge that is killed leaves the robot moving, as documented."""
-        self.server.kill()
-        await asyncio.sleep(seconds)
-        self.server.start()
-
-    def _run(self) -> Run | None:
-        return self.random.choice((self.server, self.robot)).run
-
-    # --- lives
-
-    def play(self, life: Callable[[Drivers], Coroutine[Any, Any, None]] | None = None) -> None:
-        with self.world.trouble("operators", *self.world.robots):
-            if life is None:
-                self.world.play(_SECONDS, self.live())
-            else:
-                self.world.play(life=life(self))
-
     async def live(self) -> None:
         works: list[Coroutine[Any, Any, None]] = [self.befall()]
         for driver in self.drivers:
@@ -265,13 +108,13 @@ class Drivers:
 
 @pytest.mark.parametrize(("seed", "protocol"), [(7, "tcp"), (2, "udp"), *long_cases((3, "tcp"), (4, "udp"))])
 def test_one_person_drives_at_a_time_and_the_robot_rests_in_between(seed: int, protocol: Protocol) -> None:
-    drivers = Drivers(seed, protocol)
+    drivers = Hands(seed, protocol)
     drivers.play()
     assert drivers.changes >= _CHANGES
     assert all(drivers.heard[each.name] > 10 for each in drivers.drivers), drivers.heard
 
 
-async def goes_over(drivers: Drivers, first: int, second: int, pause: float = 2.0) -> None:
+async def goes_over(drivers: Hands, first: int, second: int, pause: float = 2.0) -> None:
     """One drives, a node comes on the control PC with another QoS, and another operator takes over and drives.
 
     Args:
@@ -284,7 +127,7 @@ async def goes_over(drivers: Drivers, first: int, second: int, pause: float = 2.
         await drivers.command(driver, command)
         await drivers.drive_shortly(driver)
         name = drivers.local_name(drivers.server)
-        Writer(drivers.server.domain, "/node", name, _TWIST, hash_of(_TWIST), Qos(depth=3, deadline=5.0))
+        Writer(drivers.server.domain, "/node", name, TWIST, hash_of(TWIST), Qos(depth=3, deadline=5.0))
         await asyncio.sleep(pause)
     assert all(drivers.heard[each.name] for each in both), drivers.heard
     for each in sitting:
@@ -299,7 +142,7 @@ _FROM_THE_ROBOT_S_SIDE = partial(goes_over, first=2, second=0)
 @pytest.mark.parametrize("life", [_BESIDE_EACH_OTHER, _FROM_THE_ROBOT_S_SIDE], ids=["beside", "from the robot's side"])
 def test_it_goes_over_through_a_rest(life: Any) -> None:
     """With any QoS, and any publisher that the robot's own topic has meanwhile."""
-    drivers = Drivers(1, "tcp")
+    drivers = Hands(1, "tcp")
     drivers.play(life)
     assert drivers.changes == 1
 
@@ -308,7 +151,7 @@ def test_it_goes_over_through_a_rest(life: Any) -> None:
 @pytest.mark.parametrize("asker", [1, 2], ids=["beside", "from the robot's side"])
 def test_the_holder_decides(asker: int, gives: bool) -> None:
     """An operator without the topic disarms nothing by leaving a drive screen, and drives nothing."""
-    drivers = Drivers(1, "tcp")
+    drivers = Hands(1, "tcp")
     anna, other = drivers.drivers[0], drivers.drivers[asker]
 
     async def held(driver: Driver) -> int:
@@ -344,19 +187,19 @@ def test_the_holder_decides(asker: int, gives: bool) -> None:
 @pytest.mark.parametrize("asker", [1, 2], ids=["beside", "from the robot's side"])
 def test_a_disarm_lasts_though_somebody_asks_for_the_topic(asker: int) -> None:
     """A node drives all the time: after the disarm its robot hears a rest, and no motion."""
-    drivers = Drivers(1, "tcp")
+    drivers = Hands(1, "tcp")
     anna, other = drivers.drivers[0], drivers.drivers[asker]
 
     async def plan(node: Writer) -> None:
         while True:
-            node.publish(_written({"linear": {"x": str(anna.speed)}}))
-            await asyncio.sleep(1 / _RATE)
+            node.publish(written({"linear": {"x": str(anna.speed)}}))
+            await asyncio.sleep(1 / RATE)
 
     async def live() -> None:
         works = [asyncio.ensure_future(drivers.stay(each)) for each in (anna, other)]
         await asyncio.sleep(8.0)
         name = drivers.local_name(drivers.server)
-        node = Writer(drivers.server.domain, "/nav", name, _TWIST, hash_of(_TWIST), Qos(depth=10))
+        node = Writer(drivers.server.domain, "/nav", name, TWIST, hash_of(TWIST), Qos(depth=10))
         works.append(asyncio.ensure_future(plan(node)))
         await drivers.command(anna, ArmTopic)
         asking = asyncio.ensure_future(drivers.command(other, AskHolder))
@@ -404,6 +247,6 @@ _MISTAKES: tuple[tuple[str, type, str, object, Any], ...] = (
     ("owner", "name", "mistake", "life"), [each[1:] for each in _MISTAKES], ids=[each[0] for each in _MISTAKES]
 )
 def test_a_mistake_is_found(owner: type, name: str, mistake: object, life: Any) -> None:
-    drivers = Drivers(1, "tcp")
+    drivers = Hands(1, "tcp")
     with patch.object(owner, name, mistake), pytest.raises(Violation, match="no rest in between"):
         drivers.play(life)

@@ -18,17 +18,19 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.glyphs import DONE, FAILED
 from rsb_console.screens.dialog import ConfirmScreen, beginning
-from rsb_console.session.manual_messages import REPORTED_WITHIN, Landing, hearing, publish
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, FormScreen, Notice, Spec, TextField
+from rsb_extras.driving.landing import REPORTED_WITHIN, Landing, hearing, publish
+from rsb_extras.driving.publish_requests import DraftMessage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from textual.app import ComposeResult
 
-    from rsb_bridge.model.by_hand import Published
     from rsb_console.console_api import Console
+    from rsb_console.screens.main import MainScreen
+    from rsb_extras.driving.publish_requests import Published
 
 _CHECKED = 4 << 10
 """Longest message (characters) to check while it is typed. A round figure: each key has the whole YAML read again."""
@@ -69,6 +71,19 @@ class Message(NamedTuple):
     topic: str
     type_name: str
     fields: str
+
+
+async def publish_selected(screen: MainScreen) -> None:
+    """Open the form on the topic under the cursor, or another one."""
+    route = screen.topics.route
+    if screen.console.engine is not None:
+        topic = route.topic if route is not None and route.calls is None else ""
+        await screen.console.ask(PublishScreen(screen.console, Message(topic, "", "")))
+
+
+async def publish_message(console: Console, topic: str, type_name: str, fields: str) -> None:
+    """Open the form on a message that another screen has made."""
+    await console.ask(PublishScreen(console, Message(topic, type_name, fields)))
 
 
 class PublishScreen(FormScreen[Message]):
@@ -140,7 +155,7 @@ class PublishScreen(FormScreen[Message]):
         if not values["topic"].startswith("/") or field.value not in ("", self._template) or engine is None:
             return
         try:
-            draft = await asyncio.wrap_future(engine.draft_message(values["topic"], values["type"]))
+            draft = await asyncio.wrap_future(engine.do(DraftMessage(values["topic"], values["type"])))
         except EngineError as error:
             field.note.set_text(PublishText.FIELDS_UNKNOWN(error=error))
             return

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from msgspec.structs import asdict
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.by_hand import END_NONE, END_ZERO, LONGEST_REST, OLD_AFTER, REST_AFTER
+from rsb_bridge.model.by_hand import END_NONE, END_ZERO, OLD_AFTER
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, done, fields_from, result
-from rsb_console.session.manual_messages import REPORTED_WITHIN, TRIES, ByHandText, Landing, hearing
+from rsb_extras.driving.landing import REPORTED_WITHIN, TRIES, ByHandText, Landing, hearing
+from rsb_extras.driving.publish_requests import LONGEST_REST, REST_AFTER, DraftMessage, Publish
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -23,9 +24,9 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.audience import Audience
-    from rsb_bridge.model.by_hand import Published
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-    from rsb_console.session.manual_messages import Landed
+    from rsb_extras.driving.landing import Landed
+    from rsb_extras.driving.publish_requests import Published
 
 
 class _End(NamedTuple):
@@ -56,7 +57,7 @@ class PubText(Wording):
     HERE = "here: {hearing}"
 
 
-def _pub(arguments: Namespace) -> int:
+def pub(arguments: Namespace) -> int:
     if arguments.template:
         return _template(arguments)
     if arguments.message is None:
@@ -68,7 +69,7 @@ def _pub(arguments: Namespace) -> int:
 
 def _template(arguments: Namespace) -> int:
     with attached(arguments, read_only=True) as engine:
-        draft = result(engine.draft_message(arguments.topic, arguments.type))
+        draft = result(engine.do(DraftMessage(arguments.topic, arguments.type)))
     if arguments.json:
         return done(arguments, type=draft.type_name, message=draft.fields, is_last=draft.is_last)
     print_lines(draft.fields.removesuffix("\n"))
@@ -166,7 +167,7 @@ def publish(
         TimeoutError: the bridge does not answer.
     """
     for _ in range(TRIES):
-        message = engine.publish(topic, fields, type_name, ticket=ticket, rest=end.rest, rest_after=end.after)
+        message = engine.do(Publish(topic, fields, type_name, ticket, end.rest, end.after))
         published = result(message)
         if published.is_done:
             return published
@@ -210,6 +211,3 @@ def _print(engine: RemoteEngine, arguments: Namespace, published: Published, cou
     for route in _not_over(engine, published, arguments.topic):
         reason = escape_text(route.reason or route.state.value)
         print_error(PubText.NOT_OVER(link=escape_text(route.link), reason=reason))
-
-
-COMMANDS = {"pub": _pub}
