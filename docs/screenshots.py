@@ -141,32 +141,6 @@ async def of_a_robot(album: Album) -> None:
             await asyncio.to_thread(app.stop)
 
 
-async def of_pictures(album: Album) -> None:
-    """Those of the robot's camera and map."""
-    with running_demo() as demo:
-        app = ConsoleApp(demo.session, demo.path, theme="dark", config=album.config)
-        try:
-            async with app.run_test(size=NARROW) as pilot:
-                await until(lambda: states(app).count("ok") == FLOWING, pilot)
-                await pilot.press("V")
-                await pilot.pause(2.0)
-                await pilot.press(*"camera", "enter")
-                await until(lambda: drawn(app), pilot)
-                await album.take(pilot, "look-camera", "greater_than_sign", when=lambda words: "rgb8" in words)
-                await pilot.press("less_than_sign", "escape", "slash", *"map", "enter", "v")
-                await until(lambda: drawn(app), pilot)
-                await pilot.pause(3.0)
-                await album.take(pilot, "look-map", when=lambda words: "5 m" in words)
-                await album.take(pilot, "goal", "g", *["right"] * 8, *["up"] * 3, when=lambda words: "GOAL" in words)
-        finally:
-            await asyncio.to_thread(app.stop)
-
-
-def drawn(app: ConsoleApp) -> bool:
-    """Whether a picture of a message is on the screen."""
-    return getattr(app.screen, "content", None) is not None
-
-
 async def of_a_fleet(album: Album) -> None:
     """The one of the demo of a fleet, when a robot is away, and another one has lost a topic."""
     over = threading.Event()
@@ -203,7 +177,7 @@ def states_of(fleet: RobotFleet) -> set[RobotState]:
     return {robot.summary.state for robot in robots(fleet)}
 
 
-PARTS = {"robot": of_a_robot, "look": of_pictures, "fleet": of_a_fleet}
+PARTS = {"robot": of_a_robot, "fleet": of_a_fleet}
 
 
 def parts() -> dict[str, tuple[Path, Take]]:

@@ -66,7 +66,7 @@ def test_it_starts_and_names_its_parts() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("part", ["robot", "look", "fleet", *(["drive"] if OF_FEATURES else [])])
+@pytest.mark.parametrize("part", ["robot", "fleet", *(["drive", "look"] if OF_FEATURES else [])])
 def test_it_takes_its_pictures(part: str, tmp_path: Path) -> None:
     """Without a terminal, and in 24-bit colours."""
     command = (sys.executable, SCRIPT, part, "--folder", tmp_path)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import pytest
+from tests.system.test_confined import ROOT, has_seccomp
+from tests.system.test_confined import confined as in_the_unit
 
 from rsb_bridge.model.finding import Grade
 from rsb_extras.pictures.confinement_check import confined
@@ -33,3 +37,11 @@ def test_the_confinement_is_tried_on_this_machine() -> None:
     (finding,) = confined()
     assert finding.facts["no_new_privileges"]
     assert finding.facts["no_capabilities"]
+
+
+@pytest.mark.skipif(not has_seccomp(), reason="systemd-analyze and libseccomp are not installed")
+def test_the_process_that_draws_confines_itself_further() -> None:
+    """The unit's filter lets Landlock and another filter through, where the kernel has them."""
+    trial = (sys.executable, "-P", "-m", "rsb_extras.pictures.confinement")
+    free = subprocess.run(trial, cwd=ROOT, capture_output=True, text=True, timeout=120, check=True).stdout
+    assert json.loads(in_the_unit(*trial).stdout) == json.loads(free)

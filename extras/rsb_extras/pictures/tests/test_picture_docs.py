@@ -6,12 +6,14 @@ import re
 from pathlib import Path
 
 import msgspec
+import pytest
 
 from rsb_extras.pictures import FEATURE
 from rsb_extras.pictures.link_views import ViewCode
 from rsb_extras.pictures.picture import Wish
 
 _DOCS = Path(__file__).parents[1] / "docs"
+_ROOT = _DOCS.parents[3]
 _PROTOCOL = (_DOCS / "picture-protocol.md").read_text(encoding="utf-8")
 
 
@@ -37,3 +39,12 @@ def test_every_field_on_the_wire_is_documented_and_no_other() -> None:
     assert {each for cell in wish for each in cell.split(", ")} == {
         field.name for field in msgspec.structs.fields(Wish)
     }
+
+
+@pytest.mark.parametrize(
+    "picture", sorted(_ROOT.glob("extras/rsb_extras/*/docs/pictures/*.svg")), ids=lambda each: each.stem
+)
+def test_a_picture_of_a_camera_is_in_colour(picture: Path) -> None:
+    """A terminal of 16 colours would draw it in four greys."""
+    text = picture.read_text(encoding="utf-8")
+    assert "rgb8" not in text or len(set(re.findall(r"#[0-9a-f]{6}", text))) > 100, "make screenshots"
