@@ -18,20 +18,14 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Decoded, Value
     from rsb_bridge.model.calls import Fields
 
-ITEMS = 1000
-"""Elements of an array that are written."""
-STEPS = 10_000
-"""Values of a message that are written. A test has so many written within 5 s of CPU."""
-_TEXT_LENGTH = 64 << 10
-"""Characters of all texts of a message that are written."""
-_NOTES = 10
-"""Omitted parts that are named; the others are counted."""
+ITEMS = 1000  # elements of an array that are written
+STEPS = 10_000  # values of a message that are written. A test has so many written within 5 s of CPU
+_TEXT_LENGTH = 64 << 10  # characters of all texts of a message that are written
+_NOTES = 10  # omitted parts that are named; the others are counted
 _WIDTH = 100
-_NOTHING_IN_IT = "structure_needs_at_least_one_member"
-"""What rosidl puts into a message without fields."""
+_NOTHING_IN_IT = "structure_needs_at_least_one_member"  # what rosidl puts into a message without fields
 
-_NO_NUMBER = (".inf", "-.inf", ".nan")
-"""Unquoted: values of fields, which a session has none of."""
+_NO_NUMBER = (".inf", "-.inf", ".nan")  # unquoted: values of fields, which a session has none of
 _TAGS = frozenset(f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map"))
 _NULL = "tag:yaml.org,2002:null"
 

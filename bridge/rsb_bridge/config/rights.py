@@ -62,8 +62,7 @@ ONLY_READ = frozenset(
 Neither name nor type tells the effect of any other service: ``std_srvs/srv/Trigger`` may dock a robot. So all others
 count as changing it, as do all actions and all nodes' parameters, because these can be set.
 """
-EVERY_CALL = "any service, action and parameter"
-"""Entry of `Listing.acts`, if nothing limits the peer's calls."""
+EVERY_CALL = "any service, action and parameter"  # entry of `Listing.acts`, if nothing limits the peer's calls
 _KINDS: dict[Kind, str] = {"action": " (action)", "parameters": " (parameters)"}
 
 

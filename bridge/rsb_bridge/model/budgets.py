@@ -41,10 +41,8 @@ class TokenBucket:
         return True
 
 
-LIMIT = 16 * 1024 * 1024
-"""Bytes that all strangers of an engine may use together."""
-CONNECTION = 16 * 1024
-"""Bytes counted for a connection: its 4 KiB buffer and the records about it."""
+LIMIT = 16 * 1024 * 1024  # bytes that all strangers of an engine may use together
+CONNECTION = 16 * 1024  # bytes counted for a connection: its 4 KiB buffer and the records about it
 
 
 class Strangers:

@@ -11,8 +11,7 @@ from rsb_bridge.model.qos import Qos
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind
 
-MOST_LANES = 16
-"""Of the protocol (PROTOCOL.md, 3: Provide); parameters have the most, seven."""
+MOST_LANES = 16  # of the protocol (PROTOCOL.md, 3: Provide); parameters have the most, seven
 
 
 class ServiceMember(NamedTuple):
@@ -36,8 +35,7 @@ _FEEDBACK = Qos("reliable", "volatile", "keep_last", 10)
 _STATUS = Qos("reliable", "transient_local", "keep_last", 1)
 _EVENTS = Qos("reliable", "volatile", "keep_last", 1000)
 
-SEND_GOAL, CANCEL_GOAL, GET_RESULT, FEEDBACK, STATUS = range(5)
-"""The lanes of an action."""
+SEND_GOAL, CANCEL_GOAL, GET_RESULT, FEEDBACK, STATUS = range(5)  # the lanes of an action
 
 LANES: dict[Kind, tuple[ServiceMember, ...]] = {
     "topic": (),
@@ -120,8 +118,7 @@ class GoalSnapshot:
     result_awaited: bool = False  # whether a caller waits for its result
 
 
-FIELDS_LENGTH = 32 << 10
-"""Bytes of the longest YAML text of fields."""
+FIELDS_LENGTH = 32 << 10  # bytes of the longest YAML text of fields
 
 Fields: TypeAlias = str | list["Fields"] | dict[str, "Fields"] | None
 """Fields as written in YAML; a field's type decides whether ``1.10`` is a number or a text. None means no value."""

@@ -25,12 +25,9 @@ class Clock:
 _STEP, _DRIFT, _MOST = 20_000_000, 1e-4, 50_000_000
 """ns by which the wall clock may be off since the last check, ns a ns since then, and ns at the most: beyond it, it was
 set."""
-_SAME = 1_000_000
-"""ns; smaller changes of the shift are ignored."""
-_READ_WITHIN = 1_000_000
-"""Longest time in ns between the readings of the two clocks."""
-_TRIES = 10
-"""On a busy machine, this thread may lose the processor between the readings; the last try counts as it is."""
+_SAME = 1_000_000  # ns; smaller changes of the shift are ignored
+_READ_WITHIN = 1_000_000  # longest time in ns between the readings of the two clocks
+_TRIES = 10  # on a busy machine, this thread may lose the processor between the readings; the last try counts as it is
 _UNSURE_FOR = 10_000_000_000
 """ns after the wall clock was set in which wall stamps are not trusted: older stamps may still come, if the thread that
 takes from ROS is held up."""

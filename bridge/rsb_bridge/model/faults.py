@@ -121,12 +121,10 @@ _NOTHING_COMES = frozenset(
 _NO_NEWS = frozenset({Cause.NO_MESSAGE, Cause.SILENT, Cause.AWAITS_LINK})
 """Causes of a topic that waits which say less than the causes of its fault."""
 
-LASTS = 2.0
-"""Seconds that a fault must last before it is reported, and be gone before its end is reported."""
+LASTS = 2.0  # seconds that a fault must last before it is reported, and be gone before its end is reported
 
 _Key: TypeAlias = tuple[str, str]
-_Kind: TypeAlias = tuple[str, str]
-"""State and cause."""
+_Kind: TypeAlias = tuple[str, str]  # state and cause
 
 
 class ChangeKind(StrEnum):

@@ -55,8 +55,7 @@ def allot(capacity: float, wishes: Mapping[K, TopicDemand]) -> dict[K, float]:
 PER_MESSAGE = 60
 """Approximate overhead of a message on the wire, in bytes: more than about 30 of a sealed frame, less than 82 of a
 datagram with UDP and IPv4 (PROTOCOL.md, 1.5 and 2)."""
-_SUFFERS = 0.97
-"""A topic suffers if it gets less than this share of its demand."""
+_SUFFERS = 0.97  # a topic suffers if it gets less than this share of its demand
 _NAMED = 3
 
 TYPICAL: Final[dict[str, tuple[float, int]]] = {

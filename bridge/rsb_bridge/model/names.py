@@ -24,8 +24,7 @@ _PREFIX = re.compile(rf"{_PART}(/{_PART})*")
 
 _DIGITS = re.compile(r"([0-9]+)")
 
-_STEM_LENGTH = 64
-"""Characters; a file's name has at most 255 bytes, and a suffix and a number come behind it."""
+_STEM_LENGTH = 64  # characters; a file's name has at most 255 bytes, and a suffix and a number come behind it
 
 
 def file_stem(name: str, number: int = 1) -> str:
@@ -168,21 +167,16 @@ def expand_type_name(name: str) -> str:
 Via: TypeAlias = tuple[str, ...]
 """Hops in the order of the way, or empty for the messages of a publisher that is no bridge."""
 
-OWN_NAMES = "/_rsb_bridge/"
-"""Before the names of what bridges themselves publish or serve."""
+OWN_NAMES = "/_rsb_bridge/"  # before the names of what bridges themselves publish or serve
 ANNOUNCEMENT_TOPIC = f"{OWN_NAMES}published"
 """What the bridges of a domain tell each other; hidden from ``ros2 topic list``, and never bridged."""
 OF_EVERY_NODE = ("/parameter_events", "/rosout", ANNOUNCEMENT_TOPIC)
 """The topics that each node has, and each bridge; lists leave them out."""
 
-MOST_HOPS = 16
-"""Of one message; of the protocol (PROTOCOL.md, 3: Source)."""
-MOST_SOURCES = 16
-"""Of one topic that one link carries: its number has four bits on the wire."""
-MOST_BRIDGES = 64
-"""In one domain; of the protocol (PROTOCOL.md, 3: Neighbours)."""
-HOP_LENGTH = 340
-"""Characters: a node's name and a topic's, which alone may have 247."""
+MOST_HOPS = 16  # of one message; of the protocol (PROTOCOL.md, 3: Source)
+MOST_SOURCES = 16  # of one topic that one link carries: its number has four bits on the wire
+MOST_BRIDGES = 64  # in one domain; of the protocol (PROTOCOL.md, 3: Neighbours)
+HOP_LENGTH = 340  # characters: a node's name and a topic's, which alone may have 247
 
 
 def hop(node: str, topic: str) -> str:
@@ -204,8 +198,7 @@ def topic_place(bridges: Iterable[str], topic: str) -> frozenset[str]:
     return frozenset(hop(node, topic) for node in bridges)
 
 
-FINGERPRINT_LENGTH = 8
-"""Bytes; of the protocol (PROTOCOL.md, 1.1). Two operators compare them by eye or by voice."""
+FINGERPRINT_LENGTH = 8  # bytes; of the protocol (PROTOCOL.md, 1.1). Two operators compare them by eye or by voice
 
 
 def fingerprint_of(secret: bytes) -> bytes:

@@ -7,13 +7,11 @@ from typing import Final
 
 from rsb_bridge.model.names import is_topic_name
 
-ROUTES_PER_PATTERN: Final = 100
-"""Routes that one pattern makes on one link. A round figure."""
+ROUTES_PER_PATTERN: Final = 100  # routes that one pattern makes on one link. A round figure
 ROUTES_BY_PATTERNS: Final = 250
 """Routes that all patterns of one side make on one link: a client takes 256 of a server's
 (`rsb_bridge.model.limits.ROUTES_PROPOSED_BY_SERVER`)."""
-PATTERNS_PER_LINK: Final = 64
-"""Patterns of one side, on one link; of the protocol (PROTOCOL.md, 3: Follow)."""
+PATTERNS_PER_LINK: Final = 64  # patterns of one side, on one link; of the protocol (PROTOCOL.md, 3: Follow)
 EXCEPTIONS_PER_PATTERN: Final = 256
 """Names and patterns that one pattern leaves out. A round figure: each name that it matches is compared with them."""
 NAMES_FOLLOWED: Final = 1000

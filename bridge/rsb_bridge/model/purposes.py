@@ -42,8 +42,7 @@ class Purpose:
         return len(name) <= _NAME_LENGTH and re.fullmatch(rf"{self.name}(/[a-z0-9-]+)+", name) is not None
 
 
-TOPIC = Purpose("topic", in_graph=True)
-"""Messages and calls of ROS nodes."""
+TOPIC = Purpose("topic", in_graph=True)  # messages and calls of ROS nodes
 
 
 @cache

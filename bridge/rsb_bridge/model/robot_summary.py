@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
 
-WHY_LENGTH = 200
-"""Characters of a reason: a line of a screen. The robot's own screen has the rest."""
+WHY_LENGTH = 200  # characters of a reason: a line of a screen. The robot's own screen has the rest
 SUMMARY_BYTES = 4096  # of a summary that comes from elsewhere
 LOSS_SPAN = 60.0  # the most s that a loss is computed over
 _MARK_EVERY = 1.0  # s from one mark of a route's counts to the next, however often snapshots come

@@ -23,8 +23,7 @@ Priority = Literal["low", "normal", "high"]
 
 RANKS: Final[dict[Priority, int]] = {"low": -1, "normal": 0, "high": 1}
 """As a proposal has them, the higher one first, as with DDS's transport priority."""
-LOWEST, HIGHEST = -100, 100
-"""Ranks that a newer peer may use; each counts as the word that is nearest."""
+LOWEST, HIGHEST = -100, 100  # ranks that a newer peer may use; each counts as the word that is nearest
 _WEIGHTS: Final[dict[Priority, int]] = {"low": 1, "normal": 4, "high": 16}
 """Not measured by themselves; with them, a high topic on a tunnel of 5 kB/s gets 82 % through, and 72 % without
 (bench/README, thin links)."""
@@ -60,8 +59,7 @@ A round figure, longer than any link is silent before it is given up (15 s with 
 Direction = Literal["transmit", "receive"]
 Kind = Literal["topic", "service", "action", "parameters"]
 Provider = Literal["client", "server"]
-Identity = tuple[Kind, str, Direction]
-"""The key of a topic, unique in a session: kind, name on the client, direction."""
+Identity = tuple[Kind, str, Direction]  # the key of a topic, unique in a session: kind, name on the client, direction
 Role = Literal["client", "server"]
 May = Literal["publish", "read", "look", "call", "serve"]
 OperatorMay = Literal["look", "change", "take"]

@@ -373,8 +373,7 @@ class Reloaded:
     digest: str = ""  # identifies `changed`, which may be cut on the way to a console; empty if `changed` is
 
 
-PEEK_LIMIT = 1 << 20
-"""Bytes of a message that are shown: a whole map, and the beginning of a large picture."""
+PEEK_LIMIT = 1 << 20  # bytes of a message that are shown: a whole map, and the beginning of a large picture
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,12 +19,10 @@ Value = Literal["text", "number", "switch", "list"]
 
 STALE_AFTER = Range(0.1, 1e6)
 """s: the engine looks at a route every quarter of a second at most; the longest is eleven days."""
-LATE_AFTER = Range(0.05, 1e6)
-"""s; a smaller bound would be within the uncertainty of the other side's clock."""
+LATE_AFTER = Range(0.05, 1e6)  # s; a smaller bound would be within the uncertainty of the other side's clock
 MAX_AGE = Range(0.05, 3600)
 """s: a smaller bound would be within the uncertainty of the other side's clock; an hour old is no command any more."""
-DEADMAN_TIME = Range(2, 86_400)
-"""s: the other side hears of pressed keys once a second; the longest is a day."""
+DEADMAN_TIME = Range(2, 86_400)  # s: the other side hears of pressed keys once a second; the longest is a day
 CALL_TIME = Range(0.1, 86_400)
 """s: until a call is given up. Shorter ones are over before a slow link has answered; the longest is a day."""
 

@@ -46,8 +46,7 @@ Message: TypeAlias = tuple[bytes, int, int]
 """(payload, stamp in ns since the epoch, flags: `ZSTD`, `HISTORY`, `LEASED`, and the source's number)."""
 
 LENGTH = struct.Struct(">I")
-HEADER = struct.Struct(">BBIQ")
-"""type, flags, route, stamp."""
+HEADER = struct.Struct(">BBIQ")  # type, flags, route, stamp
 _COUNT = struct.Struct(">Q")
 _MOST_MESSAGES = 2**53
 _HEADER_SIZE = HEADER.size

@@ -70,8 +70,7 @@ def split_history(payload: bytes) -> tuple[HistoryHeader, bytes]:
 
 _CALL_HEADER = struct.Struct(">BBQQ")
 CALL_HEADER_LENGTH = _CALL_HEADER.size
-MOST_TOOK = 2**63 - 1
-"""ns; the caller knows a lower bound: the time since its request."""
+MOST_TOOK = 2**63 - 1  # ns; the caller knows a lower bound: the time since its request
 
 
 class What(IntEnum):

@@ -412,8 +412,7 @@ class ByHand(ControlMessageBase, frozen=True):
     outcome: Reason = ""
 
 
-MOST_RECEIPTS = 500
-"""Entries of each list in one message."""
+MOST_RECEIPTS = 500  # entries of each list in one message
 _Counts: TypeAlias = Annotated[tuple[tuple[Count, Count], ...], Meta(max_length=MOST_RECEIPTS)]
 
 

@@ -25,8 +25,7 @@ PREFIX_LENGTH = 5  # bytes of a preamble frame before its body
 MESSAGE_LIMIT = 512  # bytes of a refusal's message
 LINK_ID_LENGTH = 8
 _DATA = struct.Struct(f">{LINK_ID_LENGTH}sIH?")
-_CONTROL_VERSION = struct.Struct(">H")
-"""Of the control protocol, in an OPERATOR frame."""
+_CONTROL_VERSION = struct.Struct(">H")  # of the control protocol, in an OPERATOR frame
 
 
 class PreambleKind(IntEnum):

@@ -47,8 +47,7 @@ Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=M
 FeatureNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=64)]
 NodeNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 
-MOST_PUBLISHERS = 4096
-"""Of one latched topic, in one message."""
+MOST_PUBLISHERS = 4096  # of one latched topic, in one message
 HistoryDepths: TypeAlias = Annotated[dict[PublisherId, HistoryDepth], Meta(max_length=MOST_PUBLISHERS)]
 NewestNumbers: TypeAlias = Annotated[dict[PublisherId, MessageNumber], Meta(max_length=MOST_PUBLISHERS)]
 

@@ -20,16 +20,13 @@ Buffer: TypeAlias = bytes | bytearray | memoryview
 Role = Literal["client", "server"]
 
 KEY_LENGTH = 32
-EPOCH_BITS = 20
-"""An epoch is 2**20 sequence numbers, far inside what one AES-GCM key may seal (NIST SP 800-38D, 8.3)."""
+EPOCH_BITS = 20  # an epoch is 2**20 sequence numbers, far inside what one AES-GCM key may seal (NIST SP 800-38D, 8.3)
 EPOCHS_AHEAD = 256
 """Epochs by which a datagram may be ahead of the newest authentic one: limits how many keys a forged one costs."""
 
-PROBE_ROUTE = 0
-"""The route of the probes of a UDP path, which nobody proposes."""
+PROBE_ROUTE = 0  # the route of the probes of a UDP path, which nobody proposes
 
-_REKEY_SEQUENCE = 2**64 - 1
-"""Noise's nonce for REKEY (4.2), which no content has."""
+_REKEY_SEQUENCE = 2**64 - 1  # Noise's nonce for REKEY (4.2), which no content has
 _DIRECTIONS: dict[Role, int] = {"client": 0, "server": 1}
 
 

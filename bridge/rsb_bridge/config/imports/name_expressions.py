@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from itertools import product
 
-_MOST = 32
-"""Patterns that one expression may become. A round figure: ``(a|b)(c|d)(e|f)`` has eight."""
+_MOST = 32  # patterns that one expression may become. A round figure: ``(a|b)(c|d)(e|f)`` has eight
 _ANY, _SEGMENT = "\0", "\1"  # in place of the characters that they match: no name has either
 _TOKEN = re.compile(
     r"(?P<any>\.[*+]\??)|(?P<segment>\[\^/\][*+])|\\(?P<escaped>[./_\-~])|(?P<open>\((?:\?:)?)|(?P<plain>[A-Za-z0-9_/~\-])"
