@@ -23,7 +23,8 @@ from rsb_bridge.config.file_form import (
     locations,
 )
 from rsb_bridge.config.keys import conceal
-from rsb_bridge.config.rights import grant_problems, operator_problems
+from rsb_bridge.config.operators import operator_problems
+from rsb_bridge.config.rights import grant_problems
 from rsb_bridge.config.topic_rules import (
     armed_name_problems,
     entry_problems,
