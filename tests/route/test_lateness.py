@@ -15,7 +15,6 @@ from rsb_bridge.route.lateness import (
     Late,
     LateWatch,
     SendersDelay,
-    Unreported,
     delay_of_sender,
     seconds_text,
 )
@@ -100,13 +99,13 @@ def test_no_delay_of_a_full_link_is_usual() -> None:
 
 
 def test_how_long_ago_the_oldest_unreported_message_was_sent() -> None:
-    unreported = Unreported()
-    assert unreported.age(0, 0, 0.0) == 0.0
-    unreported.age(10, 0, 1.0)
-    assert unreported.age(20, 0, 2.0) == pytest.approx(1.9)
-    assert unreported.age(30, 10, 3.0) == pytest.approx(1.9)
-    assert unreported.age(30, 30, 4.0) == 0.0
-    assert unreported.age(5, 0, 5.0) == pytest.approx(0.0, abs=1.0), "it was opened again"
+    delays = SendersDelay()
+    assert delays.unreported(0, 0, 0.0) == 0.0
+    delays.unreported(10, 0, 1.0)
+    assert delays.unreported(20, 0, 2.0) == pytest.approx(1.9)
+    assert delays.unreported(30, 10, 3.0) == pytest.approx(1.9)
+    assert delays.unreported(30, 30, 4.0) == 0.0
+    assert delays.unreported(5, 0, 5.0) == pytest.approx(0.0, abs=1.0), "it was opened again"
 
 
 def test_how_long_reports_take_is_not_held_against_messages() -> None:

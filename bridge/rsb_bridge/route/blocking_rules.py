@@ -19,12 +19,9 @@ if TYPE_CHECKING:
 FactsT = TypeVar("FactsT")
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
-_SUFFERS_FOR = 20.0
-"""s for which a route counts as suffering from a lossy path after its last trouble: at 30 % loss, good times took up to
-15 s."""
-_STUCK_AFTER = 20.0
-"""s without a message after which a lossy path stops a route altogether, and is no longer what makes it slow. A
-round figure: how long the bad times of a path last was not measured."""
+# Of a lossy path.
+_SUFFERS_FOR = 20.0  # s for which a route suffers after its last trouble: at 30 % loss, good times took up to 15 s
+_STUCK_AFTER = 20.0  # s without a message after which it is stopped, and no longer slow: a round figure
 _BETWEEN_LOSSES = frozenset(
     {
         (State.OK, Cause.NONE),

@@ -34,25 +34,18 @@ _ENOUGH_SAID_HERE = frozenset(
 """Causes of which the other side knows no more, if it has the same."""
 _OF_NODE = (Cause.UNANSWERED, Cause.CALLS_WAIT)
 """Causes that the providing side can tell from a lossy path."""
-_TEXT_LENGTH = 300
-"""Characters of a text that is sent: a report has room for a thousand routes."""
+# Of reports, which have room for a thousand routes.
+_TEXT_LENGTH = 300  # characters of a text
+NODES, NODE_LENGTH = 4, 64  # the most nodes, and characters of their names
+_LONGEST = 1e9  # s, 30 years: a peer that says more makes it up
+_JITTER = 2.0  # s by which two reports on one fault may be apart, or its time would jump with each: a round figure
 
-_LONGEST = 1e9
-"""s, 30 years: a peer that says more makes it up."""
-_JITTER = 2.0
-"""s by which two reports on the same fault may be apart, or its time would jump on the screens with each of them. A
-round figure."""
-NODES, NODE_LENGTH = 4, 64
-"""The most nodes in a report to the other side, and characters of their names: a report has room for a thousand
-routes."""
-_LASTS = 3.0
-"""s that a verdict must last. A round figure: nothing was measured. With a tenth of it, each second that goes
-wrong would be logged."""
-_LOSS_LASTS = 7.0
-"""s that a loss on the way must last: before that, its remedy is not known (`MEASURED_FOR`)."""
-_WAITS = 10.0
-"""s that a route must wait before the log reports it: nodes that start with the bridge are up by then. A round
-figure: nothing was measured."""
+# Of the log. Those without a source are round figures.
+_LASTS = 3.0  # s that a verdict must last: with a tenth of it, each second that goes wrong would be logged
+_LOSS_LASTS = 7.0  # s that a loss on the way must last: before that, its remedy is not known (`MEASURED_FOR`)
+_WAITS = 10.0  # s that a route waits before the log reports it: nodes that start with the bridge are up by then
+_AGAIN_AFTER = 60.0  # s until a verdict is repeated: with a tenth of it, a topic that comes and goes would fill the log
+_MOST_LOGGED = 32  # verdicts remembered for that
 _MENDABLE: dict[str, Level] = {
     Cause.NO_PUBLISHER: Level.INFO,
     Cause.NO_SERVER: Level.INFO,
@@ -60,10 +53,6 @@ _MENDABLE: dict[str, Level] = {
     Cause.TYPE_UNKNOWN: Level.WARNING,
 }
 """What a route may wait for that a person can mend: a name or a type that is typed wrong, a type to install."""
-_AGAIN_AFTER = 60.0
-"""s until the log repeats a verdict. A round figure: nothing was measured. With a tenth of it, a topic that comes and
-goes would fill the log."""
-_MOST_LOGGED = 32  # verdicts remembered for that. A round figure
 _LOGGED_ELSEWHERE = frozenset(
     {
         Cause.LINK_DOWN, Cause.REFUSED, Cause.LISTED_DIFFERENTLY, Cause.LOOP, Cause.PAUSED, Cause.DISARMED,
@@ -137,8 +126,7 @@ class CombinedVerdict:
         Called once a second.
         """
         verdict = self.shown(own).verdict
-        # First, because `shown_cause` must be right even if nothing is logged.
-        self.since(verdict, now)
+        self.since(verdict, now)  # which notes the cause that is shown, whether anything is logged or not
         if path is not None and path.of_topic(verdict.cause) is not None:
             return None
         return self._announcer.announce(verdict, now)

@@ -17,32 +17,25 @@ from rsb_bridge.model.verdict import Cause, Verdict
 if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
 
-# The numbers without a source are round figures: nothing was measured.
-_TICKS = 2
-"""Ticks that have to agree before a topic becomes late, or is no longer late: one bad second is no fault."""
-_CLEARLY = 2.0
-"""Times the bound: beyond that, one tick is enough, unless a clock that was set may explain it."""
-_OVER = 0.8
-"""Times the bound: below that, a late topic is on time again."""
+# Numbers without a source are round figures: nothing was measured.
+
+# Of the watch.
+_TICKS = 2  # that have to agree before a topic becomes late, or is no longer late: one bad second is no fault
+_CLEARLY = 2.0  # times the bound: beyond that, one tick is enough, unless a clock that was set may explain it
+_OVER = 0.8  # times the bound: below that, a late topic is on time again
+# s without a message after which the last delay is outdated, or times the last gap between messages if that is longer,
+# and s at the most: a topic with a message every 10 s must not be fine in between.
 _REMEMBERED, _REMEMBERED_GAPS, _LONGEST_REMEMBERED = 5.0, 2.0, 60.0
-"""s without a message after which the last delay is outdated, or times the last gap between messages if that is longer,
-and s at the most: a topic with a message every 10 s must not be fine in between."""
-_SAME = 0.15
-"""Share by which a delay has to change before the shown figure does, or the screens would change each second."""
-REPORTED_LATELY = 2.5
-"""s for which a delay that the receiver has reported counts: one of its reports may be late or lost."""
-_LONGEST_DELAY = 3600.0
-"""s; a longer delay counts as a mistake, as in `telemetry.meters`."""
-_LONGEST_UNDER_WAY = 60.0
-"""s; a message that takes longer counts as lost."""
-_REPORTED_EVERY = 1.0
-"""s between the receiver's reports (`link.link.RouteReports`)."""
-_MOST_MARKS = 600
-"""Marks of ten minutes without a report. The age is that of the oldest mark."""
-_USUAL = 0.1
-"""Weight of a new delay in the usual one."""
-_USUAL_AFTER = 5
-"""Delays in time that have to follow one before it is learned: trouble begins a little earlier than it is noticed."""
+_SAME = 0.15  # share by which a delay changes before the shown figure does, or the screens would change each second
+_USUAL = 0.1  # weight of a new delay in the usual one
+_USUAL_AFTER = 5  # delays in time that follow one before it is learned: trouble begins earlier than it is noticed
+
+# Of the receiver's reports.
+REPORTED_LATELY = 2.5  # s for which a reported delay counts: one report may be late or lost
+_REPORTED_EVERY = 1.0  # s (`link.link.RouteReports`)
+_LONGEST_DELAY = 3600.0  # s; a longer delay counts as a mistake, as in `telemetry.meters`
+_LONGEST_UNDER_WAY = 60.0  # s; a message that takes longer counts as lost
+_MOST_MARKS = 600  # of ten minutes without a report. The age is that of the oldest mark
 
 WAY, QUEUE = "way", "queue"
 """Where messages are held up: on the way, or in the sender's own queue."""
@@ -149,34 +142,6 @@ class LateWatch:
         self._seen_at = None
 
 
-class Unreported:
-    """Age of the oldest message that the receiver has not reported."""
-
-    def __init__(self) -> None:
-        self._marks: deque[tuple[float, int]] = deque()
-        self._looked: tuple[float, int] | None = None
-
-    def age(self, sent: int, accounted: int, now: float) -> float:
-        """Take the counts of an opening once a second.
-
-        Args:
-            accounted: messages that the receiver has reported, arrived or lost.
-
-        Returns:
-            The age in s, about, or 0 if all messages are reported.
-        """
-        marks, (at, before) = self._marks, self._looked or (now, 0)
-        self._looked = now, sent
-        if marks and marks[-1][1] > sent:
-            marks.clear()  # a new opening counts from 0
-        while marks and marks[0][1] <= accounted:
-            marks.popleft()
-        if sent > accounted and (not marks or marks[-1][1] < sent) and len(marks) < _MOST_MARKS:
-            new = max(1, sent - before)
-            marks.append((now - (now - at) * (new - 1) / new, sent))  # about when the first of the new ones was sent
-        return now - marks[0][0] if marks else 0.0
-
-
 class SendersDelay:
     """The sending half's knowledge of how long messages take in one opening.
 
@@ -189,13 +154,13 @@ class SendersDelay:
         self.reported: float | None = None
         self.least = 0.0
         self._reported_at = 0.0
-        self._unreported = Unreported()
+        self._marks: deque[tuple[float, int]] = deque()
+        self._looked: tuple[float, int] | None = None
 
     def receive(self, seconds: float, now: float) -> None:
         """Take a delay that the receiver reports."""
-        if not math.isfinite(seconds) or abs(seconds) > _LONGEST_DELAY:
-            return
-        self.reported, self._reported_at = seconds, now
+        if math.isfinite(seconds) and abs(seconds) <= _LONGEST_DELAY:
+            self.reported, self._reported_at = seconds, now
 
     def with_report(self, report_delay: float) -> float:
         """Return the estimated s that a message and its report take together."""
@@ -203,23 +168,30 @@ class SendersDelay:
         return min(max(0.0, self.reported or 0.0, report_delay) + report_delay, _LONGEST_UNDER_WAY)
 
     def unreported(self, sent: int, accounted: int, now: float) -> float:
-        """Begin the look of each second: return the age of the oldest message that is not reported, in s.
+        """Begin the look of each second: return about how old the oldest message is that the receiver has not reported.
 
         Args:
+            sent: messages of this opening.
             accounted: messages that the receiver has reported, arrived or lost.
         """
         self.least = 0.0
-        return self._unreported.age(sent, accounted, now)
+        marks, (at, before) = self._marks, self._looked or (now, 0)
+        self._looked = now, sent
+        if marks and marks[-1][1] > sent:
+            marks.clear()  # a new opening counts from 0
+        while marks and marks[0][1] <= accounted:
+            marks.popleft()
+        if sent > accounted and (not marks or marks[-1][1] < sent) and len(marks) < _MOST_MARKS:
+            new = max(1, sent - before)
+            marks.append((now - (now - at) * (new - 1) / new, sent))  # about when the first of the new ones was sent
+        return now - marks[0][0] if marks else 0.0
 
     def measure(self, own: float, uncertainty: float, now: float) -> float | None:
-        """Measure how long messages take while they cross.
+        """Return the latest reported delay, or None, and note how long messages take at least.
 
         Args:
             own: s that they take at least, as this side knows without the other one's clock.
             uncertainty: s by which reported delays may be too long.
-
-        Returns:
-            The latest report, or None.
         """
         measured = self.reported if now - self._reported_at <= REPORTED_LATELY else None
         self.least = max(own, (measured or 0.0) - uncertainty)

@@ -50,29 +50,23 @@ _EXPLAINS = frozenset(
     }
 )
 """Causes of silence. Others are silence itself, in other words, or go with messages."""
-_LATENCY_TICKS = 10
-"""Seconds of messages that the shown latency is of. At low rates, so many samples as at high ones would be minutes
-old."""
-MEASURED_FOR = 6.0
-"""s of lateness or loss after which a full link has been noticed."""
-_DRAINS_FOR = 60.0
-"""s for which messages may be late or lost because their link was full. A round figure: nothing was measured."""
+_LATENCY_TICKS = 10  # seconds of messages that the shown latency is of: so many samples would take minutes at low rates
+MEASURED_FOR = 6.0  # s of lateness or loss after which a full link has been noticed
+_DRAINS_FOR = 60.0  # s for which messages may be late or lost because their link was full: a round figure
 _CALM = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED})
 """States that last until something happens, or until silence has lasted too long."""
 _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
-IDLE_AFTER = float(HISTORY)
-"""s without any change after which a route is idle. By then its rate is 0 and its plot is empty."""
-IDLE_AT_MOST = 15.0
-"""s that a route is idle at most: its signs may not show everything, and its figures should not be older."""
-_AWAKE = 0.9
-"""s after a tick before it is idle again, so that it is also reported and shown."""
+
+# Of idle routes (bench/README, quiet topics).
+IDLE_AFTER = float(HISTORY)  # s without any change. By then a route's rate is 0 and its plot is empty
+IDLE_AT_MOST = 15.0  # s; its signs may not show everything, and its figures should not be older
+_AWAKE = 0.9  # s after a tick before it is idle again, so that it is also reported and shown
 Signs: TypeAlias = tuple[object, ...]
 """What a route's verdict and its figures follow from; they are equal while nothing happens."""
-_PER_MESSAGE = 60
-"""Bytes on the wire in addition to a message's content: header, seal, and a part of the packets' headers."""
-_SIZE_FADES = 0.8
-"""The part of the messages so far that still counts a second later, for the size of the average one: it is of about
-five seconds. Nothing was measured."""
+
+# Of what a topic wants to send.
+_PER_MESSAGE = 60  # bytes on the wire besides a message's content: header, seal, and a part of the packets' headers
+_SIZE_FADES = 0.8  # part of the earlier messages that counts a second later for the average size: of about five
 
 
 class SilenceWatch:
