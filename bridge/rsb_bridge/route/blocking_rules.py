@@ -205,7 +205,7 @@ def _breaking(status: RouteStatus) -> Verdict | None:
 
 
 def _refused(status: RouteStatus) -> Verdict | None:
-    if not status.refusal:
+    if not status.refusal.text:
         return None
     if status.refusal.code is EndCode.LISTED_DIFFERENTLY:
         return Verdict(State.DOWN, Cause.LISTED_DIFFERENTLY, status.refusal.text)

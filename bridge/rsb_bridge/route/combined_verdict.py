@@ -76,10 +76,16 @@ class Shown(NamedTuple):
 
 
 class CombinedVerdict:
-    """Puts both sides' verdicts together. `peer` is the other side's."""
+    """Puts both sides' verdicts together.
+
+    Attributes:
+        peer: the other side's.
+        announced: the verdict for operators at the last `announce`.
+    """
 
     def __init__(self, *, sends: bool, peer_name: str) -> None:
         self.peer = FINE
+        self.announced = Shown(FINE, from_peer=False)
         self._sends = sends
         self._peer_name = peer_name
         self._announcer = Announcer()
@@ -125,7 +131,8 @@ class CombinedVerdict:
 
         Called once a second.
         """
-        verdict = self.shown(own).verdict
+        self.announced = self.shown(own)
+        verdict = self.announced.verdict
         self.since(verdict, now)  # which notes the cause that is shown, whether anything is logged or not
         if path is not None and path.of_topic(verdict.cause) is not None:
             return None

@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.gates import LastLook
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.source_publishers import VolatileTopic
@@ -526,9 +527,9 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _came_here(self) -> int:
         return self._received
 
-    def _judge_lateness(self, now: float) -> None:
+    def _judge_lateness(self, now: float, *, flows: bool) -> None:
         uncertainty = self.peer.stamps.uncertainty
-        if uncertainty is None or not self.crossing.flows:
+        if uncertainty is None or not flows:
             self.lateness.reset()
         else:
             recent = self.latency.recent
@@ -537,8 +538,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _signs(self) -> Signs:
         return *super()._signs(), self._report, self._audience, self._others, self._clocks
 
-    def _changes_at(self, shown: Verdict, now: float) -> float:
-        return now if self._sender_ledger.in_flight else super()._changes_at(shown, now)
+    def _changes_at(self, shown: Verdict, crossing: Crossing, now: float) -> float:
+        return now if self._sender_ledger.in_flight else super()._changes_at(shown, crossing, now)
 
     def tick(self) -> None:
         super().tick()
@@ -627,7 +628,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         since = self._unmatched_since
         # One that matches no subscription at all.
         deaf = () if self._audience.count else self._audience.deaf
-        clash = next((each.reason for each in deaf if each.cause == Cause.QOS_INCOMPATIBLE), "")
+        clash = next((each.reason for each in deaf if each.cause == Cause.QOS_INCOMPATIBLE), "") if deaf else ""
         return TopicProgress(
             self.endpoints,
             publishers=report.publishers if report else None,

@@ -153,6 +153,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._resolver = Resolver(context, proposal)
         self._health = Health()
         self.delays = SendersDelay()
+        self._in_flight = 0  # at the last tick
 
     # --- setting up
 
@@ -333,39 +334,39 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._subscription.lost, self.notices.warning, self.notices.loop,
         )  # fmt: skip
 
-    def _changes_at(self, shown: Verdict, now: float) -> float:
-        if self._health.expected_rate is not None or self._ledger.missed.down or self.ledger().in_flight:
+    def _changes_at(self, shown: Verdict, crossing: Crossing, now: float) -> float:
+        if self._health.expected_rate is not None or self._ledger.missed.down or self._in_flight:
             return now
-        return super()._changes_at(shown, now)
+        return super()._changes_at(shown, crossing, now)
 
     def tick(self) -> None:
-        now = self.context.now()
-        flows = self.crossing.flows
+        now, crossing, ledger = self.context.now(), self.crossing, self.ledger()
+        flows, self._in_flight = crossing.flows, ledger.in_flight
         latched = self.is_latched  # may be silent for any time, unless an operator expects a rate
         # Before `super().tick`, whose verdict needs it.
         self._health.judge(
             Flow(
                 flows,
-                self._subscription.receives if flows else self.awaited,
+                self._subscription.receives if flows else self.awaits(crossing),
                 self.silence.quiet_since,
                 self.meter.rate,
                 self.spec.expected_rate or 0.0,
                 None if latched else self.meter.usual_rate,
                 self.limit.rate,
                 frozenset([each.gid for each in self.endpoints]),
-                self.ledger(),
+                ledger,
             ),
             now,
         )
         self._estimate_missed(now, flows=flows, latched=latched)
         super().tick()
         self._subscription.tick()
-        self._tick_clocks()
+        if self.age.publishers.since is None and flows and not latched:
+            self._tick_clocks()
 
     def _tick_clocks(self) -> None:
         """Open the route again if messages seem old since this side's clock was set: their publisher's may lag."""
-        doubtful = self.age.publishers.since is None and not self.is_latched and self.crossing.flows
-        late = self.age.late() if doubtful else None
+        late = self.age.late()
         # Only a new subscription has no message from before it, so that an earlier stamp proves a wrong clock.
         if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
             self.request_reopen(EventCode.ROUTE_CLOCK_SET, "this side's clock was set, and publishers' stamps seem old")
@@ -387,9 +388,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
         return bool(own or self.ends.publishers(self.topic))
 
-    def _judge_lateness(self, now: float) -> None:
+    def _judge_lateness(self, now: float, *, flows: bool) -> None:
         unreported = self.delays.unreported(self._ledger.sent_now, self._ledger.reported_now, now)
-        if not self.crossing.flows:
+        if not flows:
             self.lateness.reset()
             return
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
@@ -480,10 +481,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         """Whether the peer keeps messages of a publisher that still exists."""
         return bool(self._kept_there) and any(publisher_id(each.gid) in self._kept_there for each in self.endpoints)
 
-    @property
-    def awaited(self) -> bool:
+    def awaits(self, crossing: Crossing) -> bool:
         """Whether messages are missing now if none come, be it that they would cross once somebody published."""
-        crossing = self.crossing
         if crossing.flows:
             return True
         # Type and QoS are a publisher's, so that without one nothing is described, and nothing flows.

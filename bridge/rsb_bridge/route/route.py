@@ -409,14 +409,14 @@ class Route:
         """Update the meter and report a changed verdict; called once a second while the route is not idle."""
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
-        self.reopening.observe(connected=self.connected, flowing=self.crossing.flows)
+        flows = self.crossing.flows
+        self.reopening.observe(connected=flows or self.connected, flowing=flows)
         if self.losses:  # nearly never, and the question what it owes takes a while
             self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
-        verdict = self.verdict()
-        said = self.judged.announce(verdict, now, self.peer.path.fault)
+        said = self.judged.announce(self.verdict(), now, self.peer.path.fault)
         if said and self.purpose.in_graph:  # of an internal route, what has proposed it tells the operator
-            shown, from_peer = self.judged.shown(verdict)
+            shown, from_peer = self.judged.announced
             since = self.context.wall() - (now - self.judged.since(shown, now))
             about: About = {"cause": said.cause, "state": shown.state, "since": since, "from_peer": from_peer}
             self.log(said.level, said.code, said.text, **about)
@@ -469,7 +469,7 @@ class Route:
             self.far_topic,
             self.context.domain_id,
             link_down=None if self.peer.linked else self.peer.down_reason,
-            accepted=False if refusal else self.life.accepted or None,
+            accepted=False if refusal.text else self.life.accepted or None,
             refusal=refusal,
             loop=self.notices.loop,
             no_path=self.trouble(),
@@ -477,7 +477,7 @@ class Route:
 
     def status(self) -> RouteStatus:
         """Return the part of this half's knowledge that does not depend on what the route carries."""
-        now = self.context.now()
+        now, came = self.context.now(), self.came
         cause, disarmed = self.arming.why_at(now)
         return self.setup()._replace(
             refusal=self.reopening.shown_refusal(self.life, now - self.opened_at if self.id else 0.0),
@@ -488,8 +488,8 @@ class Route:
             can_be_armed=cause is not Disarmed.LINK_SLOW,
             breaking=self.breaking,
             awaits_full_link=self.link_full is not None and self.transport.reliable,
-            came=self.came,
-            came_before=self.came_before,
+            came=came,
+            came_before=not came and self.came_before,
             limit=self.limit.rate,
             limited_by=self.limit.why,
             path=self.peer.path.fault,

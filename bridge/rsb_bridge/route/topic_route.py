@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.topic_verdict import TopicProgress
     from rsb_bridge.wire.messages import Propose
@@ -336,8 +337,8 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Messages that came to this half so far, from ROS or the other side."""
         raise NotImplementedError
 
-    def _judge_lateness(self, now: float) -> None:
-        """Judge `lateness` at `now` (s)."""
+    def _judge_lateness(self, now: float, *, flows: bool) -> None:
+        """Judge `lateness` at `now` (s); `flows`: messages are due."""
         raise NotImplementedError
 
     def is_due(self, now: float) -> bool:
@@ -352,29 +353,29 @@ class TopicRoute(Route, Generic[ChannelT]):
             not self.transport.reliable and self.trouble(),  # a stream would ask the kernel
         )  # fmt: skip
 
-    def _changes_at(self, shown: Verdict, now: float) -> float:
+    def _changes_at(self, shown: Verdict, crossing: Crossing, now: float) -> float:
         """Return when (s) time alone changes the verdict: `now` while it may at any moment, or infinite for never."""
         if shown.state not in _CALM or self.arming.required or self.lateness.since is not None:
             return now
-        return self.silence.due if self.awaited and self.silence_counts else math.inf
+        return self.silence.due if self.awaits(crossing) and self.silence_counts else math.inf
 
     def tick(self) -> None:
         """Update histories, stale warnings and the verdict. Called once a second while the route is not idle."""
+        now, crossing = self.context.now(), self.crossing
         self.latency.tick()
-        self._judge_lateness(self.context.now())
-        self.age.update(self._came_here, self.context.now())
+        self._judge_lateness(now, flows=crossing.flows)
+        self.age.update(self._came_here, now)
         if self.link_full is not None:
-            self._full_at = self.context.now()
+            self._full_at = now
         # The verdict needs the ticks above; the lines below need the verdict.
         super().tick()
         self.limit.set_profile_rate(self._profile_rate())
-        if not self.awaited:
-            self.silence.rearm(self.context.now())
-        shown = self.judged.shown(self.verdict()).verdict
-        now = self.context.now()
+        if not self.awaits(crossing):
+            self.silence.rearm(now)
+        shown = self.judged.announced.verdict
         self.silence.tick(now, due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
         # Last, so that the signs contain all that the tick has changed.
-        self._idling.ticked(self._signs(), now, self._changes_at(shown, now))
+        self._idling.ticked(self._signs(), now, self._changes_at(shown, crossing, now))
 
     def _profile_rate(self) -> float:
         """Return the link profile's limit (Hz) if this topic has none and may lose messages, else 0."""
@@ -415,10 +416,9 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Whether the receiving side keeps messages of a latched topic from an earlier opening."""
         raise NotImplementedError
 
-    @property
-    def awaited(self) -> bool:
+    def awaits(self, crossing: Crossing) -> bool:
         """Whether messages are missing now if none come."""
-        return self.crossing.flows
+        return crossing.flows
 
     @property
     def silence_counts(self) -> bool:
@@ -436,7 +436,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         return Facts(
             status,
             self.progress(),
-            stale_since=self._stale_since(),
+            stale_since=self._stale_since() if self.awaits(status.crossing) else None,
             late=self._late() if flows else None,
             expired=self.age.late() if flows else None,
             full=self.link_full,
@@ -444,8 +444,6 @@ class TopicRoute(Route, Generic[ChannelT]):
         )
 
     def _stale_since(self) -> float | None:
-        if not self.awaited:
-            return None
         fault, meter = self.peer.path.fault, self.meter
         # The sending side cannot say now that its publishers are silent: an expected message waits for the link.
         if not self.outgoing and meter.usual_rate and not meter.rate and fault and fault.cause is LinkCause.SILENT:
