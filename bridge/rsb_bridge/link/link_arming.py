@@ -159,20 +159,20 @@ class LinkArming:
 
     def __init__(
         self,
-        context: Context,
         peer: BaseLink,
         peer_operators: PeerOperators,
-        routes: Callable[[], tuple[Route, ...]],
         propose: Callable[[Route], None],
     ) -> None:
-        self._context = context
+        self._context = context = peer.context
         self._peer = peer
         self._peer_operators = peer_operators
-        self._routes = routes
         self._propose = propose
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
         self._waiting: list[WaitingCommand] = []
         self.lease = LinkLease(context, peer, self)
+
+    def _routes(self) -> tuple[Route, ...]:
+        return tuple(self._peer.routes.values())  # routes come and go with what is done to them
 
     # --- which routes have to be armed
 

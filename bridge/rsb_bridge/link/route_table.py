@@ -118,9 +118,7 @@ class RouteTable(Extension):
         self._link = link
         self._refused: dict[str, str] = {}
         self.peer_operators = PeerOperators(link.context, "server" if link.is_client else link.name)
-        self.arming = LinkArming(
-            link.context, link, self.peer_operators, lambda: tuple(link.routes.values()), self.propose
-        )
+        self.arming = LinkArming(link, self.peer_operators, self.propose)
 
         self.questions = HolderQuestions(link.context, link, self.peer_operators)
 

@@ -131,14 +131,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             lambda error: self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error)),
             self._unpacker.go_on,
         )
-        self.rest = RestAfterArming(
-            context,
-            peer.name,
-            self.arming,
-            self.on_end_of,
-            partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED),
-            self.lapsed,
-        )
+        self.rest = RestAfterArming(self)
         self.check = MessageCheck(context, peer.budget.checks)
         compose_when_switched(self, self._compose_gates)
         self._received = 0

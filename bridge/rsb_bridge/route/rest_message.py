@@ -10,7 +10,7 @@ follows it.
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -18,20 +18,20 @@ from rsb_bridge.cdr.known_types import DRIVING_TYPES, resting, stamped, velocity
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.by_hand import END_NONE, END_ZERO
 from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import PEER_DEMANDS
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.lease import LASTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.ros.ros_interface import Publisher, TopicSpec
-    from rsb_bridge.route.arming import Arming
     from rsb_bridge.route.source_publishers import SourcePublishers
+    from rsb_bridge.route.topic_route import TopicRoute
 
     Mover = Publisher | SourcePublishers
     """What has published a message that moves the robot."""
@@ -53,36 +53,26 @@ class RestMessage:
 
     Its publisher is there from the opening on, so that subscriptions have found it by the time it is needed.
 
+    `Context.moved_by` says who moved a topic last, so that nobody ends another's motion.
+
     Args:
-        context: the engine's. Its `moved_by` says who moved a topic last, so that nobody ends another's motion.
-        link: the route's, by name.
+        route: has `lapsed` called when a velocity has held for too long, to begin the rest.
         on_end: ``zero``, or a message as JSON.
-        failed: is called with the reason if it cannot be published.
-        overdue: is called when a velocity has held for too long, to begin the rest.
 
     Raises:
         RosError: there can be no publisher for it, or its type is not installed.
         FieldError: the message does not fit the type.
     """
 
-    def __init__(
-        self,
-        context: Context,
-        link: str,
-        spec: TopicSpec,
-        on_end: str,
-        failed: Callable[[str], None],
-        overdue: Callable[[], None],
-    ) -> None:
+    def __init__(self, route: TopicRoute[Any], spec: TopicSpec, on_end: str) -> None:
         self.spec, self.on_end = spec, on_end
-        self._context = context
+        self._route, self._context = route, route.context
+        context, link = route.context, route.peer.name
         self._fields: Fields | None = None
         self._body_at = _BODY
         # The zero of a type that does not drive is a message of defaults.
         if on_end != END_ZERO or spec.type_name not in DRIVING_TYPES:
             self._read_fields()
-        self._failed = failed
-        self._overdue = overdue
         self._holds_until = 0.0
         self._timer: asyncio.TimerHandle | None = None
         self._velocity: Velocity | None = None
@@ -154,7 +144,7 @@ class RestMessage:
         if self._context.now() < self._holds_until:
             self._timer = self._context.loop.call_at(self._holds_until, self._end_hold)
         else:
-            self._overdue()
+            self._route.lapsed()
 
     @property
     def _is_moving(self) -> bool:
@@ -174,7 +164,7 @@ class RestMessage:
             return
         rest = last if self._fields is not None else resting(self.spec.type_name, last)
         if rest is None:
-            self._failed("the robot may still move: the last message that passed is malformed, so no rest follows it")
+            self._failed("the last message that passed is malformed, so no rest follows it")
         elif not self._is_rest(last, rest) and self._publish(rest):
             self._under_way = self._context.loop.create_task(self._go_on(rest))
             self._context.rests.add(self._under_way)
@@ -188,6 +178,9 @@ class RestMessage:
             self._timer = None
         if self._under_way is None:
             self._close()
+
+    def _failed(self, text: str) -> None:
+        self._route.log(Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED, f"the robot may still move: {text}")
 
     async def _go_on(self, rest: bytes) -> None:
         for _ in range(TIMES - 1):
@@ -228,7 +221,7 @@ class RestMessage:
             self._publisher.publish(rest)
             self._velocity, self._mover = velocity_of(self.spec.type_name, rest), self._publisher
         except (RosError, FieldError) as error:
-            self._failed(f"the robot may still move: no rest is published: {error}")
+            self._failed(f"no rest is published: {error}")
             return False
         return True
 
@@ -250,30 +243,13 @@ class RestMessage:
 class RestAfterArming:
     """Keeps the rest of one route ready, for the type and the QoS that its messages have.
 
-    Args:
-        link: the route's, by name.
-        on_end_of: gives ``none``, ``zero`` or a message for a type.
-
     Attributes:
         message: the rest, or None if none follows.
     """
 
-    def __init__(
-        self,
-        context: Context,
-        link: str,
-        arming: Arming,
-        on_end_of: Callable[[str], str],
-        failed: Callable[[str], None],
-        overdue: Callable[[], None],
-    ) -> None:
+    def __init__(self, route: TopicRoute[Any]) -> None:
         self.message: RestMessage | None = None
-        self._context = context
-        self._link = link
-        self._arming = arming
-        self._on_end_of = on_end_of
-        self._failed = failed
-        self._overdue = overdue
+        self._route = route
 
     def prepare(self, spec: TopicSpec) -> None:
         """Have a rest that can follow messages of a spec.
@@ -281,16 +257,17 @@ class RestAfterArming:
         Raises:
             RosError: there can be none.
         """
-        before, on_end = self.message, self._on_end_of(spec.type_name) if self._arming.required else END_NONE
+        route, before = self._route, self.message
+        on_end = route.on_end_of(spec.type_name) if route.arming.required else END_NONE
         if before is not None and before.fits(spec, on_end):
             return
         if on_end == END_NONE:
             self.close()
             return
         try:
-            rest = RestMessage(self._context, self._link, spec, on_end, self._failed, self._overdue)
+            rest = RestMessage(route, spec, on_end)
         except (RosError, FieldError) as error:
-            lines = ", ".join(map(self._context.demands.origin, self._arming.own.sources))
+            lines = ", ".join(map(route.context.demands.origin, route.arming.own.sources))
             raise RosError(f"on_end: {error}; correct it in {lines or PEER_DEMANDS}") from None
         # Before `close`, which forgets the motion.
         if before is not None:
