@@ -9,7 +9,7 @@ import pytest
 from tests.config.mistakes import CLIENT, FILE, problems
 
 from rsb_bridge.config.keys import Key, KeyFileError, copy_key, key_users, unshared_keys, write_key
-from rsb_bridge.config.operators import Granted, granted_operators, operator_changes
+from rsb_bridge.config.operator_keys import Granted, granted_operators, operator_changes
 from rsb_bridge.config.session_file import dump, load_file, parse, save, validate
 from rsb_bridge.model.limits import OPERATORS
 from rsb_bridge.model.session import Operator, Session

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_bridge.config.operators import Granted
+    from rsb_bridge.config.operator_keys import Granted
 
 TOPIC = Topic("/scan", "transmit")
 CHANGES: tuple[AnyCommand, ...] = (

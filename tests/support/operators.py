@@ -12,7 +12,7 @@ from tests.console.scripted import ScriptedEngine
 
 from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
-from rsb_bridge.config.operators import Granted
+from rsb_bridge.config.operator_keys import Granted
 from rsb_bridge.control.protocol import VERSION, ConsoleHello, ConsoleWelcome, encode, frames_to_console
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.sealed import OperatorConnector, SealedAcceptor

@@ -23,7 +23,7 @@ from rsb_bridge.config.file_form import (
     locations,
 )
 from rsb_bridge.config.keys import conceal
-from rsb_bridge.config.operators import operator_problems
+from rsb_bridge.config.operator_keys import operator_problems
 from rsb_bridge.config.rights import grant_problems
 from rsb_bridge.config.topic_rules import (
     armed_name_problems,

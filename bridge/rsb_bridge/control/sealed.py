@@ -37,7 +37,7 @@ from rsb_bridge.wire.sealed_stream import Credential, ReplayCache
 
 if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
-    from rsb_bridge.config.operators import Granted
+    from rsb_bridge.config.operator_keys import Granted
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.control.remote_engine import Connection
     from rsb_bridge.engine.access import Access

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import KeyFileError, key_warnings, unshared_keys
-from rsb_bridge.config.operators import granted_operators, operator_changes, operator_key_problem
+from rsb_bridge.config.operator_keys import granted_operators, operator_changes, operator_key_problem
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import operator
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.config.keys import Key
-    from rsb_bridge.config.operators import Granted
+    from rsb_bridge.config.operator_keys import Granted
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.session import Session
     from rsb_bridge.telemetry.event_log import EventLog
