@@ -101,6 +101,14 @@ class Named(NamedTuple):
     entry: Topic
     route: Route | None
 
+    @property
+    def name(self) -> str:
+        """Its name on this side."""
+        if self.route is not None:
+            return self.route.local_topic
+        on_server = not self.link.is_client
+        return local_name(self.entry, self.link.name, on_server=on_server, use_name=on_server and self.link.use_name)
+
     def routes(self) -> tuple[Route, ...]:
         """Return the topic's route, or the routes that the pattern has made by now."""
         if self.route is not None:
@@ -191,20 +199,18 @@ class TopicCommands(EnginePart):
         if drop_arm and topic.arm:
             raise LinkError(f"{topic.topic} would still have to be armed: set arm=false together with --drop-arm")
         link, old, route = named
-        names_it = old.arm and not topic.arm
         if (route is None) != topic.is_pattern:
             one, other = (topic.topic, old.topic) if route is not None else (old.topic, topic.topic)
             raise LinkError(f"{one} is a pattern, and {other} is none: {_INSTEAD}")
-        # Before `_drop_demands`, after which nothing may refuse the edit.
         if route is None:
             link.patterns.check_replace(old.identity, topic)
-            self._drop_demands(link, old, _local(link, old), None, wanted=drop_arm, names_it=names_it)
         else:
             # The present name is the client's already, and may look like one with the client's name before it.
             if topic.topic != old.topic:
                 topic = link.client_names(topic)
             link.proposed.check_replace(route, topic)
-            self._drop_demands(link, old, route.local_topic, route, wanted=drop_arm, names_it=names_it)
+        # Last, because nothing may refuse the edit after that.
+        self._drop_demands(named, wanted=drop_arm, names_it=old.arm and not topic.arm)
         return topic
 
     async def remove(self, command: RemoveTopic) -> str:
@@ -214,48 +220,42 @@ class TopicCommands(EnginePart):
         with self._demands.changing(operator()):
             self._remove(named, drop_arm=command.drop_arm)
         await _settled(routes)
-        link, entry, route = named
-        if route is None:
-            sources = [each for each in self._demands.sources if each.arm and each.name == _local(link, entry)]
+        if named.route is None:
+            sources = [each for each in self._demands.sources if each.arm and each.name == named.name]
         else:
-            demand = link.table.arming.demand_on(route, self._demands)
+            demand = named.link.table.arming.demand_on(named.route, self._demands)
             sources = [] if demand is None else [*demand.sources]
         return ", ".join(map(self._demands.origin, sources))
 
     def _remove(self, named: Named, *, drop_arm: bool) -> None:
         link, topic, route = named
         if route is None:
-            self._drop_demands(link, topic, _local(link, topic), None, wanted=drop_arm)
-            link.patterns.remove(topic.identity)
             name = topic.topic
+            self._drop_demands(named, wanted=drop_arm)
+            link.patterns.remove(topic.identity)
         else:
             if problem := link.patterns.brings_back(route):
                 raise LinkError(problem)
             name = route.local_topic
-            self._drop_demands(link, topic, name, route, wanted=drop_arm)
+            self._drop_demands(named, wanted=drop_arm)
             link.extensions.removed(route)
             link.table.remove(route, "removed by an operator")
             link.patterns.leave_out(route)
         self._log.add(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))
 
-    def _drop_demands(
-        self, link: Link, entry: Topic, name: str, route: Route | None, *, wanted: bool, names_it: bool = False
-    ) -> None:
+    def _drop_demands(self, named: Named, *, wanted: bool, names_it: bool = False) -> None:
         """Drop the demands of an entry, and the demands of `armed` on its name, if an operator wants that.
 
         The peer hears of this at once, so call this only when the change itself can no longer be refused.
 
         Args:
-            entry: a topic, or a pattern.
-            name: of it on this side.
-            route: of the topic, or None for a pattern.
             wanted: whether the operator has agreed.
             names_it: whether the change itself removes `arm` from the entry.
 
         Raises:
             LinkError: the operator has not agreed, or another line demands arming, too.
         """
-        demands = self._demands
+        demands, name, (link, entry, route) = self._demands, named.name, named
         key = "" if link.is_client else link.name, entry.identity
         others_entries = {line for other, line in demands.added.items() if other != key}
         own = [
@@ -381,8 +381,3 @@ async def _settled(routes: Iterable[Route]) -> None:
     """Wait until nothing can be published any more that was armed before a command."""
     for route in routes:
         await route.settling.wait()
-
-
-def _local(link: Link, topic: Topic) -> str:
-    """Return this side's name for an entry."""
-    return local_name(topic, link.name, on_server=not link.is_client, use_name=not link.is_client and link.use_name)
