@@ -10,6 +10,7 @@ from tests.simulation.action_server import Plan
 from tests.simulation.faults import reset
 from tests.support import constants
 
+from rsb_bridge.link.graph_watch import FOR_ROUTES
 from rsb_bridge.link.refused_clients import ASKED_EVERY
 from rsb_bridge.model.commands import PauseTopics, Retry, ShutDownLinks
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tests.simulation.world import World
+    from tests.support.places import Place
 
 
 async def server_away(world: World, seconds: float, *, machine: bool) -> None:
@@ -254,14 +256,14 @@ def slow_motion(tick: float) -> Iterator[None]:
 
     A month of pings, answers, reports and refusals alone would take ten minutes, and is none of what a month is about.
     """
-    slower = {
+    slower: dict[Place, object] = {
         constants.TICK: tick,
         constants.SIMULATED_SNAPSHOT_EVERY: tick,
-        constants.GRAPH_ALWAYS_AFTER: tick,
+        constants.GRAPH_LOOKS: FOR_ROUTES._replace(always_after=tick),
         constants.DEAD_AFTER: 5 * tick,
         constants.ROUTE_LONGEST_PAUSE: tick,
     }
     with contextlib.ExitStack() as stack:
-        for constant, seconds in slower.items():
-            stack.enter_context(constant.during(seconds))
+        for constant, value in slower.items():
+            stack.enter_context(constant.during(value))
         yield

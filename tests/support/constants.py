@@ -75,7 +75,7 @@ FORM_LOOK_EVERY = Place("rsb_console.screens.topic_form", "LOOK_EVERY")
 RESTART_WITHIN = Place("rsb_bridge.link.roles", "_RESTART_WITHIN")
 QUESTION_ANSWERED_WITHIN = Place("rsb_bridge.link.questions", "_ANSWERED_WITHIN")
 TICK = Place("rsb_bridge.engine.bridge", "_TICK")
-GRAPH_ALWAYS_AFTER = Place("rsb_bridge.link.graph_watch", "_ROUTES_ALWAYS_AFTER")
+GRAPH_LOOKS = Place("rsb_bridge.link.graph_watch", "FOR_ROUTES")
 ROUTE_LONGEST_PAUSE = Place("rsb_bridge.route.lifecycle", "_LONGEST_PAUSE")
 INTERRUPTION = tuple(
     Place(f"rsb_bridge.route.calls.{user}", "INTERRUPTION")

@@ -22,25 +22,32 @@ if TYPE_CHECKING:
     from rsb_bridge.model.patterns import Pattern
     from rsb_bridge.ros.ros_interface import Endpoint
 
-_ROUTES_EVERY = 0.25
-"""s between two looks at the least; a robot that starts changes its graph a hundred times a second."""
-_ROUTES_SHARE = 10
-"""Looking takes at most one part in this many of the time, however many routes there are, until the longest pause.
-A round figure."""
-_ROUTES_LONGEST_PAUSE = 2.0
-"""s. A round figure: on a slow machine with many routes, a new node is bridged so much later at worst."""
-_MATCHED_AFTER = 1.0
-"""s after the last change: by then DDS has matched the endpoints that discovered each other."""
-_ROUTES_ALWAYS_AFTER = 10.0
-"""s after which routes look even without a change, in case one was missed. A round figure."""
-_NAMES_EVERY = 1.0
-"""s between two looks at the least: a Followed comes once a second at most (PROTOCOL.md, 11)."""
-_NAMES_SHARE = 20
-"""Looking takes at most one part in this many of the time, until the longest pause. A round figure."""
-_NAMES_LONGEST_PAUSE = 10.0
-"""s. Round figures: nothing was measured. On a slow machine, a name is found so much later at worst."""
-_NAMES_ALWAYS_AFTER = 60.0
-"""s after which it looks even without a change, in case one was missed. A round figure."""
+
+class Looks(NamedTuple):
+    """The times (s) of regular looks at the graph.
+
+    Attributes:
+        every: between two at the least.
+        share: looking takes at most one part in this many of the time, until the longest pause.
+        longest_pause: on a slow machine with many names, a new node is bridged so much later at worst.
+        always_after: without a change, in case one was missed.
+    """
+
+    every: float
+    share: int
+    longest_pause: float
+    always_after: float
+
+    def pause(self, cost: float) -> float:
+        """Return the time until the next look, after one that took so long."""
+        return max(self.every, min(self.longest_pause, cost * (self.share - 1)))
+
+
+# Round figures, but for the first: a robot that starts changes its graph a hundred times a second, and a Followed comes
+# once a second at most (PROTOCOL.md, 11).
+FOR_ROUTES = Looks(every=0.25, share=10, longest_pause=2.0, always_after=10.0)
+FOR_NAMES = Looks(every=1.0, share=20, longest_pause=10.0, always_after=60.0)
+_MATCHED_AFTER = 1.0  # s after the last change: by then DDS has matched the endpoints that discovered each other
 
 Named = tuple[Kind, str]
 """The kind of a name, and the name."""
@@ -78,7 +85,7 @@ class GraphWatch:
         try:
             while True:
                 try:
-                    async with asyncio.timeout(_ROUTES_ALWAYS_AFTER):
+                    async with asyncio.timeout(FOR_ROUTES.always_after):
                         await self._due.wait()
                 except TimeoutError:
                     pass
@@ -88,7 +95,7 @@ class GraphWatch:
                 self._due.clear()
                 self._noted = False
                 cost = await self._advance_routes()
-                await asyncio.sleep(max(_ROUTES_EVERY, min(_ROUTES_LONGEST_PAUSE, cost * (_ROUTES_SHARE - 1))))
+                await asyncio.sleep(FOR_ROUTES.pause(cost))
         finally:
             if self._settled is not None:
                 self._settled.cancel()
@@ -157,14 +164,14 @@ class NameWatch:
         now = self._context.now
         while True:
             try:
-                async with asyncio.timeout(_NAMES_ALWAYS_AFTER if self._asked else None):
+                async with asyncio.timeout(FOR_NAMES.always_after if self._asked else None):
                     await self._due.wait()
             except TimeoutError:
                 pass
             self._due.clear()  # before the look: a change meanwhile calls for another one
             began = now()
             await self._search_graph()
-            await asyncio.sleep(max(_NAMES_EVERY, min(_NAMES_LONGEST_PAUSE, (now() - began) * (_NAMES_SHARE - 1))))
+            await asyncio.sleep(FOR_NAMES.pause(now() - began))
 
     async def _search_graph(self) -> None:
         self._collect()

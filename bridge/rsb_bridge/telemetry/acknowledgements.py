@@ -17,10 +17,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
 
-_TOLERANCE = 2.0
-"""s by which the beginning of a state may be wrong, because the wall clock is adjusted."""
+_TOLERANCE = 2.0  # s by which the beginning of a state may be wrong, because the wall clock is adjusted
+# Causes of one fault: DDS lists a publisher for up to 20 s after its process was killed.
 _ONE_FAULT = frozenset({Cause.PUBLISHER_SILENT, Cause.PUBLISHER_GONE})
-"""Causes of one fault: DDS lists a publisher for up to 20 s after its process was killed."""
 # Unlike in `model.faults`, WAITING is a fault here: an operator may acknowledge what a topic waits for.
 _NO_FAULT = frozenset({State.OK, State.PAUSED, State.DISARMED, State.DISARMING})
 

@@ -32,8 +32,8 @@ AT_ONCE = 1000
 """Lines: more than a robot with five hundred topics makes when it links."""
 A_SECOND = 5.0
 """Lines; a client that keeps its delays between attempts causes no more about the link itself."""
+# s; not measured: a flood that lasts shows up in the log while it lasts, with six lines a minute.
 _REPORTED_EVERY = 10.0
-"""s; not measured: a flood that lasts shows up in the log while it lasts, with six lines a minute."""
 
 
 class About(TypedDict, total=False):

@@ -21,19 +21,16 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RefusedClient, Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
 
+# Routes renewed in one refresh, at the least, in some 6 ms by slices of 1 ms (`tasks.SLICE`); the others follow.
+# Refreshes until each had its turn, while somebody looks at more than so many: then no route's is older than a second.
 _AT_ONCE, _REFRESHES = 128, 4
-"""Routes renewed in one refresh, at the least, in some 6 ms by slices of 1 ms (`tasks.SLICE`); the others follow.
-Refreshes until each had its turn, while somebody looks at more than so many: then no route's is older than a second."""
+# s over which calls are counted. A reader that looks once a second has at most three of them: not above `_SELDOM`.
 _LOOKED_AT_FOR = 2.0
-"""s over which calls are counted. A reader that looks once a second has at most three of them: not above `_SELDOM`."""
-_SELDOM = 1.5
-"""Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second."""
-_EVERY, _EVERY_LOOKED_AT = 1.0, 0.25
-"""s from one renewal to the next."""
-_HANGS_AFTER = 10.0
-"""s without a renewal. A round figure: on a busy machine, threads were seen to stand still for 3 s."""
+_SELDOM = 1.5  # Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second
+_EVERY, _EVERY_LOOKED_AT = 1.0, 0.25  # s from one renewal to the next
+_HANGS_AFTER = 10.0  # s without a renewal. A round figure: on a busy machine, threads were seen to stand still for 3 s
+# s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice.
 _EARLY = 0.01
-"""s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice."""
 
 
 class ShownRoute(Protocol):
