@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 from unittest.mock import patch
 
 import pytest
@@ -311,7 +311,8 @@ async def test_the_other_side_is_asked_about_one_version_at_a_time(harness: Call
     asked: list[tuple[str, Callable[[str], None]]] = []
     near = harness.halves()[0]
     assert isinstance(near, CallingRoute)
-    near.compare_types = lambda _, types, tell: asked.append((types[0].type_hash, tell))
+    peer = cast("Any", near.peer)
+    peer.compare_types = lambda _, types, tell: asked.append((types[0].type_hash, tell))
     harness.near.domain.installed[TYPE] = hash_of(TYPE, 9)
     for version in range(4):
         server = harness.server(type_hash=hash_of(TYPE, version))

@@ -23,8 +23,9 @@ from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.registry import Transports, default_transports
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
+    from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
@@ -100,6 +101,10 @@ class FakePeer:
 
     def open_channel(self, route: Route) -> None:
         pass
+
+    def compare_types(self, route_id: int, types: Sequence[TypeVersion], tell: Callable[[str], None]) -> None:
+        """Tell at once that nobody can be asked."""
+        tell("")
 
     def shared_port(self) -> int:
         return 1

@@ -238,11 +238,6 @@ CompareTypes: TypeAlias = "Callable[[int, Sequence[TypeVersion], Callable[[str],
 the route, the types there, and a function to be called with the differences, or with an empty string."""
 
 
-def unknown_difference(_route_id: int, _types: Sequence[TypeVersion], tell: Callable[[str], None]) -> None:
-    """Tell at once that nobody can be asked."""
-    tell("")
-
-
 def messages_of(type_name: str, type_hash: str) -> tuple[TypeVersion, ...]:
     """Return the request and the response of a service's type, whose hash has both theirs, or a message's type."""
     request, is_service, response = type_hash.partition("+")

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
     from enum import StrEnum
 
+    from rsb_bridge.cdr.description import CompareTypes
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
@@ -200,6 +201,7 @@ class BaseLink(ABC):
         report_soon: sends a route's counts before the next regular report. May be called for every batch.
         open_channel: opens the channel of a route, or begins to.
         udp_ready: advances the routes that wait for a UDP channel.
+        compare_types: asks the peer how its versions of a route's types differ.
         extensions: the link's parts.
         route_fields: returns what features show of a route.
         meter_of: returns what counts the bytes that arrive for a route, or None.
@@ -210,6 +212,7 @@ class BaseLink(ABC):
     report_soon: Callable[[Route], None]
     open_channel: Callable[[Route], None]
     udp_ready: Callable[[], None]
+    compare_types: CompareTypes
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         self.context = context

@@ -273,7 +273,7 @@ class Link(BaseLink):
         self.patterns = self.extend(LinkPatterns(self, self.table, self.proposed))
         self.topic_lists = self.extend(TopicLists(self))
         self.type_questions = self.extend(TypeQuestions(self))
-        self.table.compare_types = self.type_questions.compare
+        self.compare_types = self.type_questions.compare
         for feature in installed():
             for extension in feature.extensions(self):
                 extension.feature = feature.name

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 
 import msgspec
 
-from rsb_bridge.cdr.description import CompareTypes, unknown_difference
 from rsb_bridge.link.extension import Denied, Extension, LinkError, RefusedError
 from rsb_bridge.link.holder_questions import HolderQuestions
 from rsb_bridge.link.link_arming import DROPPED, LinkArming
@@ -105,7 +104,6 @@ class RouteTable(Extension):
         on_removed: is called with a route that an operator of the other side has removed.
         on_given_up: is called after the other side has given up a route.
         peer_operators: records what operators of the other side do.
-        compare_types: asks the peer how its version of a type differs.
     """
 
     def __init__(self, link: BaseLink) -> None:
@@ -113,7 +111,6 @@ class RouteTable(Extension):
         self.listed: set[Identity] = set()
         self.on_removed: Callable[[Route], None] = lambda _: None
         self.on_given_up: Callable[[], None] = lambda: None
-        self.compare_types: CompareTypes = unknown_difference
         self._context = link.context
         self._link = link
         self._refused: dict[str, str] = {}
@@ -154,8 +151,6 @@ class RouteTable(Extension):
         half = sending if proposal.from_client == self._link.is_client else receiving
         route = self._link.routes[key] = half(self._context, self._link, spec, proposal, proposed_here=proposed_here)
         allow_rate(route, self._link)
-        if isinstance(route, IncomingRoute | CallingRoute):
-            route.compare_types = self.compare_types
         if proposed_here and route.purpose.in_graph:
             self.listed.add(spec.identity)
             self._context.demands.changed()

@@ -10,7 +10,7 @@ import msgspec
 import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
-from rsb_bridge.cdr.description import CompareTypes, TypeClash, TypeVersion, unknown_difference
+from rsb_bridge.cdr.description import TypeClash, TypeVersion
 from rsb_bridge.cdr.known_types import CLOCK
 from rsb_bridge.channel.channel import Counts, ReceivingChannel
 from rsb_bridge.model.audience import NOBODY, Audience
@@ -113,7 +113,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     """Publishes here what the peer sends.
 
     Attributes:
-        compare_types: asks the other side how its version of a type differs.
         rest: follows the last message of an arming.
     """
 
@@ -122,7 +121,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self.compare_types: CompareTypes = unknown_difference
         self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self.outputs = SourcePublishers(
             context,
@@ -266,7 +264,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 hashes = TypeClash.HASHES(there=description.type_hash, here=installed)
                 self._refuse_type(TypeClash.VERSIONS(type=description.type, difference=difference or hashes))
 
-        self.compare_types(opening, (TypeVersion(description.type, description.type_hash),), refuse)
+        self.peer.compare_types(opening, (TypeVersion(description.type, description.type_hash),), refuse)
         return False
 
     def _refuse_type(self, reason: str) -> None:

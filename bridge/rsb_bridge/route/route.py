@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Iterable, Sequence
 
+    from rsb_bridge.cdr.description import CompareTypes
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
@@ -57,6 +58,10 @@ class Owner(Peer, Protocol):
 
     def open_channel(self, route: Route) -> None:
         """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
+
+    @property
+    def compare_types(self) -> CompareTypes:
+        """Asks the other side how its versions of a route's types differ."""
 
 
 class Route:

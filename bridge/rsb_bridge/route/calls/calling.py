@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
-from rsb_bridge.cdr.description import CompareTypes, unknown_difference
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -176,18 +175,13 @@ def _why_unacceptable(provide: Provide, members: Sequence[ServiceMember], agreed
 
 
 class CallingRoute(CallsRoute):
-    """Offers services and publishes topics here, as long as the other side can answer.
-
-    Attributes:
-        compare_types: asks the other side how its version of a type differs.
-    """
+    """Offers services and publishes topics here, as long as the other side can answer."""
 
     outgoing: ClassVar[bool] = True
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._provided = _UNKNOWN  # in the present opening
-        self.compare_types: CompareTypes = unknown_difference
         self._comparison = TypeComparison(self._advance_if_open)
         self._resumed_at = 0  # the revision of the pause's end, in the present opening
         self._reach: frozenset[int] = frozenset()  # the lanes that are offered, and whose calls go to the other side
@@ -252,7 +246,7 @@ class CallingRoute(CallsRoute):
             self._warning = others_called(self.members, entries, names, callers)
             self._unavailable = self._local_servers.find_trouble(services, offered=bool(self._reach))
             if self._unavailable is None and self.types.load(entries):
-                difference_from = partial(self._comparison.difference, self.compare_types, self.id)
+                difference_from = partial(self._comparison.difference, self.peer.compare_types, self.id)
                 self._unavailable = types_clash(ros, self.members, entries, names, callers, difference_from)
         nobody_provides = self._provided is not _UNKNOWN and not entries
         self._served_here = self._local_servers.nodes(services) if nobody_provides else []
