@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import shlex
 import socket
-from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
@@ -155,13 +154,21 @@ class ClientLink(Link):
             if hosts is not None:
                 return await self._find(hosts, begin)
         connection, host = begin(None), self.transport.host(self.context.session)
-        return await self._open(self.transport, host, self.port, connection, partial(self._linked, connection))
+
+        def linked(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+            assert isinstance(event, Established)
+            self.up(stream, connection, event).receive(more)
+
+        return await self._open(self.transport, host, self.port, connection, linked)
 
     async def _find(self, hosts: list[str], begin: Callable[[CipherSuite | None], ClientConnection]) -> Failure | None:
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
         proven, failures, unproven = await self._search.find(hosts, begin)
         if proven:  # else the failure counts them
-            self._note_unproven(unproven)
+            if unproven and not self.fault.unproven:
+                text = unproven_servers(unproven)
+                self.log(Level.WARNING, EventCode.LINK_UNPROVEN_SERVERS, text, link_status=True)
+            self.fault.unproven = unproven
         accepting = [each for each in proven if each.refusal is None]
         if len(accepting) == 1:
             server = accepting[0]
@@ -183,13 +190,6 @@ class ClientLink(Link):
             return failure
         text = with_remedy(failure.code, failure.reason, name=self.name, has_key=self.key is not None)
         return failure._replace(reason=text)
-
-    def _note_unproven(self, count: int) -> None:
-        """Tell the operator once that servers are announced that do not prove the key."""
-        if count and not self.fault.unproven:
-            text = unproven_servers(count)
-            self.log(Level.WARNING, EventCode.LINK_UNPROVEN_SERVERS, text, link_status=True)
-        self.fault.unproven = count
 
     async def _open(
         self,
@@ -221,12 +221,6 @@ class ClientLink(Link):
         finally:
             attempt.end()
         return None if failure is None else self._with_remedy(failure)
-
-    def _linked(
-        self, connection: ClientConnection, stream: Stream, event: Established | Accepted, more: list[Event]
-    ) -> None:
-        assert isinstance(event, Established)
-        self.up(stream, connection, event).receive(more)
 
     def _failed(self, failure: Failure) -> None:
         self.status.attempts += 1
