@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 from msgspec.structs import FieldInfo, fields
 
-from rsb_bridge.config.keys import conceal, is_key
+from rsb_bridge.config.keys import KEY_LENGTH, conceal, is_key
 from rsb_bridge.feature import BRINGS_TRANSPORTS
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.wording import Wording
@@ -166,7 +166,7 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
 
 def holds_key(value: object) -> bool:
     """Whether a value is an encryption key, possibly written as a name."""
-    return isinstance(value, str) and is_key(value.rpartition("/")[2])
+    return isinstance(value, str) and len(value) >= KEY_LENGTH and is_key(value.rpartition("/")[2])
 
 
 def _misfit(value: object, kind: Any) -> str:

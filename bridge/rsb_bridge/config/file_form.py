@@ -144,10 +144,12 @@ SESSION_FILE = _holder(Session, clients=tuple[_CLIENT, ...] | None)  # type: ign
 
 # --- topics and their entries
 
+_KEYS_OF_FIELDS = {kind: {field: key for key, field in keys.items()} for kind, keys in KEYS.items()}
+
 
 def key_of(kind: Kind, field: str) -> str:
     """Return the key of a field of `Topic` in an entry of a kind, or the field's name if the kind lacks it."""
-    return next((key for key, name in KEYS[kind].items() if name == field), field)
+    return _KEYS_OF_FIELDS[kind].get(field, field)
 
 
 def field_of(kind: Kind, key: str) -> str:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 DEFAULT_KEY_FILE = "key.txt"
 KEY_BYTES = 32
+KEY_LENGTH = 44  # characters, of which a text has to have as many before it is tried as one
 DIFFERENT_BYTES = 12
 """Least number of different bytes in a key, and of different steps from one byte to the next: bytes that count up have
 one. Of random keys, one in 10^25 has fewer."""

@@ -299,10 +299,13 @@ def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Pr
         yield from _length(name, location, kind)
 
 
+_LONGEST_SUFFIX = {kind: max((len(lane.suffix) for lane in lanes), default=0) for kind, lanes in LANES.items()}
+
+
 def _length(
     name: str, location: str, kind: Kind, mistake: TopicMistake = TopicMistake.NAME_TOO_LONG
 ) -> Iterator[Problem]:
-    most = TOPIC_LENGTH - max((len(lane.suffix) for lane in LANES[kind]), default=0)
+    most = TOPIC_LENGTH - _LONGEST_SUFFIX[kind]
     if len(name) > most:
         yield Problem(location, mistake(name=show(name), length=len(name), limit=most))
 

@@ -90,8 +90,7 @@ LastLook: TypeAlias = "Callable[[], Refused | None]"
 
 def chained(gates: tuple[Gate[S], ...]) -> Check[S] | None:
     """Return one check for all, which returns the first reason not to pass, or None if no gate is on."""
-    checks: list[Check[S]] = [gate.check for gate in gates]
-    return reduce(_both, checks) if checks else None
+    return reduce(_both, [gate.check for gate in gates]) if gates else None
 
 
 def _both(first: Check[S], second: Check[S]) -> Check[S]:
