@@ -30,6 +30,7 @@ from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of
+from rsb_bridge.wire import codec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
@@ -38,6 +39,10 @@ if TYPE_CHECKING:
     from rsb_bridge.link.roles import Keys
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Session
+
+
+_LOADING = threading.Lock()
+"""Held while an engine makes what all engines of this process decode with."""
 
 
 class PendingCommands:
@@ -220,6 +225,8 @@ class Engine(EngineApi):
         return ""
 
     def start(self) -> None:
+        with _LOADING:
+            codec.load()
         with self._starting:
             self._check_not_stopped()
             try:
