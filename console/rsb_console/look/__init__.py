@@ -1,1 +1,1 @@
-"""Signs, the formats of figures, and pictures as rows."""
+"""Signs, and the formats of figures."""

@@ -19,6 +19,9 @@ from rsb_extras.pictures.renderer import renderer_of
 from rsb_extras.pictures.topic_view import TopicView
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
     from rsb_bridge.engine.bridge import Bridge
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.snapshot import Snapshot
@@ -38,34 +41,83 @@ class LookProblem(Wording):
     NOWHERE = "{topic} has no publisher on this side or {others}"
 
 
+class _OwnView:
+    """A view of topics of this side, which has them drawn."""
+
+    def __init__(self, context: Context, command: LookAtTopics, bridged: Callable[[str], TopicSpec | None]) -> None:
+        self._context = context
+        self._newest: Picture | None = None
+        self._news = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+        self._drawing = TopicView(context, command.topics, command.wish, self._deliver, bridged)
+
+    async def begin(self, tasks: Tasks) -> None:
+        """Find the topic, and draw from now on.
+
+        Raises:
+            LinkError: it cannot be viewed.
+        """
+        await self._drawing.check()
+        self._task = self._drawing.start(tasks.spawn)
+
+    async def _deliver(self, picture: Picture) -> None:
+        self._newest = picture
+        self._news.set()
+
+    async def next(self, command: LookAtTopics) -> Viewed | None:
+        self._drawing.change(command.topics, command.wish)
+        try:
+            async with asyncio.timeout(WAITS_AT_MOST):
+                await self._news.wait()
+        except TimeoutError:
+            return None
+        self._news.clear()
+        picture, self._newest = self._newest, None
+        if picture is None:
+            return None
+        # The clock may have been set back since.
+        age = max(0.0, self._context.wall() - picture.taken / 1e9) if picture.taken else None
+        return Viewed(picture, "", age, len(encode_picture(picture)))
+
+    def close(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+        self._drawing.close()
+
+
+class _ViewThere:
+    """A view of a peer's topics."""
+
+    def __init__(self, link: Link, view: PeerView) -> None:
+        self._link, self._view = link, view
+
+    async def next(self, command: LookAtTopics) -> Viewed | None:
+        topics = tuple(_peer_name(self._link, topic) for topic in command.topics)
+        return await views_of(self._link).next_picture(self._view, topics, command.wish, WAITS_AT_MOST)
+
+    def close(self) -> None:
+        views_of(self._link).close_view(self._view)
+
+
 class _View:
-    """A console's view, wherever its topic is."""
+    """A console's view, which may change its topics.
+
+    Attributes:
+        place: link and topics of `open`.
+        open: what shows them, or None if the next question has to look for the topics.
+    """
 
     def __init__(self) -> None:
         self.turn = asyncio.Lock()
         self.asking = 0
         self.used_at = 0.0
-        self.place: tuple[str, tuple[str, ...]] | None = None
-        self.link: Link | None = None
-        self.peer_view: PeerView | None = None
-        self.own: TopicView | None = None
-        self.task: asyncio.Task[None] | None = None
-        self.newest: Picture | None = None
-        self.news = asyncio.Event()
-
-    async def deliver(self, picture: Picture) -> None:
-        self.newest = picture
-        self.news.set()
+        self.place: tuple[str, tuple[str, ...]] = ("", ())
+        self.open: _OwnView | _ViewThere | None = None
 
     def close(self) -> None:
-        if self.task is not None:
-            self.task.cancel()
-        if self.link is not None and self.peer_view is not None:
-            views_of(self.link).close_view(self.peer_view)
-        if self.own is not None:
-            self.own.close()
-        self.place = self.task = self.link = self.peer_view = self.own = self.newest = None
-        self.news.clear()
+        if self.open is not None:
+            self.open.close()
+            self.open = None
 
 
 class Viewing(EnginePart):
@@ -96,7 +148,7 @@ class Viewing(EnginePart):
             async with view.turn:  # a console that gave up may ask again at once
                 return await self._next(view, command)
         except LinkError:
-            view.place = None  # the next question looks for the topic again
+            view.close()  # the next question looks for the topic again
             raise
         finally:
             view.asking -= 1
@@ -111,38 +163,25 @@ class Viewing(EnginePart):
 
     async def _next(self, view: _View, command: LookAtTopics) -> Viewed | None:
         place = command.link, command.topics
-        if view.place != place:
+        if view.open is None or view.place != place:
             view.close()
-            await self._open(view, command)
-            view.place = place  # not before: its console may be gone while it is opened, and ask again
-        if view.peer_view is not None:
-            assert view.link is not None
-            topics = tuple(_there(view.link, topic) for topic in command.topics)
-            return await views_of(view.link).next_picture(view.peer_view, topics, command.wish, WAITS_AT_MOST)
-        assert view.own is not None
-        view.own.change(command.topics, command.wish)
-        try:
-            async with asyncio.timeout(WAITS_AT_MOST):
-                await view.news.wait()
-        except TimeoutError:
-            return None
-        view.news.clear()
-        picture, view.newest = view.newest, None
-        if picture is None:
-            return None
-        # The clock may have been set back since.
-        age = max(0.0, self._context.wall() - picture.taken / 1e9) if picture.taken else None
-        return Viewed(picture, "", age, len(encode_picture(picture)))
+            view.open, view.place = await self._opened(command), place
+            if self._views.get(command.viewer) is not view:
+                raise LinkError("the view is closed")
+        return await view.open.next(command)
 
-    async def _open(self, view: _View, command: LookAtTopics) -> None:
+    async def _opened(self, command: LookAtTopics) -> _OwnView | _ViewThere:
         check_names(command.topics)
         link = await self._place(command.topics[0], command.link)
         if link is not None:
-            view.link, view.peer_view = link, await views_of(link).open()
-            return
-        own = view.own = TopicView(self._context, command.topics, command.wish, view.deliver, self._bridged)
-        await own.check()
-        view.task = own.start(self._tasks.spawn)
+            return _ViewThere(link, await views_of(link).open())
+        view = _OwnView(self._context, command, self._bridged)
+        try:
+            await view.begin(self._tasks)
+        except BaseException:  # the asker may be cancelled
+            view.close()
+            raise
+        return view
 
     async def _place(self, topic: str, link_name: str) -> Link | None:
         """Return the link to the side that publishes a topic, or None if this side does.
@@ -167,7 +206,9 @@ class Viewing(EnginePart):
             if not link.linked:
                 continue
             with contextlib.suppress(LinkError):  # one side that does not answer hides no other
-                if any(each.topic == _there(link, topic) and each.publishers for each in await link.topic_lists.ask()):
+                if any(
+                    each.topic == _peer_name(link, topic) and each.publishers for each in await link.topic_lists.ask()
+                ):
                     return link
         others = "any side that is linked" if links else "another side"
         raise LinkError(LookProblem.NOWHERE(topic=topic, others=others))
@@ -204,7 +245,7 @@ def views_of(link: Link) -> LinkViews:
     return link.extensions.find(LinkViews)
 
 
-def _there(link: Link, topic: str) -> str:
+def _peer_name(link: Link, topic: str) -> str:
     """Return the peer's name of a topic that this side's operator may name with the client's name before it."""
     prefix = f"/{link.name}/"
     return topic[len(prefix) - 1 :] if not link.is_client and topic.startswith(prefix) else topic

@@ -119,9 +119,9 @@ def feeds(view: TopicView) -> dict[str, Any]:
 
 
 def viewer(engine: Engine) -> Any:
-    """Return the views of the console `me`."""
+    """Return what shows the topics of the console `me`."""
     (viewing,) = (part for part in inside(engine)._parts if isinstance(part, Viewing))
-    return viewing._views["me"]
+    return viewing._views["me"].open
 
 
 def views_drawn_by(link: Link) -> dict[Any, Any]:
@@ -455,7 +455,7 @@ def test_a_picture_is_of_the_topic_that_was_asked_for_last(pair: tuple[Engine, E
         talker()
         time.sleep(0.02)
     own = viewer(server)
-    eventually(own.news.is_set)
+    eventually(own._news.is_set)
     eventually(partial(agree, pc.id, "/text"))
 
     def text() -> Viewed | None:
@@ -509,8 +509,7 @@ def test_messages_are_counted_from_the_beginning_of_the_view(pair: tuple[Engine,
     looked_while(talker, server, "/pose")
     before = looked_while(talker, server, "/pose").picture.messages
     unreliable = pc.publisher("/pose", PoseStamped, qos=QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
-    view = viewer(server).own
-    assert view is not None
+    view = viewer(server)._drawing
     first = feeds(view)["/pose"]
 
     def resubscribed() -> bool:
