@@ -27,13 +27,9 @@ Not measured: a holder has to read a line and press a key, and the other operato
 
 
 class Held(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The topics and services that a console holds.
+    """The topics and services that a console holds."""
 
-    Attributes:
-        keys: of the routes that it has armed.
-    """
-
-    keys: tuple[str, ...] = ()
+    keys: tuple[str, ...] = ()  # of the routes that it has armed
 
 
 TWISTS: Final = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
@@ -43,15 +39,10 @@ _RANGES: Final = {"linear": SPEED, "angular": TURN_RATE}
 
 
 class VelocityLimits(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The highest speeds, in any direction, that a hand may ask of a robot (`limits`).
+    """The highest speeds, in any direction, that a hand may ask of a robot (`limits`)."""
 
-    Attributes:
-        linear: m/s, or None for any.
-        angular: rad/s, or None for any.
-    """
-
-    linear: float | None = None
-    angular: float | None = None
+    linear: float | None = None  # m/s, or None for any
+    angular: float | None = None  # rad/s, or None for any
 
     def __str__(self) -> str:
         given = ((getattr(self, name), unit) for name, unit in _UNITS.items())

@@ -29,13 +29,9 @@ _BROKE = frozenset({EndCode.LEFT, EndCode.TIMED_OUT, EndCode.BROKE})
 
 
 class Reason(NamedTuple):
-    """A reason with its code. One without words is none, and false.
+    """A reason with its code. One without words is none, and false."""
 
-    Attributes:
-        text: for an operator.
-    """
-
-    text: str
+    text: str  # for an operator
     code: EndCode = EndCode.DECIDED
 
     def __bool__(self) -> bool:

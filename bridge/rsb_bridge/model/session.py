@@ -236,66 +236,48 @@ class ArmedName(
 
 
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
-    """The session of one bridge process.
+    """The session of one bridge process."""
 
-    Attributes:
-        name: must match on both sides; the prefix (``/scan`` -> ``/robot1/scan``) when `use_name` is set.
-        role: a client connects, a server binds.
-        server_ip: IPv4 or IPv6 address, host name, or Bluetooth MAC, which makes the link RFCOMM. A server binds it.
-            Or a word for a transport of a feature.
-        server_port: TCP and UDP port, or RFCOMM channel, or 0 over what has none.
-        bluetooth_address: MAC of the server's adapter, for single topics over Bluetooth on an IP link. Each names
-            a channel as its port; topics with the same channel share it.
-        domain_id: ROS domain, or None for ``$ROS_DOMAIN_ID``, or 0 without that.
-        use_name: the client's topics have its name before them on the server, in both directions.
-        use_encryption: False sends everything in the clear.
-        key_file: path, relative to the session file.
-        next_key_file: on a server, the key that replaces it. Both are valid as long as it is given.
-        stale_after: s without a message until a topic is stale (thesis: 15), or 0 for never.
-        late_after: s that messages may take until their topic is late, or 0 for no limit.
-        stale_warnings: how many times to warn of it (thesis: 5).
-        check_messages: whether what peers send is checked against its type before ROS gets it.
-        shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; or None.
-        features: values of the features' keys, by name, without those that are as by default (`feature.SessionKey.of`).
-        armed: names and patterns on this side that require arming, with or without an entry. In a running bridge, each
-            entry with `arm` adds its line (`rsb_bridge.model.demands.RunningDemands`).
-        clients: the clients of a server; empty if it has none yet, or None for one with the session's own name and key.
-        ports: TCP and UDP ports that clients' topics may have on the server, or None for any 16 for each client.
-        allow: on a client, the server's rights to bridge, as in `Client`. If empty, the server may read all topics, and
-            publish, call and serve the entries of `topics`.
-        deny: on a client, names that the server may not bridge; stronger than `allow`.
-        profile: the kind of the link's network, for settings that nothing else sets (`transports.PROFILES`).
-        shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
-        operators: the operators who may attach over a network.
-        group: the fleet's group of its robot, or None.
-    """
-
-    name: str
-    role: Role
+    name: str  # must match on both sides; the prefix (``/scan`` -> ``/robot1/scan``) when `use_name` is set
+    role: Role  # a client connects, a server binds
     server_ip: str
-    server_port: int = 0
+    """IPv4 or IPv6 address, host name, or Bluetooth MAC, which makes the link RFCOMM. A server binds it. Or a word for
+    a transport of a feature."""
+    server_port: int = 0  # TCP and UDP port, or RFCOMM channel, or 0 over what has none
     bluetooth_address: str | None = None
-    domain_id: int | None = None
-    use_name: bool = False
-    use_encryption: bool = True
-    key_file: str | None = None
-    next_key_file: str | None = None
-    stale_after: float = 15.0
-    late_after: float = 1.0
-    stale_warnings: int = 5
-    check_messages: bool = True
+    """MAC of the server's adapter, for single topics over Bluetooth on an IP link. Each names a channel as its port;
+    topics with the same channel share it."""
+    domain_id: int | None = None  # ROS domain, or None for ``$ROS_DOMAIN_ID``, or 0 without that
+    use_name: bool = False  # the client's topics have its name before them on the server, in both directions
+    use_encryption: bool = True  # False sends everything in the clear
+    key_file: str | None = None  # path, relative to the session file
+    next_key_file: str | None = None  # on a server, the key that replaces it. Both are valid as long as it is given
+    stale_after: float = 15.0  # s without a message until a topic is stale (thesis: 15), or 0 for never
+    late_after: float = 1.0  # s that messages may take until their topic is late, or 0 for no limit
+    stale_warnings: int = 5  # how many times to warn of it (thesis: 5)
+    check_messages: bool = True  # whether what peers send is checked against its type before ROS gets it
     shutdown_topic: str | None = "/shutdown"
+    """The text "shutdown" (``std_msgs/String``) on it closes the sockets on both sides; or None."""
     features: dict[str, Any] = {}  # msgspec gives each session its own
+    """Values of the features' keys, by name, without those that are as by default (`feature.SessionKey.of`)."""
     topics: tuple[Topic, ...] = ()
     armed: tuple[str | ArmedName, ...] = ()
+    """Names and patterns on this side that require arming, with or without an entry. In a running bridge, each entry
+    with `arm` adds its line (`rsb_bridge.model.demands.RunningDemands`)."""
     clients: tuple[Client, ...] | None = None
+    """The clients of a server; empty if it has none yet, or None for one with the session's own name and key."""
     allow: tuple[str | Grant, ...] = ()
-    deny: tuple[str | Grant, ...] = ()
+    """On a client, the server's rights to bridge, as in `Client`. If empty, the server may read all topics, and
+    publish, call and serve the entries of `topics`."""
+    deny: tuple[str | Grant, ...] = ()  # on a client, names that the server may not bridge; stronger than `allow`
     ports: tuple[int, ...] | Literal["none"] | None = None
+    """TCP and UDP ports that clients' topics may have on the server, or None for any 16 for each client."""
     shared_keys: bool = False
+    """Clients are meant to have the same key, though each may then take the other's name and rights."""
     profile: ProfileName | None = None
-    operators: tuple[Operator, ...] = ()
-    group: str | None = None
+    """The kind of the link's network, for settings that nothing else sets (`transports.PROFILES`)."""
+    operators: tuple[Operator, ...] = ()  # the operators who may attach over a network
+    group: str | None = None  # the fleet's group of its robot, or None
 
     @property
     def own_topics(self) -> tuple[str | None, ...]:

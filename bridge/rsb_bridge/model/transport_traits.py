@@ -21,19 +21,12 @@ def is_mac(address: str) -> bool:
 
 
 class Ages(NamedTuple):
-    """s that the oldest unacknowledged byte of a link may be older than the shortest round trip.
+    """s that the oldest unacknowledged byte of a link may be older than the shortest round trip."""
 
-    Attributes:
-        fresh: the window of the link grows below it,
-        late: and shrinks above it,
-        aim: to the bytes that cross in this and in a ping.
-        room: the window grows to the bytes that cross in this where nothing waits, so that receipts are rare.
-    """
-
-    fresh: float
-    late: float
+    fresh: float  # the window of the link grows below it
+    late: float  # the window shrinks above it, to the bytes that cross in `aim` and in a ping
     aim: float
-    room: float
+    room: float  # the window grows to the bytes that cross in this where nothing waits, so that receipts are rare
 
 
 QUEUES_LITTLE = Ages(0.2, 0.8, 0.5, 4.0)
@@ -41,47 +34,34 @@ QUEUES_LITTLE = Ages(0.2, 0.8, 0.5, 4.0)
 
 
 class TransportTraits:
-    """The facts of a transport. Its class in `rsb_bridge.transport` inherits them.
+    """The facts of a transport. Its class in `rsb_bridge.transport` inherits them."""
 
-    Attributes:
-        name: in session files (`Topic.protocol`) and on the wire (`Propose.transport`).
-        short: the name in narrow columns, in capitals, or empty if it is the name itself.
-        medium: word for what it crosses.
-        chosen_by: the `server_ip` of links over it, for an operator.
-        port_kind: word for its numbers, for example ``port``; transports of the same kind share them.
-        ports: range of valid numbers.
-        topic_ports: range of the numbers that a topic may choose.
-        ip_ports: whether the numbers are the machine's TCP or UDP ports, which other programs use, too.
-        slow: whether it carries only some 50 kB/s, so that best-effort messages should not queue for seconds.
-        compression: compression of topics that choose none.
-        multiplexed: whether the routes of a link share one stream per number, including the control connection's.
-            Otherwise they share two per number, for small and for large messages.
-        companions: names of the transports that a server of such links binds to the same number for their routes.
-        reliable: whether every sent message arrives unless the carrier breaks and reports it.
-        best_effort: name of the companion for topics with best-effort QoS that choose no transport, or an empty string
-            if they use this transport.
-        ages: that its window allows.
-        delivery: what it does with messages, behind its name, for an operator.
-        local: whether its addresses are this machine's own, so that a server that can't bind one cannot start.
-    """
-
-    name: ClassVar[str]
-    short: ClassVar[str] = ""
-    medium: ClassVar[str] = "IP"
-    chosen_by: ClassVar[str] = "server_ip is a host"
+    name: ClassVar[str]  # in session files (`Topic.protocol`) and on the wire (`Propose.transport`)
+    short: ClassVar[str] = ""  # the name in narrow columns, in capitals, or empty if it is the name itself
+    medium: ClassVar[str] = "IP"  # word for what it crosses
+    chosen_by: ClassVar[str] = "server_ip is a host"  # the `server_ip` of links over it, for an operator
     port_kind: ClassVar[str] = "port"
-    ports: ClassVar[Range] = PORT
-    topic_ports: ClassVar[Range] = TOPIC_PORT
+    """Word for its numbers, for example ``port``; transports of the same kind share them."""
+    ports: ClassVar[Range] = PORT  # range of valid numbers
+    topic_ports: ClassVar[Range] = TOPIC_PORT  # range of the numbers that a topic may choose
     ip_ports: ClassVar[bool] = True
+    """Whether the numbers are the machine's TCP or UDP ports, which other programs use, too."""
     slow: ClassVar[bool] = False
-    compression: ClassVar[Compression] = "none"
+    """Whether it carries only some 50 kB/s, so that best-effort messages should not queue for seconds."""
+    compression: ClassVar[Compression] = "none"  # compression of topics that choose none
     multiplexed: ClassVar[bool] = False
+    """Whether the routes of a link share one stream per number, including the control connection's. Otherwise they
+    share two per number, for small and for large messages."""
     companions: ClassVar[tuple[str, ...]] = ()
-    reliable: ClassVar[bool] = True
+    """Names of the transports that a server of such links binds to the same number for their routes."""
+    reliable: ClassVar[bool] = True  # whether every sent message arrives unless the carrier breaks and reports it
     best_effort: ClassVar[str] = ""
-    ages: ClassVar[Ages] = QUEUES_LITTLE
-    delivery: ClassVar[str] = "delivers all, in order"
+    """Name of the companion for topics with best-effort QoS that choose no transport, or an empty string if they use
+    this transport."""
+    ages: ClassVar[Ages] = QUEUES_LITTLE  # that its window allows
+    delivery: ClassVar[str] = "delivers all, in order"  # what it does with messages, behind its name, for an operator
     local: ClassVar[bool] = True
+    """Whether its addresses are this machine's own, so that a server that can't bind one cannot start."""
 
     @staticmethod
     def carries_links_to(host: str) -> bool:

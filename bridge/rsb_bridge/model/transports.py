@@ -38,20 +38,15 @@ ProfileName = Literal["lan", "wifi", "lte", "bluetooth"]
 
 
 class LinkProfile(NamedTuple):
-    """The settings of one profile.
-
-    Attributes:
-        compression: of topics, services and actions that name none, or None for the transport's.
-        queue_bytes: of a best-effort topic that wait; one message always may. None for the transport's.
-        max_rate: Hz of a best-effort topic that names none, or None for any rate.
-        patience: s without a byte until the link is given up, and for which a reliable topic's messages are kept
-            meanwhile, or None for 5.
-    """
+    """The settings of one profile."""
 
     compression: Compression | None = None
-    queue_bytes: int | None = None
-    max_rate: float | None = None
+    """Of topics, services and actions that name none, or None for the transport's."""
+    queue_bytes: int | None = None  # of a best-effort topic that wait; one message always may. None for the transport's
+    max_rate: float | None = None  # Hz of a best-effort topic that names none, or None for any rate
     patience: float | None = None
+    """s without a byte until the link is given up, and for which a reliable topic's messages are kept meanwhile, or
+    None for 5."""
 
 
 NO_PROFILE: Final = LinkProfile()
