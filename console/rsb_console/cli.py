@@ -12,11 +12,21 @@ import os
 import signal
 import sys
 
-from rsb_console.command.shell import FAILURE, INTERRUPTED, TERMINATED, USAGE, CleanErrors, CommandText, print_error
+from rsb_console.command.shell import (
+    FAILURE,
+    INTERRUPTED,
+    OK,
+    TERMINATED,
+    USAGE,
+    CleanErrors,
+    CommandText,
+    print_error,
+    print_line,
+)
 
 TYPE_CHECKING = False  # without typing, which takes a while
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 
 _CRASHES = 1 << 20
@@ -51,16 +61,9 @@ def _terminated(*_: object) -> None:
 
 
 def _run(argv: list[str]) -> int:
-    from rsb_console.command.arguments import parser_and_commands
-
-    parser, names = parser_and_commands()
-    if "_ARGCOMPLETE" in os.environ:
-        from rsb_console.command.completion import complete
-
-        complete(parser, names)
-    arguments = parser.parse_args(_with_command(argv, names))
+    work, shows_failure = _asked_for(argv)
     try:
-        code: int = arguments.command(arguments)
+        code = work()
         # Here, where its errors are met: Python's own flush at exit would print a traceback and end with 120.
         sys.stdout.flush()
     except BrokenPipeError:
@@ -73,8 +76,33 @@ def _run(argv: list[str]) -> int:
             why = getattr(error, "strerror", error)
             print_error(f"standard output: {why}: free space on its disk. The command's changes stay in effect")
             return FAILURE
-        return _unexpected(error, show="debug" in arguments)
+        return _unexpected(error, show=shows_failure)
     return code
+
+
+def _asked_for(argv: list[str]) -> tuple[Callable[[], int], bool]:
+    """Return what the arguments ask for, and whether to show a failure's traceback."""
+    if next((word for word in argv if word != "--debug"), "") == "--version":
+        # Scripts ask for it: the arguments of all commands would take three times as long.
+        return _print_version, "--debug" in argv
+    from functools import partial
+
+    from rsb_console.command.arguments import parser_and_commands
+
+    parser, names = parser_and_commands()
+    if "_ARGCOMPLETE" in os.environ:
+        from rsb_console.command.completion import complete
+
+        complete(parser, names)
+    arguments = parser.parse_args(_with_command(argv, names))
+    return partial(arguments.command, arguments), "debug" in arguments
+
+
+def _print_version() -> int:
+    from importlib.metadata import version
+
+    print_line(f"rsb-console {version('rsb-console')}")
+    return OK
 
 
 def _is_full(error: Exception) -> bool:
@@ -99,7 +127,7 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
     first = next((argument for argument in argv if argument != "--debug"), None)
     if first is None:
         return ["run", *argv]
-    if first in (*names, "-h", "--help", "--version"):
+    if first in (*names, "-h", "--help"):
         return argv
     if os.path.exists(first):  # noqa: PTH110 -- never raises, unlike Path.exists
         return ["run", *argv]

@@ -100,6 +100,17 @@ def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) 
     assert int(run.stdout.rpartition("modules")[2]) < MOST_MODULES  # what it takes to start is what it imports
 
 
+@pytest.mark.parametrize("arguments", [("--version",), ("--debug", "--version")])
+def test_version_loads_neither_arguments_nor_features(arguments: tuple[str, ...]) -> None:
+    run = with_first("import atexit; atexit.register(lambda: print(*sys.modules))", *arguments)
+    version, modules = run.stdout.splitlines()
+    assert version.startswith("rsb-console ")
+    loaded = set(modules.split())
+    own = {each for each in loaded if each.startswith("rsb_") and each.count(".") > 1}
+    assert own == {"rsb_console.command.shell", *(f"rsb_bridge.model.{each}" for each in ("limits", "text", "wording"))}
+    assert not {"argparse", "msgspec", "rsb_bridge.feature"} & loaded
+
+
 @pytest.mark.parametrize(("closed", "name", "code"), [(">&-", "robot1", 0), ("2>&-", "none", 2)])
 def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, code: int) -> None:
     rsb_console("keygen")

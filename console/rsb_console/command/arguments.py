@@ -21,7 +21,6 @@ from rsb_console.command.remote_arguments import (
     lazily,
     say_what_runs,
 )
-from rsb_console.command.shell import print_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -63,7 +62,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         parents=[debug],
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    parser.add_argument("--version", action="store_true", help="show the version and exit")  # as `cli` does
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=CommandParser)
 
     def command(
@@ -219,13 +218,3 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
         "yaml_files",
     )
     parser.add_argument("--force", action="store_true", help="replace existing session files")
-
-
-class _Version(argparse.Action):
-    """Looks the version up only when asked: the package metadata takes a while to find."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version  # noqa: PLC0415 (see above)
-
-        print_line(f"rsb-console {version('rsb-console')}")
-        parser.exit()
