@@ -11,7 +11,12 @@ from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Iterable, Iterator
+
+
+def scan_bluetooth(arguments: Namespace) -> int:
+    return run_bt_scan(arguments.adapter, arguments.json)
 
 
 def run_bt_scan(adapter: str | None, as_json: bool) -> int:
@@ -67,6 +72,3 @@ def _ranges(numbers: Iterable[int]) -> str:
         else:
             runs.append([number])
     return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs) or "none"
-
-
-COMMANDS = {"bt-scan": lambda arguments: run_bt_scan(arguments.adapter, arguments.json)}

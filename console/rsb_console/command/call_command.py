@@ -22,7 +22,6 @@ from rsb_console.session.parameter_values import KIND_NAMES, KINDS, refusal, set
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable
     from concurrent.futures import Future
 
     from rsb_bridge.control.remote_engine import RemoteEngine
@@ -49,7 +48,7 @@ class CallProblem(Wording):
     PARAMETER_REFUSED = "{node} does not set {parameter}: {reason}"
 
 
-def _call(arguments: Namespace) -> int:
+def call_service(arguments: Namespace) -> int:
     # The fields are read first, since the command's time counts from the attachment.
     request = fields_from(arguments.request)
     with attached(arguments, expires=True) as engine:
@@ -152,7 +151,7 @@ def data_of(text: str) -> Any:
     return text if data is None else data
 
 
-def _list(arguments: Namespace) -> int:
+def list_parameters(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         names = names_of(engine, chosen_route(engine, arguments), whole=arguments.json)
     if arguments.json:
@@ -162,7 +161,7 @@ def _list(arguments: Namespace) -> int:
     return OK
 
 
-def _get(arguments: Namespace) -> int:
+def get_parameter(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
         value = _values(engine, route, [arguments.parameter], whole=arguments.json)[0]
@@ -176,7 +175,7 @@ def _get(arguments: Namespace) -> int:
     return OK
 
 
-def _set(arguments: Namespace) -> int:
+def set_parameter(arguments: Namespace) -> int:
     if arguments.type not in ("", *KIND_NAMES):
         raise UsageError(f"{arguments.type} is not a parameter type; choose one of {', '.join(KIND_NAMES)}")
     try:
@@ -198,7 +197,7 @@ def _set(arguments: Namespace) -> int:
     return done(arguments, said, node=route.topic, **made)
 
 
-def _dump(arguments: Namespace) -> int:
+def dump_parameters(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
         names = sorted(names_of(engine, route, whole=True))
@@ -213,7 +212,7 @@ def _dump(arguments: Namespace) -> int:
     return OK
 
 
-def _describe(arguments: Namespace) -> int:
+def describe_parameter(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
         answer = _ask(engine, route, "describe_parameters", {"names": [arguments.parameter]})
@@ -270,13 +269,3 @@ def _fields(route: RouteSnapshot, text: str) -> dict[str, Any]:
     if not isinstance(fields, dict):
         raise EngineError(CallProblem.UNREADABLE(topic=route.topic))
     return fields
-
-
-COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "call": _call,
-    "list": _list,
-    "get": _get,
-    "set": _set,
-    "dump": _dump,
-    "describe": _describe,
-}

@@ -70,7 +70,7 @@ class ClientEffect(Wording):
 # --- the commands
 
 
-def _add(arguments: Namespace) -> int:
+def add_client(arguments: Namespace) -> int:
     path = _session_path(arguments)
     client_files.check_address(arguments.name, arguments.address)
     output: Path | None = arguments.output
@@ -97,7 +97,7 @@ def _grants(entries: list[str]) -> tuple[str | Grant, ...]:
         raise UsageError(str(error)) from None
 
 
-def _rekey(arguments: Namespace) -> int:
+def rekey_client(arguments: Namespace) -> int:
     path = _session_path(arguments)
     # Only the key changes: what the robot's session file says stays true.
     if (arguments.keep_old or arguments.finish) and (arguments.output or arguments.address):
@@ -208,7 +208,7 @@ def _rotated(arguments: Namespace, changed: ChangedFile, told: str, what: str, s
     return OK
 
 
-def _show(arguments: Namespace) -> int:
+def show_client(arguments: Namespace) -> int:
     client_files.check_address(arguments.name, arguments.address)
     file = client_files.open_server(_session_path(arguments))
     client = client_named(file.session, arguments.name)
@@ -219,7 +219,7 @@ def _show(arguments: Namespace) -> int:
     return _handed_out(arguments, client_files.ChangedFile(file, client, key_at, key), "")
 
 
-def _remove(arguments: Namespace) -> int:
+def remove_client(arguments: Namespace) -> int:
     path = _session_path(arguments)
     changed = client_files.remove_client(path, arguments.name)
     told = _tell(
@@ -237,7 +237,7 @@ def _remove(arguments: Namespace) -> int:
     return OK
 
 
-def _list(arguments: Namespace) -> int:
+def list_clients(arguments: Namespace) -> int:
     file = client_files.open_server(_session_path(arguments))
     links = _links(file.path, arguments.control)
     rows = []
@@ -273,10 +273,6 @@ def _list(arguments: Namespace) -> int:
         print_line(f"{row['name']:<16} {state:<8} {name:<20} {key_text}")
     return OK
 
-
-COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "add": _add, "remove": _remove, "list": _list, "rekey": _rekey, "show": _show,
-}  # fmt: skip
 
 # --- what they share
 

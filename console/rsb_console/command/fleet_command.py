@@ -27,7 +27,7 @@ from rsb_console.fleet.server_source import ServerFleet
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from rsb_console.fleet.fleet import FleetSource, Robot
     from rsb_console.fleet.rolling import RobotChange, RolloutOutcome
@@ -87,7 +87,7 @@ def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[RobotFleet]:
 # --- looking
 
 
-def _show(arguments: Namespace) -> int:
+def show_fleet(arguments: Namespace) -> int:
     if arguments.json:
         return _print(arguments)
     from rsb_console.command.local_commands import can_draw  # noqa: PLC0415 -- it imports what reads keys, not needed else
@@ -142,7 +142,7 @@ def _report(robot: Robot) -> dict[str, object]:
     return {**figures, "server": robot.source.name, "gone": robot.gone}
 
 
-def _dismiss(arguments: Namespace) -> int:
+def dismiss_robots(arguments: Namespace) -> int:
     with _fleet(arguments) as fleet:
         if not (arguments.names or arguments.group or arguments.everyone):
             raise UsageError(_NO_ROBOTS)
@@ -156,7 +156,7 @@ def _dismiss(arguments: Namespace) -> int:
 # --- a command for some robots
 
 
-def _exec(arguments: Namespace) -> int:
+def execute(arguments: Namespace) -> int:
     words: list[str] = arguments.words
     if not words:
         raise UsageError("no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera")
@@ -240,7 +240,7 @@ def _chosen(fleet: RobotFleet, arguments: Namespace) -> list[Robot]:
 # --- a change from robot to robot
 
 
-def _edit(arguments: Namespace) -> int:
+def edit_robots(arguments: Namespace) -> int:
     words: list[str] = arguments.names
     topics = [word for word in words if word.startswith("/")]
     keys = [word for word in words if "=" in word and not word.startswith("/")]
@@ -335,6 +335,3 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: RolloutOutcome, step
     if unreached and not stopped and not arguments.json:
         print_error(f"not reached: {names_of(unreached)}")
     return FAILURE if stopped or unreached else OK
-
-
-COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "dismiss": _dismiss, "exec": _exec, "edit": _edit}

@@ -133,7 +133,6 @@ def keygen(arguments: Namespace) -> int:
 
 def completion(arguments: Namespace) -> int:
     """Print the completion script for a shell."""
-    # Not by `lazily`, which imports what attaches: each new shell waits for this.
     from rsb_console.command.completion import script  # noqa: PLC0415 (not needed elsewhere)
 
     return script(arguments)
@@ -241,6 +240,3 @@ def can_draw(instead: str) -> bool:
     if reason:
         print_error(reason)
     return reason is None
-
-
-COMMANDS = {"attach": attach}

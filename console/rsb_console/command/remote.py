@@ -7,7 +7,6 @@ import math
 import os
 import sys
 import time
-from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
@@ -19,7 +18,6 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.echo import echo
-from rsb_console.command.figures import bw, hz
 from rsb_console.command.formatting import (
     json_event,
     json_line,
@@ -31,9 +29,7 @@ from rsb_console.command.formatting import (
     route_of,
     text_event,
 )
-from rsb_console.command.info import print_info
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line
-from rsb_console.command.status import print_status
 from rsb_console.command.target import (
     ANSWERED_WITHIN,
     RouteChoice,
@@ -112,7 +108,7 @@ class RemoteProblem(Wording):
 # --- looking
 
 
-def _topics(arguments: Namespace) -> int:
+def print_topics(arguments: Namespace) -> int:
     with attached(arguments, read_only=True) as engine:
         if arguments.available:
             return _available(engine, arguments)
@@ -150,7 +146,7 @@ def _available(engine: RemoteEngine, arguments: Namespace) -> int:
     return OK
 
 
-def _events(arguments: Namespace) -> int:
+def print_events(arguments: Namespace) -> int:
     format_event = json_event if arguments.json else text_event
     with attached(arguments, read_only=True) as engine:
         events, seen = engine.remembered_events(_EVENTS_WITHIN), 0
@@ -164,7 +160,7 @@ def _events(arguments: Namespace) -> int:
             events = engine.wait_for_events(seen, _EVENTS_WITHIN)
 
 
-def _echo(arguments: Namespace) -> int:
+def print_messages(arguments: Namespace) -> int:
     with attached(arguments, read_only=True) as engine:
         route = chosen_route(engine, arguments)
         if echo(engine, route, arguments):
@@ -178,7 +174,7 @@ def _echo(arguments: Namespace) -> int:
 # --- changing
 
 
-def _remove(arguments: Namespace) -> int:
+def remove_topic(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         found = chosen(engine, arguments)
         stays = result(engine.remove_topic(found.key, drop_arm=arguments.drop_arm))
@@ -205,7 +201,7 @@ def _not_saved(engine: RemoteEngine) -> str:
     return "; not saved (rsb-console save)" if engine.snapshot().unsaved else ""
 
 
-def _pause(arguments: Namespace, *, paused: bool = True) -> int:
+def pause_topic(arguments: Namespace, *, paused: bool = True) -> int:
     # Only resuming can move something: a pause is right however late it comes.
     with attached(arguments, expires=not paused) as engine:
         found = all_chosen(engine, arguments)
@@ -213,7 +209,11 @@ def _pause(arguments: Namespace, *, paused: bool = True) -> int:
         return _changed(engine, arguments, found, "paused" if paused else "resumed")
 
 
-def _ack(arguments: Namespace) -> int:
+def resume_topic(arguments: Namespace) -> int:
+    return pause_topic(arguments, paused=False)
+
+
+def acknowledge(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         what = "not acknowledged any more" if arguments.undo else "acknowledged"
         # A link's name is no topic's, which begins with a slash.
@@ -225,14 +225,14 @@ def _ack(arguments: Namespace) -> int:
         return done_with(arguments, [found], what)
 
 
-def _retry(arguments: Namespace) -> int:
+def retry_links(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         check_link(engine, arguments.link)
         result(engine.retry(arguments.link))
         return done(arguments, f"trying again: {arguments.link or 'all links'}")
 
 
-def _restart(arguments: Namespace) -> int:
+def restart_links(arguments: Namespace) -> int:
     def step(text: str) -> None:
         if not arguments.json:
             print_line(text)
@@ -242,7 +242,7 @@ def _restart(arguments: Namespace) -> int:
         return done(arguments)
 
 
-def _reload(arguments: Namespace) -> int:
+def reload_session(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         reloaded = result(engine.reload(dry_run=arguments.dry_run, drop_arm=arguments.drop_arm))
     if arguments.json:
@@ -257,13 +257,13 @@ def _reload(arguments: Namespace) -> int:
     return FAILURE if reloaded.left or reloaded.failed else OK
 
 
-def _save(arguments: Namespace) -> int:
+def save_session(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         result(engine.do(Save()))
         return done(arguments, f"saved: {engine.bridge.file}")
 
 
-def _stop(arguments: Namespace) -> int:
+def stop_bridge(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         result(engine.stop_bridge())
         # The answer comes before the process has ended, and a script may start the session again right after this.
@@ -278,7 +278,7 @@ def _stop(arguments: Namespace) -> int:
 # --- waiting
 
 
-def _wait(arguments: Namespace) -> int:
+def wait_until(arguments: Namespace) -> int:
     """Wait, and print the result. Return the exit code."""
     holds = _condition(arguments.wanted)
     began = time.monotonic()
@@ -370,7 +370,7 @@ def _not_bridged(now: Snapshot, topic: str) -> str:
 # --- adding and editing
 
 
-def _add(arguments: Namespace) -> int:
+def add_topic(arguments: Namespace) -> int:
     """Bridge one more topic or service. Return the exit code."""
     kind: Kind = arguments.kind or "topic"
     values = {"topic": arguments.topic, "kind": kind}
@@ -414,7 +414,7 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
     return OK
 
 
-def _edit(arguments: Namespace) -> int:
+def edit_topic(arguments: Namespace) -> int:
     """Change a bridged topic or service. Return the exit code."""
     with attached(arguments, expires=True) as engine:
         route = chosen(engine, arguments)
@@ -489,7 +489,7 @@ def _standard_input() -> int:
         return os.open(os.devnull, os.O_RDONLY)
 
 
-def _arm(arguments: Namespace) -> int:
+def arm_topic(arguments: Namespace) -> int:
     """Arm a topic until this process ends in any way; then the bridge disarms it. Return the exit code."""
     # The console detaches first, which disarms: the terminal's last answer may take its time.
     with TypedKeys(_standard_input(), os.environ) as keys, attached(arguments, expires=True) as engine:
@@ -562,34 +562,9 @@ def _why_disarmed(engine: RemoteEngine, route: RouteSnapshot | None) -> tuple[st
     return route.arming.reason or route.reason, route.arming.why
 
 
-def _disarm(arguments: Namespace) -> int:
+def disarm_topic(arguments: Namespace) -> int:
     """Disarm all routes of a name. Return the exit code."""
     with attached(arguments) as engine:
         routes = all_chosen(engine, arguments)
         carried_out([engine.disarm(route.key) for route in routes])
         return done_with(arguments, routes, "disarmed")
-
-
-COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "status": print_status,
-    "topics": _topics,
-    "add": _add,
-    "edit": _edit,
-    "remove": _remove,
-    "pause": _pause,
-    "resume": partial(_pause, paused=False),
-    "ack": _ack,
-    "arm": _arm,
-    "disarm": _disarm,
-    "retry": _retry,
-    "restart": _restart,
-    "reload": _reload,
-    "save": _save,
-    "events": _events,
-    "wait": _wait,
-    "echo": _echo,
-    "hz": hz,
-    "bw": bw,
-    "info": print_info,
-    "stop": _stop,
-}

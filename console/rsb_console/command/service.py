@@ -167,7 +167,7 @@ def _plain(text: str) -> str:
     return text.replace("%", "%%")
 
 
-def _install(arguments: Namespace) -> int:
+def install_unit(arguments: Namespace) -> int:
     try:
         load(arguments.session)
     except SessionError as error:
@@ -202,12 +202,12 @@ def _install(arguments: Namespace) -> int:
     return OK
 
 
-def _show(arguments: Namespace) -> int:
+def show_unit(arguments: Namespace) -> int:
     print_lines(_service(arguments).text().removesuffix("\n"))
     return OK
 
 
-def _uninstall(arguments: Namespace) -> int:
+def uninstall_unit(arguments: Namespace) -> int:
     name = unit_name(arguments.session)
     folder = _folder(arguments.system)
     path, control = folder / name, _systemctl(arguments.system)
@@ -276,6 +276,3 @@ def _folder(system: bool) -> Path:
 
 def _systemctl(system: bool) -> str:
     return "sudo systemctl" if system else "systemctl --user"
-
-
-COMMANDS = {"install": _install, "show": _show, "uninstall": _uninstall}

@@ -100,25 +100,22 @@ def what_to_attach(arguments: Namespace) -> Path | Attach:
     return partial(arguments.way.attach, arguments.bridge or "", read_only=arguments.readonly)
 
 
-def reported(work: Callable[[Namespace], int], arguments: Namespace) -> int:
-    """Run a command; report an error. Return the exit code."""
-    try:
-        return work(arguments)
+def reported(error: Exception, arguments: Namespace) -> int:
+    """Report an error of a command, and return the exit code. Raise one again that no command makes."""
     # Most of these are EngineErrors, so that errors with an exit code of their own come first.
-    except (UsageError, UnclearError) as error:
+    if isinstance(error, UsageError | UnclearError | InvalidRequestError):
         return failed(arguments, str(error), USAGE)
-    except (NoBridgeError, ControlError) as error:
+    if isinstance(error, NoBridgeError | ControlError):
         return failed(arguments, str(error), NOT_RUNNING)
-    except InvalidRequestError as error:
-        return failed(arguments, str(error), USAGE)
-    except EngineError as error:
+    if isinstance(error, EngineError):
         return failed(arguments, str(error), FAILURE)
-    except (ClientError, SessionError, KeyFileError) as error:
+    if isinstance(error, ClientError | SessionError | KeyFileError):
         # A disk or a key that refuses is no wrong usage: the same words may work later.
         code = FAILURE if isinstance(error, UnwritableError | KeyFileError) else USAGE
         return failed(arguments, str(error), code)
-    except TimeoutError:
+    if isinstance(error, TimeoutError) and "bridge" in arguments:  # else none was waited for
         return failed(arguments, AttachProblem.SILENT_FOR(seconds=ANSWERED_WITHIN), FAILURE)
+    raise error
 
 
 def failed(arguments: Namespace, message: str, code: int, **more: str) -> int:
