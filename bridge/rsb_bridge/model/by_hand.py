@@ -1,4 +1,4 @@
-"""Motion by hand: the messages and their times, the velocity that they may have, and what the robot gets at the end."""
+"""Motion by hand: how late it may come, the velocity that it may have, and what the robot gets at the end."""
 
 from __future__ import annotations
 

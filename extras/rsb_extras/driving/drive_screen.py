@@ -323,6 +323,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         Binding("n", "answer(False)", show=False),
     ]
     CSS = """
+    DriveScreen { align: center bottom; background: transparent; }
     #drive {
         width: 100%; max-width: 110; height: auto; min-height: 5; padding: 0 1; border-subtitle-color: $quiet;
     }

@@ -94,6 +94,10 @@ class PublishScreen(FormScreen[Message]):
     """
 
     AUTO_FOCUS = ".field Input"
+    CSS = """
+    .dialog.-publish { width: 100%; max-width: 110; }
+    .dialog.-publish TextArea { height: 40vh; }
+    """
     BINDINGS: ClassVar = [*FormScreen.BINDINGS, Binding("f9", "submit", show=False)]
 
     def __init__(self, console: Console, message: Message) -> None:
