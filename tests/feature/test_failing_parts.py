@@ -1,4 +1,4 @@
-"""A feature's part that fails in an engine ends nothing else."""
+"""A feature's part or observer that fails in an engine ends nothing else."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tests.support import replaced
 from tests.support.bridge import happened, is_accepted, linked
 from tests.support.waiting import eventually
 
-from rsb_bridge.engine.part import EnginePart
+from rsb_bridge.engine.part import EngineObserver, EnginePart
 from rsb_bridge.feature import Feature
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -35,11 +35,25 @@ class _Part(EnginePart):
         raise RuntimeError("and again")
 
 
+class _Observer(EngineObserver):
+    ends = 0
+
+    def start(self) -> None:
+        raise RuntimeError("it fails")
+
+    def stop(self, timeout: float) -> None:
+        self.ends += 1
+        raise RuntimeError("it fails again")
+
+
 class _Failing(Feature):
     name = "failing"
 
     def __init__(self) -> None:
-        self.part = _Part()
+        self.part, self.observer = _Part(), _Observer()
+
+    def observers(self, engine: Any) -> Iterable[Any]:
+        return (self.observer,)
 
     def parts(self, bridge: Any) -> Iterable[Any]:
         return (self.part,)
@@ -55,4 +69,16 @@ def test_failing_part_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.Monk
     eventually(lambda: linked(server) and is_accepted(client, "/scan"), what="open")
     client.stop()
     assert failing.part.ends == 1
+    assert happened(client, EventCode.ENGINE_STOPPED)
+
+
+def test_failing_observer_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    server, failing = bridge.server(), _Failing()
+    replaced.FEATURES_WITH_OBSERVERS.set(monkeypatch, lambda: (failing,))
+    client = bridge.client(Topic("/scan", "transmit", type="std_msgs/msg/String"))
+    bridge.expected.add(client)
+    assert happened(client, EventCode.ENGINE_ERROR)
+    eventually(lambda: linked(server) and is_accepted(client, "/scan"), what="open")
+    client.stop()
+    assert failing.observer.ends == 1
     assert happened(client, EventCode.ENGINE_STOPPED)
