@@ -14,6 +14,7 @@ from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.protocol import AnyCommand
+from rsb_bridge.feature import installed
 from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import Restart, Stop, acting
@@ -210,5 +211,6 @@ def test_every_command_has_a_handler(bridge: Bridge) -> None:
     engine = bridge.client()
     running = inside(engine)
     assert running is not None
-    elsewhere = {Restart, Stop, *engine._answers}
+    observers = [each for feature in installed() for each in feature.observers(engine)]
+    elsewhere = {Restart, Stop}.union(*(each.answers for each in observers))
     assert running.handlers.keys() | elsewhere == set(get_args(AnyCommand))

@@ -48,7 +48,9 @@ def main() -> None:
     gc.collect()
     used = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    print(f"{TOPICS} topics, {HOURS} h, {sum(len(each.outages) for each in timeline._records.values()):,} outages kept")
+    print(
+        f"{TOPICS} topics, {HOURS} h, {sum(len(each.outages) for each in timeline.save(now).subjects):,} outages kept"
+    )
     began = time.perf_counter()
     for _ in range(_LOOKS):
         now += 1.0
