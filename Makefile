@@ -32,7 +32,7 @@ AT_ONCE = $(PYTEST) -n $(WORKERS) --dist loadscope --max-worker-restart 0
 FEATURES := $(wildcard extras/rsb_extras/*/tests)
 ALL := tests $(FEATURES)
 without = $(addprefix --ignore=tests/,distributions $(1))
-QUICK := cdr channel config fleet fuzz model route wire
+QUICK := cdr channel config fuzz model route wire
 # What shows that the core alone is a whole bridge: some minutes less than all of its tests.
 CORE := $(QUICK) feature link control/test_protocol.py control/test_operator_sessions.py command/test_command.py \
   $(addprefix engine/test_,operations.py arming.py actions.py reloading.py restarting.py) console/test_main_screen.py

@@ -28,9 +28,9 @@ from rsb_bridge.ros.stand_in import Talk
 from rsb_console.command.shell import allow_many_descriptors
 from rsb_console.simulated import processes
 from rsb_console.simulated.processes import ProcessError
-from rsb_console.simulated.robots import RobotTraffic
-from rsb_console.simulated.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
 from rsb_extras.bench import loopback
+from rsb_extras.fleet.robots import RobotTraffic
+from rsb_extras.fleet.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
 from rsb_extras.zenoh import ZENOH
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ import msgspec
 
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import LostMessages, RobotState, RobotSummary
-from rsb_console.fleet.fleet import Memory, RobotFleet
-from rsb_console.fleet_app import FleetApp
-from rsb_console.widgets.fleet_table import FleetView
+from rsb_extras.fleet.fleet import Memory, RobotFleet
+from rsb_extras.fleet.fleet_app import FleetApp
+from rsb_extras.fleet.fleet_table import FleetView
 
 if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine

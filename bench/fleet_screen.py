@@ -20,8 +20,8 @@ from bench.console import Watched
 from rsb_bridge.cdr.known_types import BATTERY_STATE
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.command.shell import allow_many_descriptors
-from rsb_console.simulated.robots import RobotTraffic
-from rsb_console.simulated.simulated_fleet import SimulatedFleet, fleet, listening
+from rsb_extras.fleet.robots import RobotTraffic
+from rsb_extras.fleet.simulated_fleet import SimulatedFleet, fleet, listening
 from rsb_extras.operators.fleet_file import load_fleet
 from rsb_extras.operators.zenoh_source import ZenohFleet
 

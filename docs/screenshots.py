@@ -25,18 +25,18 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route import lease
 from rsb_console.app import ConsoleApp
-from rsb_console.command.demo import seen, simulated, trouble
-from rsb_console.fleet_app import FleetApp
 from rsb_console.look.glyphs import STATE_SIGN
 from rsb_console.session.demo_session import running_demo
-from rsb_console.widgets.fleet_table import FleetView
+from rsb_extras.fleet.fleet_app import FleetApp
+from rsb_extras.fleet.fleet_demo import seen, simulated, trouble
+from rsb_extras.fleet.fleet_table import FleetView
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from textual.pilot import Pilot
 
-    from rsb_console.fleet.fleet import FleetSource, Robot, RobotFleet
+    from rsb_extras.fleet.fleet import FleetSource, Robot, RobotFleet
 
     Take = Callable[["Album"], Coroutine[Any, Any, None]]
 

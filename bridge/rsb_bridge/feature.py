@@ -31,11 +31,12 @@ BRINGS: Mapping[str, str] = {
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
-    "bench": "bench", "doctor": "doctor", "look": "pictures", "pub": "driving", "report": "history",
+    "bench": "bench", "doctor": "doctor", "fleet": "fleet", "look": "pictures", "pub": "driving", "report": "history",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
     "drive": "driving", "history": "history", "look": "pictures", "publish": "driving",
+    **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""
 
@@ -253,6 +254,20 @@ class Feature:
             add: a `rsb_console.command.remote_arguments.AddCommand`. That module has `late`, and common arguments.
             complete: completes an argument of a parser by one of the functions of `rsb_console.command.completion`.
         """
+
+    def options(self, commands: Mapping[str, Any], complete: Any) -> None:
+        """Add options to any subcommands, once all are there.
+
+        An option that stores a function by ``dest="command"`` runs that instead.
+
+        Args:
+            commands: an `argparse.ArgumentParser` by each name.
+            complete: as in `subcommands`.
+        """
+
+    def screens(self) -> Iterable[tuple[Any, ...]]:
+        """Return all actions of each screen that takes the console's place, with their keys; ids are shared with it."""
+        return ()
 
     def machine(self, columns: int) -> Iterable[MachineReport]:
         """Examine this machine for ``rsb-console report``, in lines of at most so many columns."""

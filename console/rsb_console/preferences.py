@@ -21,7 +21,7 @@ from textual.theme import Theme
 from rsb_bridge.config.files import is_there, replace_file, why_not_written
 from rsb_bridge.feature import BRINGS_ACTIONS
 from rsb_bridge.model.wording import Wording
-from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS
+from rsb_console.actions import screens
 from rsb_console.look.topic_column import ADDED
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def load_keymap(path: Path) -> dict[str, str]:
         raise PreferenceError(PreferenceProblem.NO_KEYMAP(path=path))
     # YAML reads the key 5 as a number.
     keymap = {str(action): str(keys) for action, keys in loaded.items()}
-    unknown = sorted(set(keymap) - set(BY_ID))
+    unknown = sorted(set(keymap) - {action.id for actions in screens() for action in actions})
     if absent := next((action for action in unknown if action in BRINGS_ACTIONS), ""):
         feature = BRINGS_ACTIONS[absent]
         raise PreferenceError(PreferenceProblem.OF_FEATURE(path=path, feature=feature, action=absent))
@@ -240,8 +240,8 @@ def _settings_problem(path: Path, settings: object) -> str:
 
 
 def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
-    # Each by itself: the two screens are never in one app, and share keys such as space.
-    for actions in (ACTIONS, FLEET_ACTIONS):
+    # Each by itself: two screens are never in one app, and share keys such as space.
+    for actions in screens():
         owner: dict[str, str] = {}
         for action in actions:
             for key in split_keys(keymap.get(action.id, action.keys)):

@@ -8,6 +8,7 @@ import signal
 import threading
 import traceback
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from platformdirs import user_log_path
@@ -17,7 +18,7 @@ from textual.screen import SystemModalScreen
 from rsb_bridge.config.files import owner_only
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import several_lines
-from rsb_console.actions import ACTIONS, BY_ID, Action, Group, bindings
+from rsb_console.actions import ACTIONS, Action, Group, bindings
 from rsb_console.look.glyphs import STATE_SIGN, AsciiFilter, ControlFilter
 from rsb_console.preferences import (
     REFRESH_RATES,
@@ -36,7 +37,6 @@ from rsb_console.widgets.lines import LOOK_CLASSES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
-    from pathlib import Path
 
     from textual import events
     from textual.filter import LineFilter
@@ -78,7 +78,7 @@ class TerminalApp(App[ReturnType]):
     """
 
     TITLE = "rsb-console"
-    CSS_PATH = "console.tcss"
+    CSS_PATH = Path(__file__).with_name("console.tcss")
     COMPONENT_CLASSES: ClassVar[set[str]] = set(LOOK_CLASSES.values())
     BINDINGS = bindings(Group.CONSOLE)
     COMMANDS: ClassVar = {ActionsProvider}
@@ -146,7 +146,7 @@ class TerminalApp(App[ReturnType]):
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable the actions that change something while read-only."""
-        known = BY_ID.get(action)
+        known = next((each for each in self.actions if each.id == action), None)
         if known is not None and known.changes and self.readonly:
             return False
         return super().check_action(action, parameters)

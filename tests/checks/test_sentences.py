@@ -14,7 +14,7 @@ OF_OTHERS = {
 }
 """Words of other programs, which have no codes, by the module that looks for them."""
 OF_FILES = {
-    "console/rsb_console/simulated/simulated_fleet.py": ("listening on",),
+    "extras/rsb_extras/fleet/simulated_fleet.py": ("listening on",),
     "console/rsb_console/command/service.py": ("# Written by",),
     "console/rsb_console/command/call_command.py": ("# goal_id: ",),
 }

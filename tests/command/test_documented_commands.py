@@ -31,7 +31,6 @@ from rsb_bridge.model.commands import Call
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, PeekedMessage, State
 from rsb_console.command.shell import INTERRUPTED, OK
-from rsb_console.fleet.fleet import Memory, Remembered, memory_path
 
 if TYPE_CHECKING:
     import argparse
@@ -146,17 +145,18 @@ def test_it_is_taken(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 _OF_BENCH = "../extras/rsb_extras/bench/tests/test_command.py"
+_OF_FLEET = "../extras/rsb_extras/fleet/tests/test_demo_fleet.py"
 _ELSEWHERE = {
     "bench": (_OF_BENCH, "test_ctrl_c_prints_what_was_measured_and_leaves_no_process"),
     "bench --quick": (_OF_BENCH, "test_a_short_run_on_this_machine"),
     "bt-scan": ("bluetooth/guest/test_scan.py", "test_what_the_command_prints"),
-    "demo": ("command/test_demo_fleet.py", "test_no_process_outlives_a_demo_that_is_killed"),
+    "demo": (_OF_FLEET, "test_no_process_outlives_a_demo_that_is_killed"),
     "demo --no-ui --seconds 20": ("command/test_command.py", "test_the_demo_bridges_and_leaves_one_topic_to_add"),
     "demo --fleet": (
-        "command/test_demo_fleet.py", "test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all"
+        _OF_FLEET, "test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all"
     ),
     "demo --fleet --no-ui --seconds 30": (
-        "command/test_demo_fleet.py", "test_each_engine_is_linked_and_has_a_line"
+        _OF_FLEET, "test_each_engine_is_linked_and_has_a_line"
     ),
     "run robot1.yaml --no-ui": (
         "command/test_remote.py", "test_a_headless_bridge_is_attached_to_changed_and_stopped"
@@ -234,6 +234,8 @@ def prepare(line: str) -> None:
     for written in re.findall(r"-o (\S+)", line) if not line.startswith("keygen") else Path().glob("*key*"):
         Path(written).unlink(missing_ok=True)
     if "dismiss" in line:
+        from rsb_extras.fleet.fleet import Memory, Remembered, memory_path
+
         memory = Memory(memory_path())
         memory.saw(Remembered("control", "robot9", NOW - 3600))
         memory.save()

@@ -31,7 +31,7 @@ WRITES_OTHERWISE = {
     "session/demo_session.py": "logs in a temporary folder, mode 0700",
     "bench/loopback.py": "sessions in a temporary folder, mode 0700",
     "simulated/processes.py": "a log in such a folder",
-    "simulated/simulated_fleet.py": "likewise",
+    "fleet/simulated_fleet.py": "likewise",
     "model/text.py": "standard output itself",
     "cli.py": "crash.log, with `owner_only`",
     "terminal_app.py": "crash.txt, with `owner_only`",

@@ -27,7 +27,7 @@ from textual.screen import Screen
 
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
-from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, KEYS_ON_SCREENS, Group
+from rsb_console.actions import ACTIONS, BY_ID, KEYS_ON_SCREENS, Group
 from rsb_console.app import ConsoleApp
 from rsb_console.preferences import PreferenceError, PreferenceProblem, load_keymap, split_keys
 from rsb_console.screens.dialog import ConfirmScreen
@@ -53,7 +53,7 @@ def test_no_id_and_no_key_twice() -> None:
     keys = [key for action in ACTIONS for key in split_keys(action.keys)]
     assert len(set(keys)) == len(keys)
     assert len({action.id for action in ACTIONS}) == len(ACTIONS)
-    assert set(BY_ID) == {action.id for action in (*ACTIONS, *FLEET_ACTIONS)}
+    assert set(BY_ID) == {action.id for action in ACTIONS}
 
 
 def test_no_action_hangs_on_a_key_that_terminals_eat() -> None:

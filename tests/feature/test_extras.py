@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, BRINGS_TRANSPORTS, installed
+from rsb_console.actions import ACTIONS
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = {each.parent.name: each.parent for each in ROOT.glob("extras/rsb_extras/*/__init__.py")}
@@ -51,7 +52,14 @@ def test_the_core_knows_which_feature_brings_which_key() -> None:
 @pytest.mark.skipif(not FOLDERS, reason="the core alone")
 def test_the_core_knows_which_feature_brings_which_action() -> None:
     features = (importlib.import_module(f"rsb_extras.{name}").FEATURE for name in FOLDERS)
-    assert {action.id: feature.name for feature in features for action in feature.actions()} == BRINGS_ACTIONS
+    of_core = {action.id for action in ACTIONS if action.run is None}
+    brought = {
+        action.id: feature.name
+        for feature in features
+        for action in (*feature.actions(), *(each for actions in feature.screens() for each in actions))
+        if action.id not in of_core
+    }
+    assert brought == BRINGS_ACTIONS
 
 
 def test_an_action_of_a_feature_that_is_not_installed_names_it(tmp_path: Path) -> None:

@@ -66,7 +66,6 @@ TCP_NEXT_ADDRESS_AFTER = Place("rsb_bridge.transport.tcp", "_NEXT_ADDRESS_AFTER"
 TRIALS_OTHERS = Place("rsb_bridge.transport.trials", "_OTHERS")
 EPOCH_BITS = Place("rsb_bridge.wire.sealing", "EPOCH_BITS")
 COMPLETION_WAITS = Place("rsb_console.command.completion", "_WAITS")
-DEMO_LOOK_EVERY = Place("rsb_console.command.demo", "_LOOK_EVERY")
 FIGURES_EVERY = Place("rsb_console.command.figures", "_EVERY")
 FIGURES_LEDGER_FROM = Place("rsb_console.command.figures", "_LEDGER_FROM")
 ASKER_ALIVE_EVERY = Place("rsb_console.command.remote", "_ALIVE_EVERY")

@@ -1,26 +1,22 @@
-"""A fleet that plays a script, and a server whose clients it is."""
+"""A server that plays a script, and its robots."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.model.commands import Command, EditTopic, R
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-from rsb_console.fleet.fleet import Memory, RobotFleet
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from concurrent.futures import Future
-    from pathlib import Path
 
-    from rsb_bridge.control.remote_engine import RemoteEngine
 
 GROUPS = ("hall", "yard", None)
 
@@ -32,54 +28,6 @@ def robot(name: str, state: RobotState = RobotState.OK, **changes: Any) -> Robot
         links=1, flowing=3, routes=3, messages_from_robot=30.0, bytes_from_robot=300_000.0, bytes_to_robot=4_000.0,
     )  # fmt: skip
     return msgspec.structs.replace(well, **changes)
-
-
-class SetClock:
-    """A wall clock that stands still."""
-
-    def __init__(self, now: float = NOW) -> None:
-        self.now = now
-
-    def time_ns(self) -> int:
-        return int(self.now * 1e9)
-
-
-class ScriptedSource:
-    """A `FleetSource` that gives what it was given."""
-
-    def __init__(self, *robots: RobotSummary, name: str = "control") -> None:
-        self.name, self.kind, self.problem = name, "server", ""
-        self.way, self.gone, self.empty = "", f"gone from {name}", "add one"
-        self.given = list(robots)
-        self.engines: dict[str, ScriptedEngine] = {}
-        self.began = self.ended = 0
-        self.fails = ""
-
-    def start(self) -> None:
-        if self.fails:
-            raise EngineError(self.fails)
-        self.began += 1
-
-    def wait(self) -> None:
-        pass
-
-    def stop(self) -> None:
-        self.ended += 1
-
-    def robots(self) -> list[RobotSummary]:
-        return self.given
-
-    def put(self, name: str, **changes: Any) -> None:
-        self.given = [msgspec.structs.replace(each, **changes) if each.name == name else each for each in self.given]
-
-    def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
-        if robot not in self.engines:
-            raise EngineError(f"{robot} does not answer")
-        return cast("RemoteEngine", self.engines[robot])
-
-
-def fleet_of(*sources: ScriptedSource, path: Path | None = None, clock: SetClock | None = None) -> RobotFleet:
-    return RobotFleet(sources, Memory(path), cast("Any", clock or SetClock()))
 
 
 def topics(name: str, *specs: Topic) -> tuple[RouteSnapshot, ...]:

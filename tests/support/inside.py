@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
     from rsb_bridge.engine.bridge import Bridge
     from rsb_bridge.model.calls import Refused
-    from rsb_bridge.model.snapshot import Snapshot
     from rsb_bridge.ros.node import RosNode
     from rsb_bridge.ros.participant import Participant
     from rsb_bridge.route.calls.calls_route import CallsRoute
@@ -30,12 +29,6 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.headers import CallFrame
     from rsb_bridge.wire.messages import Provide
-    from rsb_console.fleet.server_source import ServerFleet
-
-
-def state_of(source: ServerFleet) -> Snapshot:
-    """Return the state of the server that a source has last heard."""
-    return source._engine.snapshot()
 
 
 def inside(engine: Engine) -> Bridge:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from rsb_bridge.feature import installed
@@ -11,7 +12,6 @@ from rsb_console.command.bridge_arguments import add_bridge_commands
 from rsb_console.command.call_arguments import add_call_commands
 from rsb_console.command.client_arguments import add_client_commands
 from rsb_console.command.command_parser import CommandParser
-from rsb_console.command.fleet_arguments import add_fleet_commands, say_what_runs
 from rsb_console.command.local_arguments import add_completion, add_local_commands
 from rsb_console.command.topic_arguments import add_topic_commands
 from rsb_console.command.watching_arguments import add_watching_commands
@@ -39,7 +39,6 @@ _OF_CORE = (
     add_watching_commands,
     add_call_commands,
     add_client_commands,
-    add_fleet_commands,
 )
 
 
@@ -76,7 +75,8 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
 
     for add in (*_OF_CORE, *(feature.subcommands for feature in installed()), add_completion):
         add(command, _complete)
-    say_what_runs(subparsers.choices)
+    for feature in installed():
+        feature.options(subparsers.choices, _complete)
     # A session file may take a command's place: `rsb-console SESSION` runs it.
     _complete(subparsers, "yaml_files")
     for added in subparsers.choices.values():
@@ -105,12 +105,12 @@ def _add_debug(parser: argparse.ArgumentParser) -> None:
 
 
 def _complete(action: argparse.Action, completer: str) -> None:
-    """Complete an argument with a function of `rsb_console.command.completion`."""
+    """Complete an argument with a function of `rsb_console.command.completion`, or ``package.module:function``."""
+    module, _, function = completer.rpartition(":")
 
     def offers(**known: object) -> list[str]:
-        from rsb_console.command import completion  # noqa: PLC0415 (only while a shell completes)
-
-        found: list[str] = getattr(completion, completer)(**known)
+        completion = import_module(module or "rsb_console.command.completion")  # only while a shell completes
+        found: list[str] = getattr(completion, function)(**known)
         return [each for each in found if is_clean(each)]  # a shell prints them as they are
 
     action.completer = offers  # type: ignore[attr-defined]  # argcomplete's own

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_console.fleet.fleet import Remembered
 
 _PATHS = ("PATH", "FILE", "FILE.svg")
 """The metavars of path arguments that stay plain texts."""
@@ -130,21 +129,6 @@ def bridge_names(**_: object) -> list[str]:
 def bridges_and_files(prefix: str, **_: object) -> list[str]:
     """Return the bridges that run on this machine, and session files."""
     return bridge_names() + yaml_files(prefix)
-
-
-def robots(**_: object) -> list[str]:
-    """Return the robots of fleets that this user has seen."""
-    return sorted({robot.name for robot in _remembered()})
-
-
-def groups(**_: object) -> list[str]:
-    return sorted({robot.group for robot in _remembered()} - {""})
-
-
-def _remembered() -> list[Remembered]:
-    from rsb_console.fleet.fleet import Memory, memory_path  # noqa: PLC0415 (only for the commands of a fleet)
-
-    return Memory(memory_path()).all()
 
 
 def adapters(**_: object) -> list[str]:

@@ -1,4 +1,4 @@
-"""The console as a command, or a fleet's screen: the app in the terminal, and the bridge after the app has ended."""
+"""The console as a command: the app in the terminal, and the bridge after the app has ended."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.model.session import Session
     from rsb_console.command.target import Attach
-    from rsb_console.fleet.fleet import RobotFleet
 
 T = TypeVar("T")
 
@@ -110,7 +109,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     crashed = app.shutdown_reason is ShutdownReason.CRASH
     hung_up = app.shutdown_reason is ShutdownReason.HANGUP
     # This reports the crash, before `bridge_on` prints hours of log.
-    code = _exit_code(app)
+    code = exit_code(app)
     if app.engine is not None and not app.attached_to and (crashed or (hung_up and on_hangup == "continue")):
         from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
 
@@ -121,53 +120,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     return code
 
 
-def run_fleet(
-    fleet: RobotFleet,
-    *,
-    readonly: bool = False,
-    ascii_only: bool = False,
-    theme: str | None = None,
-    mouse: bool = True,
-    after_quit: str = "",
-) -> int:
-    """Show the fleet, and the robots that the operator opens, until they quit.
-
-    Args:
-        ascii_only: draw only ASCII, even if the terminal can draw more.
-        theme: name of the theme, or None for one that suits the terminal.
-        mouse: take the mouse from the terminal.
-        after_quit: text about the bridges when the operator quits, or empty if they go on.
-
-    Returns:
-        The exit code: 0, 1 after a crash, or 129 if the terminal has gone.
-    """
-    from rsb_console.fleet_app import FleetApp, RobotApp  # noqa: PLC0415 -- keeps the start short
-    from rsb_console.widgets.fleet_table import FleetView  # noqa: PLC0415 -- keeps the start short
-
-    view, ascii_only = FleetView(), ascii_only or prefers_ascii(os.environ)
-    while True:
-        app = FleetApp(fleet, view, readonly=readonly, ascii_only=ascii_only, theme=theme, after_quit=after_quit)
-        robot = run_app(app, mouse=mouse)
-        if robot is None or app.shutdown_reason is not ShutdownReason.QUIT:
-            return _exit_code(app)
-        # Each app is a new one, and the operator's choice of a theme would be lost with each robot that is opened.
-        theme = app.theme
-        console = RobotApp(
-            None,
-            None,
-            readonly=readonly,
-            ascii_only=ascii_only,
-            theme=theme,
-            attach_to=partial(robot.source.open, robot.summary.name, read_only=readonly),
-        )
-        run_app(console, mouse=mouse)
-        console.stop()
-        if console.shutdown_reason is not ShutdownReason.QUIT:
-            return _exit_code(console)
-        theme = console.theme
-
-
-def _exit_code(app: TerminalApp[Any]) -> int:
+def exit_code(app: TerminalApp[Any]) -> int:
     if app.shutdown_reason is ShutdownReason.CRASH:
         print_error(f"the console has crashed; please report {crash_path()}")
         return FAILURE

@@ -1,49 +1,21 @@
-"""The command ``demo``: a simulated robot and a desk, or with ``--fleet`` several robots, bridged on this machine."""
+"""The command ``demo``: a simulated robot and a desk, bridged on this machine."""
 
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import sys
-import tempfile
-import threading
-import time
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine import Engine
-from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.robot_summary import RobotState
-from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import keep_output_clean
 from rsb_console.command.headless import Signals, bridge_until_told
-from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_error, print_line
-from rsb_console.command.ways import ways
-from rsb_console.fleet.fleet import Memory, RobotFleet
-from rsb_console.fleet.server_source import ServerFleet
-from rsb_console.session.demo_session import SimulatedPart, need_ros, own_domain, running_demo
-from rsb_console.simulated.processes import ProcessError
-from rsb_console.simulated.simulated_fleet import WITH_BATTERY, fleet, listening
+from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, print_error, print_line
+from rsb_console.session.demo_session import running_demo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from rsb_console.fleet.fleet import FleetSource, Robot
     from rsb_console.session.demo_session import Demo
-    from rsb_console.simulated.simulated_fleet import SimulatedFleet as Simulated
 
-GROUPS = ("hall", "yard")
-# Seconds, for a busy machine. On a quiet one, the topics of ten robots flow after 3.6 s (bench/README.md, A fleet).
-_OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0
-_AFTER = 5.0
-"""Seconds until the first trouble, as docs/one-machine.md says."""
-_AWAY, _THERE = 10.0, 20.0
-"""Seconds for which the robot that comes and goes is away, and then present."""
-_LOOK_EVERY = 0.2  # s. A round figure: a trouble begins so much later at most
-_FAULTY = "/scan"
-_AFTER_QUIT = "All simulated robots end."
 HOW_TO_END = "Ctrl-C ends them all"
 
 
@@ -106,173 +78,3 @@ def _print_counts(demo: Demo) -> int:
         print_error(f"the demo failed: {', '.join(failed) or 'the robot or the desk did not run'}")
         return FAILURE
     return OK
-
-
-def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
-    """Run a fleet on its screen until the operator quits; or headless, and sum it up at the end.
-
-    Args:
-        ui: run on the fleet's screen instead of headless.
-        seconds: s to run headless once all robots are linked, or None to run until a signal.
-
-    Returns:
-        The exit code; headless, 0 only if each robot was linked and its topics were open.
-    """
-    try:
-        need_ros()
-        with Signals(ignore_hangup=False, has_terminal=True) as signals, simulated(robots) as running:
-            if signals.caught:
-                return INTERRUPTED
-            if ui:
-                return _on_screen(running, signals)
-            return _fleet_headless(running, signals, seconds)
-    except (EngineError, ProcessError) as error:
-        print_error(str(error))
-        return FAILURE
-
-
-@contextlib.contextmanager
-def simulated(robots: int) -> Iterator[Simulated]:
-    """Start the engines of a fleet: over Zenoh, or over TCP if Zenoh is not installed."""
-    over_zenoh = bool(ways()) and importlib.util.find_spec("zenoh") is not None
-    network = "a Zenoh router" if over_zenoh else "no Zenoh, which is not installed: pip install 'rsb-console[zenoh]'"
-    print_line(f"starting {robots} simulated robots and a control side, with {network}")
-    sys.stdout.flush()
-    over = "zenoh" if over_zenoh else "tcp"
-    names = [f"robot{number}" for number in range(1, robots + 1)]
-    domain = own_domain()
-    with (
-        tempfile.TemporaryDirectory(prefix="rsb-fleet-") as folder,
-        fleet(
-            Path(folder), names, domain=domain, over=over, load=WITH_BATTERY, groups=GROUPS, operated=over_zenoh
-        ) as running,
-        contextlib.ExitStack() as stack,
-    ):
-        topics = [f"/{name}{talk.topic}" for name in names for talk in WITH_BATTERY.talks]
-        stack.callback(SimulatedPart.start("listener", domain, Path(folder), *topics).stop)
-        control = running.start_control()
-        running.start_robots(running.names)
-        # Robots that start earlier would fail to link at first, and try again after their pause.
-        listening(control, running.session)
-        running.records()  # all processes answer
-        yield running
-
-
-@contextlib.contextmanager
-def seen(running: Simulated) -> Iterator[RobotFleet]:
-    """Open the fleet as an operator's console does: over Zenoh all engines, otherwise the server's clients."""
-    source: FleetSource
-    source = ServerFleet("control", running.socket) if running.file is None else ways()[0](str(running.file)).robots()
-    shown = RobotFleet([source], Memory(None), Clock())
-    shown.start()
-    try:
-        yield shown
-    finally:
-        shown.stop()
-
-
-def _on_screen(running: Simulated, signals: Signals) -> int:
-    from rsb_console.command.console_command import run_fleet  # noqa: PLC0415 -- needs Textual
-
-    over = threading.Event()
-    with seen(running) as shown, ThreadPoolExecutor(1) as aside:
-        if signals.caught:  # while it waited for the robots; from now on the screen's own handlers catch them
-            return INTERRUPTED
-        troubling = aside.submit(trouble, running, over.is_set)
-        try:
-            code = run_fleet(shown, after_quit=_AFTER_QUIT)
-        finally:
-            # Without this, the executor's end would wait for `trouble` for ever.
-            over.set()
-        troubling.result()
-    return code
-
-
-def _fleet_headless(running: Simulated, signals: Signals, seconds: float | None) -> int:
-    sends = len(running.load.talks)  # nobody publishes the goals that they could receive
-    running.wait(lambda robot: len(robot.open) >= sends or bool(signals.caught), _OPEN_WITHIN)
-    if signals.caught:
-        return INTERRUPTED
-    _say(running)
-    ends = None if seconds is None else time.monotonic() + seconds
-    with seen(running) as shown:
-        troubled = trouble(running, lambda: bool(signals.caught) or (ends is not None and time.monotonic() >= ends))
-        engines = len(running.names) + (running.file is not None)
-        _print_summary(heard(shown, engines, lambda: troubled or bool(signals.caught)))
-    return HUNG_UP if signals.hung_up else OK
-
-
-def _troubled(names: Sequence[str]) -> tuple[str, str]:
-    """Return the robot that loses a topic, and the one that comes and goes."""
-    return names[min(1, len(names) - 1)], names[-1]
-
-
-def _say(running: Simulated) -> None:
-    count = len(running.names)
-    faulty, restless = _troubled(running.names)
-    look = f"fleet --fleet {running.file}" if running.file else f"fleet --control {running.socket}"
-    print_line(f"{count} simulated robots are linked; their ROS is a stand-in, in {count} graphs")
-    print_line(f"{faulty} stops publishing {_FAULTY} after {_AFTER:.0f} s; {restless} comes and goes")
-    print_line(f"to watch them: rsb-console {look}")
-    print_line(HOW_TO_END)
-    sys.stdout.flush()
-
-
-def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
-    """Cause troubles to show until the time is over. Return whether there was time for any."""
-    faulty, restless = _troubled(running.names)
-    began, troubled = time.monotonic(), False
-    due = [(began + _AFTER, faulty, ("mute", _FAULTY)), (began + _THERE, restless, ("stop",))]
-    while not over():
-        now = time.monotonic()
-        # The loop changes `due`, and goes over a copy.
-        for at, name, words in [each for each in due if each[0] <= now]:
-            due.remove((at, name, words))
-            running.tell(name, *words)
-            troubled = True
-            match words:
-                case ("stop",):
-                    due.append((now + _AWAY, name, ("start",)))
-                case ("start",):
-                    due.append((now + _THERE, name, ("stop",)))
-        time.sleep(_LOOK_EVERY)
-    return troubled
-
-
-def heard(shown: RobotFleet, engines: int, as_they_are: Callable[[], bool]) -> list[Robot]:
-    """Wait until each engine has reported, and return the robots.
-
-    A busy machine keeps robots from publishing, or from answering, for some seconds. So if nothing is meant to be
-    wrong, wait until nothing is.
-
-    Args:
-        as_they_are: whether something is meant to be wrong, or nobody waits for it to become well.
-    """
-    asked = time.time()
-    while True:
-        robots = shown.robots()
-        enough = as_they_are()
-        heard = len(robots) >= engines and all(_has_said(robot, asked) for robot in robots)
-        if heard and (enough or all(map(_is_well, robots))):
-            return robots
-        if time.time() > asked + (_SEEN_WITHIN if enough else _WELL_WITHIN):
-            return robots
-        time.sleep(_LOOK_EVERY)
-
-
-def _is_well(robot: Robot) -> bool:
-    """Whether nothing is wrong with a robot, and the desk hears all its topics: it begins with the robots."""
-    return robot.summary.state is RobotState.OK and State.UNHEARD not in robot.summary.states
-
-
-def _has_said(robot: Robot, since: float) -> bool:
-    """Whether a robot has reported since a time (s since the epoch), or is missing."""
-    return robot.summary.state is RobotState.MISSING or (robot.summary.seen or 0.0) >= since
-
-
-def _print_summary(robots: Sequence[Robot]) -> None:
-    """Print one line for each engine: its state, its flowing topics, its battery and its worst fault."""
-    for _, summary, _ in sorted(robots, key=lambda robot: robot.order):
-        battery = f"{summary.battery.charge:.0%}" if summary.battery is not None else ""
-        flow = f"{summary.flowing} of {summary.routes} topics flow"
-        print_line(f"{summary.name:<10} {summary.state:<8} {flow:<21} {battery:>4}  {summary.why}".rstrip())

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE
-from rsb_console.command.argument_values import count, seconds
+from rsb_console.command.argument_values import seconds
 from rsb_console.command.remote_arguments import console_options, late
 
 if TYPE_CHECKING:
@@ -49,10 +49,6 @@ def add_local_commands(command: AddCommand, complete: Complete) -> None:
     )
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
-    demo.add_argument("--fleet", action="store_true", help="the fleet's screen on several simulated robots instead")
-    demo.add_argument(
-        "--robots", type=count, metavar="N", default=8, help="with --fleet: number of robots (%(default)s)"
-    )
     service = command("service", late("service:show_unit"), "run a session as a service of systemd")
     _service_arguments(service, complete)
 

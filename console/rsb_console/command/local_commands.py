@@ -141,13 +141,8 @@ def completion(arguments: Namespace) -> int:
 def demo(arguments: Namespace) -> int:
     """Bridge two domains of this machine."""
     allow_many_descriptors()
-    headless = f"rsb-console demo{' --fleet' if arguments.fleet else ''} --no-ui"
-    if not arguments.no_ui and not can_draw(headless):
+    if not arguments.no_ui and not can_draw("rsb-console demo --no-ui"):
         return USAGE
-    if arguments.fleet:
-        from rsb_console.command.demo import run_fleet_demo  # noqa: PLC0415 (needs ROS)
-
-        return run_fleet_demo(arguments.robots, ui=not arguments.no_ui, seconds=arguments.seconds)
     from rsb_console.command.demo import run_demo  # noqa: PLC0415 (needs ROS)
 
     return run_demo(ui=not arguments.no_ui, seconds=arguments.seconds)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from rsb_bridge.feature import installed
 
 if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_console.fleet.fleet import FleetSource
 
 
 class RemoteWay:
@@ -44,8 +43,8 @@ class RemoteWay:
         """
         raise NotImplementedError
 
-    def robots(self) -> FleetSource:
-        """Return all of its bridges, for a fleet.
+    def robots(self) -> Any:
+        """Return all of its bridges, for a fleet: a `FleetSource` of the feature `fleet`.
 
         Raises:
             UsageError: the file has mistakes.

@@ -40,7 +40,7 @@ _AT_ONCE = 64
 
 
 class ZenohFleet:
-    """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each engine that announces itself.
+    """Fulfils `rsb_extras.fleet.fleet.FleetSource`: one robot for each engine that announces itself.
 
     While the router is out of reach, those from before stay.
 

@@ -15,7 +15,6 @@ from rsb_bridge.feature import Feature, SessionKey
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
-    from random import Random
 
     from rsb_bridge.model.budgets import Strangers
     from rsb_bridge.model.session import Session
@@ -79,7 +78,7 @@ class Zenoh(Feature):
 
         return ZenohTraits, ZenohDropTraits
 
-    def transports(self, session: Session, base: Path, random: Random, strangers: Strangers) -> Iterable[Transport]:
+    def transports(self, session: Session, base: Path, random: Any, strangers: Strangers) -> Iterable[Transport]:
         settings = ZENOH.of(session)
         if settings is None:
             return ()

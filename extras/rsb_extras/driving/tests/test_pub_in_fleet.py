@@ -5,19 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.command import test_fleet
 from tests.support import surroundings
 from tests.support.fleet import ServerEngine
 
 from rsb_bridge.model.audience import Audience
 from rsb_extras.driving.publish_requests import Published
 from rsb_extras.driving.tests.publishing_engine import PublishingEngine
+from rsb_extras.fleet.tests import test_fleet_command
 
 if TYPE_CHECKING:
-    from tests.command.test_fleet import Fleet
     from tests.support.control import Machine
 
-fleet = test_fleet.fleet
+    from rsb_extras.fleet.tests.test_fleet_command import Fleet
+
+fleet = test_fleet_command.fleet
 
 
 class PublishingServer(PublishingEngine, ServerEngine):

@@ -23,7 +23,7 @@ from rsb_extras.operators.tests.zenoh_fleet import Fleet
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rsb_console.fleet.server_source import RobotEngine, ServerFleet
+    from rsb_extras.fleet.server_source import RobotEngine, ServerFleet
 
 
 def test_opened_robot_gets_its_own_history(fleet: ServerFleet, robot2: RobotEngine) -> None:

@@ -10,13 +10,14 @@ import msgspec
 import pytest
 from tests.console.changing import ChangingEngine
 from tests.console.scripted import ScriptedEngine, refused
-from tests.support.fleet import ScriptedSource, fleet_of, robot, topics
+from tests.support.fleet import robot, topics
 
 from rsb_bridge.api import NoAnswerError
 from rsb_bridge.model.commands import EditTopic
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
-from rsb_console.fleet.rolling import PATIENCE, RobotChange, Rollout, RolloutOutcome, report, said, way_back
+from rsb_extras.fleet.rolling import PATIENCE, RobotChange, Rollout, RolloutOutcome, report, said, way_back
+from rsb_extras.fleet.tests.scripted_fleet import ScriptedSource, fleet_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable

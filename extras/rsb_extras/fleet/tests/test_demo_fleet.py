@@ -15,18 +15,18 @@ import pytest
 from tests.console.scripted import ScriptedEngine
 from tests.console.terminal import COMMAND, Terminal
 from tests.console.tmux import Tmux
-from tests.support import constants
 from tests.support.long import long_cases
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_console.child import ChildProcess
-from rsb_console.command import demo
 from rsb_console.command.demo import HOW_TO_END
 from rsb_console.command.headless import Signals, bridge_until_told
-from rsb_console.fleet.fleet import Robot
 from rsb_console.session.demo_session import SimulatedPart, own_domain
+from rsb_extras.fleet import fleet_demo as demo
+from rsb_extras.fleet.fleet import Robot
+from rsb_extras.fleet.tests import fleet_places
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytestmark = pytest.mark.usefixtures("only_demo")
@@ -109,7 +109,7 @@ def test_engines_that_a_busy_machine_holds_up_are_waited_for(
     as_they_are: bool, expected: RobotState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Until each has reported; and until it is ok, unless something is meant to be wrong."""
-    constants.DEMO_LOOK_EVERY.set(monkeypatch, 0.0)
+    fleet_places.DEMO_LOOK_EVERY.set(monkeypatch, 0.0)
     ok, fault, waiting = RobotState.OK, RobotState.FAULT, RobotState.WAITING
     looks: list[dict[str, RobotState | None]] = [{}, {"a": ok}, {"a": ok, "b": None}]
     looks += [{"a": ok, "b": waiting}, {"a": ok, "b": fault}, {"a": ok, "b": ok}]

@@ -14,7 +14,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
-from rsb_console.fleet.server_source import RobotEngine, ServerFleet
+from rsb_extras.fleet.server_source import RobotEngine, ServerFleet
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import pytest
 from tests.console.scripted import NOW, ScriptedEngine, call_route
-from tests.support import replaced, surroundings
+from tests.support import surroundings
 from tests.support.fleet import ServerEngine
-from tests.support.inside import state_of
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
-from rsb_console.fleet.fleet import Memory, Remembered, memory_path
+from rsb_extras.fleet.fleet import Memory, Remembered, memory_path
+from rsb_extras.fleet.tests import fleet_places
+from rsb_extras.fleet.tests.scripted_fleet import state_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
 
     from rsb_bridge.model.robot_summary import RobotSummary
-    from rsb_console.fleet.server_source import ServerFleet
+    from rsb_extras.fleet.server_source import ServerFleet
 
 Fleet: TypeAlias = "Callable[..., Ran]"
 QUICK = ("--seconds", "0.1")
@@ -43,7 +44,7 @@ def engine(machine: Machine) -> ServerEngine:
 
 @pytest.fixture
 def fleet(ran: Fleet, machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Fleet:
-    robots: Callable[[ServerFleet], list[RobotSummary]] = replaced.FLEET_ROBOTS.value
+    robots: Callable[[ServerFleet], list[RobotSummary]] = fleet_places.ROBOTS.value
 
     def newest(source: ServerFleet) -> list[RobotSummary]:
         """Look once the last edit shows, up to 0.25 s later: to the program, which waits for 10 s, that is nothing."""
@@ -52,7 +53,7 @@ def fleet(ran: Fleet, machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_pat
             eventually(lambda: state_of(source).time == edited[-1].now.time)
         return robots(source)
 
-    replaced.FLEET_ROBOTS.set(monkeypatch, newest)
+    fleet_places.ROBOTS.set(monkeypatch, newest)
     monkeypatch.setenv("RSB_CONSOLE_ISOLATED", "1")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     return partial(ran, "fleet")
@@ -105,7 +106,7 @@ def test_the_screen_needs_a_terminal(engine: ServerEngine, fleet: Fleet, monkeyp
 
 
 def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, fleet: Fleet) -> None:
-    section = (Path(__file__).parents[2] / "docs" / "headless.md").read_text().partition("| field of a robot |")[2]
+    section = (Path(__file__).parents[4] / "docs" / "headless.md").read_text().partition("| field of a robot |")[2]
     rows = [line.split("|")[1] for line in section.partition("\n\n")[0].splitlines()[2:]]
     printed = fleet("--json", *QUICK).json["robots"][0]
     assert {field for row in rows for field in re.findall(r"`(\w+)`", row)} == printed.keys()

@@ -21,14 +21,14 @@ from rsb_bridge.ros.stand_in import Talk
 from rsb_console.session.demo_session import free_port
 from rsb_console.simulated import processes
 from rsb_console.simulated.processes import READY_WITHIN, Process, ProcessError
-from rsb_console.simulated.robots import RobotRecord, RobotRecords, RobotTraffic
+from rsb_extras.fleet.robots import RobotRecord, RobotRecords, RobotTraffic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-ROBOTS = "rsb_console.simulated.robots"
+ROBOTS = "rsb_extras.fleet.robots"
 USUAL = RobotTraffic((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
 WITH_BATTERY = RobotTraffic((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
 MOST_IN_ONE = 50

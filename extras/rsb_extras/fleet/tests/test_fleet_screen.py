@@ -31,7 +31,7 @@ from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
 from tests.model.test_robot_summary import a, on_server
 from tests.support import surroundings
-from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, topics
+from tests.support.fleet import ServerEngine, robot, topics
 from tests.support.long import long
 from textual.pilot import Pilot
 from textual.widgets import Input
@@ -40,15 +40,17 @@ from rsb_bridge.model.robot_summary import Battery, LostMessages, RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Acknowledgement, State
 from rsb_bridge.model.verdict import Cause
-from rsb_console.actions import FLEET_ACTIONS, Group
-from rsb_console.fleet.rolling import Bridged
-from rsb_console.fleet.server_source import ServerFleet
-from rsb_console.fleet_app import FleetApp, RobotApp
+from rsb_console.actions import Group
 from rsb_console.screens.dialog import ConfirmScreen
-from rsb_console.screens.rollout import ChangeField, RolloutPhase, RolloutScreen, _key_line
-from rsb_console.screens.rollout import _now as present_values
 from rsb_console.widgets.bars import state_counts
-from rsb_console.widgets.fleet_table import FleetView
+from rsb_extras.fleet.fleet_actions import FLEET_ACTIONS
+from rsb_extras.fleet.fleet_app import FleetApp, RobotApp
+from rsb_extras.fleet.fleet_table import FleetView
+from rsb_extras.fleet.rolling import Bridged
+from rsb_extras.fleet.rollout import ChangeField, RolloutPhase, RolloutScreen, _key_line
+from rsb_extras.fleet.rollout import _now as present_values
+from rsb_extras.fleet.server_source import ServerFleet
+from rsb_extras.fleet.tests.scripted_fleet import ScriptedSource, fleet_of
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -56,7 +58,7 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_console.fleet.rolling import RobotChange
+    from rsb_extras.fleet.rolling import RobotChange
 
 SILENT = robot(
     "robot2", RobotState.MISSING, why="cable pulled", seen=NOW - 600, since=NOW - 600, links_up=0, flowing=0,

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.console.scripted import NOW
-from tests.support.fleet import ScriptedSource, SetClock, fleet_of, robot
+from tests.support.fleet import robot
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.robot_summary import RobotState
-from rsb_console.fleet.fleet import LIMIT, Memory, Remembered, UnknownRobotError
+from rsb_extras.fleet.fleet import LIMIT, Memory, Remembered, UnknownRobotError
+from rsb_extras.fleet.tests.scripted_fleet import ScriptedSource, SetClock, fleet_of
 
 if TYPE_CHECKING:
     from pathlib import Path

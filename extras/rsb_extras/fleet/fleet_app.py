@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import os
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from textual import work
 
 from rsb_bridge.model.commands import Effect
-from rsb_console.actions import FLEET_ACTIONS
 from rsb_console.app import SSH_RATE, ConsoleApp
-from rsb_console.screens.fleet_screen import FleetScreen
+from rsb_console.command.console_command import exit_code, run_app
+from rsb_console.command.shell import prefers_ascii
 from rsb_console.screens.main import MODES, MainScreen
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.terminal_app import ShutdownReason, TerminalApp
+from rsb_extras.fleet.fleet_actions import FLEET_ACTIONS
+from rsb_extras.fleet.fleet_screen import FleetScreen
+from rsb_extras.fleet.fleet_table import FleetView
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from textual.screen import Screen
 
-    from rsb_console.fleet.fleet import Robot, RobotFleet
-    from rsb_console.widgets.fleet_table import FleetView
+    from rsb_extras.fleet.fleet import Robot, RobotFleet
 
 _BRIDGES_GO_ON = "All bridges go on; only this console ends."
 _OPENS_ANOTHER = frozenset({"sessions", "new_session", "import_session", "demo", "welcome"})
@@ -108,3 +112,46 @@ class RobotApp(ConsoleApp):
 
     async def action_quit(self) -> None:  # type: ignore[override]  # ConsoleApp's is a worker, because it asks
         self.request_quit()
+
+
+def run_fleet(
+    fleet: RobotFleet,
+    *,
+    readonly: bool = False,
+    ascii_only: bool = False,
+    theme: str | None = None,
+    mouse: bool = True,
+    after_quit: str = "",
+) -> int:
+    """Show the fleet, and the robots that the operator opens, until they quit.
+
+    Args:
+        ascii_only: draw only ASCII, even if the terminal can draw more.
+        theme: name of the theme, or None for one that suits the terminal.
+        mouse: take the mouse from the terminal.
+        after_quit: text about the bridges when the operator quits, or empty if they go on.
+
+    Returns:
+        The exit code: 0, 1 after a crash, or 129 if the terminal has gone.
+    """
+    view, ascii_only = FleetView(), ascii_only or prefers_ascii(os.environ)
+    while True:
+        app = FleetApp(fleet, view, readonly=readonly, ascii_only=ascii_only, theme=theme, after_quit=after_quit)
+        robot = run_app(app, mouse=mouse)
+        if robot is None or app.shutdown_reason is not ShutdownReason.QUIT:
+            return exit_code(app)
+        # Each app is a new one, and the operator's choice of a theme would be lost with each robot that is opened.
+        theme = app.theme
+        console = RobotApp(
+            None,
+            None,
+            readonly=readonly,
+            ascii_only=ascii_only,
+            theme=theme,
+            attach_to=partial(robot.source.open, robot.summary.name, read_only=readonly),
+        )
+        run_app(console, mouse=mouse)
+        console.stop()
+        if console.shutdown_reason is not ShutdownReason.QUIT:
+            return exit_code(console)
+        theme = console.theme

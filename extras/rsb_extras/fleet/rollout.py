@@ -20,7 +20,6 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.file_form import KEYS
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.text import join_first, plural
-from rsb_console.fleet.rolling import Rollout, bridged_by, report, said, way_back
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, UNDER_WAY
 from rsb_console.screens.dialog import ConfirmScreen, Dialog
@@ -30,6 +29,7 @@ from rsb_console.terminal.input_queue import InputGate
 from rsb_console.widgets.form import Field, FieldInput, Spec
 from rsb_console.widgets.lines import Line, ScrolledLines, clip
 from rsb_console.widgets.picker import PickField, Suggestion
+from rsb_extras.fleet.rolling import Rollout, bridged_by, report, said, way_back
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_console.console_api import ConsoleShell
-    from rsb_console.fleet.fleet import Robot, RobotFleet
-    from rsb_console.fleet.rolling import Bridged, RobotChange, RolloutOutcome
+    from rsb_extras.fleet.fleet import Robot, RobotFleet
+    from rsb_extras.fleet.rolling import Bridged, RobotChange, RolloutOutcome
 
 _NAME, _COUNT, _RATE, _TYPE = (18, 40), 16, 14, 20
 """Cells of a topic's columns; the name gets the rest of the line, within bounds."""

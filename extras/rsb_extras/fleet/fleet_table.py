@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.model.robot_summary import RobotSummary
-    from rsb_console.fleet.fleet import Robot, RobotFleet
     from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.selectable_list import Layout
+    from rsb_extras.fleet.fleet import Robot, RobotFleet
 
 ROBOT_SIGN = {
     RobotState.MISSING: "✗",

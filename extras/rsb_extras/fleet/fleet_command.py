@@ -21,16 +21,16 @@ from rsb_bridge.model.text import plural
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
 from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge
-from rsb_console.fleet.fleet import Memory, RobotFleet, UnknownRobotError, memory_path
-from rsb_console.fleet.rolling import Rollout, names_of, report, said, way_back
-from rsb_console.fleet.server_source import ServerFleet
+from rsb_extras.fleet.fleet import Memory, RobotFleet, UnknownRobotError, memory_path
+from rsb_extras.fleet.rolling import Rollout, names_of, report, said, way_back
+from rsb_extras.fleet.server_source import ServerFleet
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterator, Sequence
 
-    from rsb_console.fleet.fleet import FleetSource, Robot
-    from rsb_console.fleet.rolling import RobotChange, RolloutOutcome
+    from rsb_extras.fleet.fleet import FleetSource, Robot
+    from rsb_extras.fleet.rolling import RobotChange, RolloutOutcome
 
 _LOOK_EVERY = 0.5  # s. A round figure: the command takes so much longer at most
 _NO_ROBOTS = "no robots given: name them, or use --group GROUP or --all"
@@ -94,7 +94,7 @@ def show_fleet(arguments: Namespace) -> int:
 
     if not can_draw("rsb-console fleet --json"):
         return USAGE
-    from rsb_console.command.console_command import run_fleet  # noqa: PLC0415 (needs Textual)
+    from rsb_extras.fleet.fleet_app import run_fleet  # noqa: PLC0415 (needs Textual)
 
     # The screen opens at once, and its rows fill in: over Zenoh, the wait may take 5 s.
     with _fleet(arguments, wait=False) as fleet:

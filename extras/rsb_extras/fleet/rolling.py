@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.robot_summary import RobotSummary
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_console.fleet.fleet import Robot, RobotFleet
+    from rsb_extras.fleet.fleet import Robot, RobotFleet
 
 ANSWERED_WITHIN = 60.0  # s, as commands for one bridge: `command.target`
 PATIENCE = 30.0

@@ -33,7 +33,7 @@ _CONCERNS_ALL: Final[dict[type, str]] = {
 
 
 class ServerFleet:
-    """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each client of a server."""
+    """Fulfils `rsb_extras.fleet.fleet.FleetSource`: one robot for each client of a server."""
 
     kind = "server"
     way = ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from rsb_console.command.argument_values import seconds
+from rsb_console.command.argument_values import count, seconds
 from rsb_console.command.command_parser import CommandParser
 from rsb_console.command.remote_arguments import bridge_options, console_options, late
 
@@ -70,7 +70,7 @@ _IN_FLEET = (
 
 def add_fleet_commands(command: AddCommand, complete: Complete) -> None:
     """Add `fleet` and its own commands."""
-    fleet = command("fleet", late("fleet_command:show_fleet"), "show all robots on one screen", _FLEET)
+    fleet = command("fleet", late("rsb_extras.fleet.fleet_command:show_fleet"), "show all robots on one screen", _FLEET)
     bridge_options(fleet, complete, which=_WHICH_SERVER, all_bridges=True)
     fleet.add_argument(
         "--seconds",
@@ -84,9 +84,11 @@ def add_fleet_commands(command: AddCommand, complete: Complete) -> None:
     forget = _add_fleet_command(
         commands, complete, "dismiss", "dismiss_robots", "forget robots that are gone for good", _DISMISS
     )
-    complete(forget.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
+    complete(
+        forget.add_argument("names", metavar="NAME", nargs="*", help="robots"), "rsb_extras.fleet.fleet_names:robots"
+    )
     run = _add_fleet_command(commands, complete, "exec", "execute", "run a command for some robots", _EXEC)
-    complete(run.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
+    complete(run.add_argument("names", metavar="NAME", nargs="*", help="robots"), "rsb_extras.fleet.fleet_names:robots")
     run.usage = "rsb-console fleet exec [NAME ...] [--group GROUP] [--all] [--fleet FILE] [--json] -- COMMAND ..."
     edit = _add_fleet_command(
         commands, complete, "edit", "edit_robots", "change a topic of some robots, one after the other", _EDIT
@@ -94,7 +96,7 @@ def add_fleet_commands(command: AddCommand, complete: Complete) -> None:
     words = edit.add_argument(
         "names", metavar="NAME|TOPIC|KEY=VALUE", nargs="*", help="robots, a topic, and its changes"
     )
-    complete(words, "robots")
+    complete(words, "rsb_extras.fleet.fleet_names:robots")
     edit.add_argument("--dry-run", action="store_true", help="only print what would change")
     edit.add_argument("--yes", action="store_true", help="do not ask")
     edit.add_argument("--undo", action="store_true", help="when it stops, restore the previous settings without asking")
@@ -112,6 +114,15 @@ def say_what_runs(commands: Mapping[str, argparse.ArgumentParser]) -> None:
     run.epilog = _EXEC.replace("{commands}", f"{', '.join(able[:8])},\n{', '.join(able[8:])}")
 
 
+def add_demo_options(demo: argparse.ArgumentParser) -> None:
+    run = late("rsb_extras.fleet.fleet_demo:demo")
+    told = "the fleet's screen on several simulated robots instead"
+    demo.add_argument("--fleet", action="store_const", dest="command", const=run, help=told)
+    demo.add_argument(
+        "--robots", type=count, metavar="N", default=8, help="with --fleet: number of robots (%(default)s)"
+    )
+
+
 def _add_fleet_command(
     commands: argparse._SubParsersAction[_FleetParser],
     complete: Complete,
@@ -127,13 +138,13 @@ def _add_fleet_command(
         epilog=more,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(command=late(f"fleet_command:{function}"))
+    parser.set_defaults(command=late(f"rsb_extras.fleet.fleet_command:{function}"))
     bridge_options(parser, complete, which=_WHICH_SERVER, all_bridges=True)
     for option in parser._actions:
         if option.dest in ("bridge", "control", "way", "json"):
             option.default = argparse.SUPPRESS  # `fleet` has them, too, and its values count
     in_group = parser.add_argument("--group", default="", metavar="GROUP", help="also all robots of this group")
-    complete(in_group, "groups")
+    complete(in_group, "rsb_extras.fleet.fleet_names:groups")
     parser.add_argument("--all", dest="everyone", action="store_true", help="all robots")
     return parser
 

@@ -9,12 +9,13 @@ from textual import work
 from textual.screen import Screen
 
 from rsb_bridge.model.text import join_first
-from rsb_console.actions import BY_ID, FLEET_ACTIONS, Group, bindings
+from rsb_console.actions import Group, bindings
 from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.bars import KeyBar, KeyEntry
 from rsb_console.widgets.filter import Prompt, table_title
-from rsb_console.widgets.fleet_table import FleetStatus, FleetTable, FleetView, RobotDetail
+from rsb_extras.fleet.fleet_actions import BY_ID, FLEET_ACTIONS
+from rsb_extras.fleet.fleet_table import FleetStatus, FleetTable, FleetView, RobotDetail
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_console.console_api import ConsoleShell
-    from rsb_console.fleet.fleet import Robot, RobotFleet
     from rsb_console.widgets.selectable_list import SelectableList
+    from rsb_extras.fleet.fleet import Robot, RobotFleet
 
 _NAMED = 5
 
@@ -174,7 +175,7 @@ class FleetScreen(Screen[None]):
     @work(group=DIALOG)
     async def action_edit_marked(self) -> None:
         """Edit a topic of the marked robots, or of the one under the cursor; servers are left out."""
-        from rsb_console.screens.rollout import RolloutScreen  # noqa: PLC0415 -- seldom needed
+        from rsb_extras.fleet.rollout import RolloutScreen  # noqa: PLC0415 -- seldom needed
 
         self.table.hold()
         known = [robot for robot in self.table.meant if not robot.gone]

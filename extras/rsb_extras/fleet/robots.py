@@ -1,4 +1,4 @@
-"""Robots in one process, each with its own bridge: ``python -m rsb_console.simulated.robots LOAD SESSION...``.
+"""Robots in one process, each with its own bridge: ``python -m rsb_extras.fleet.robots LOAD SESSION...``.
 
 LOAD is the JSON of a `RobotTraffic`. The bridges are the real ones, over real sockets; their ROS is a stand-in
 (`rsb_bridge.ros.stand_in`). A bridge with operators in its session is served on the socket ``NAME.sock`` in its file's
