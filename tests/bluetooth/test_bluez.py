@@ -36,6 +36,6 @@ def test_a_devices_name_does_nothing_to_a_terminal() -> None:
 
 
 @pytest.mark.parametrize("answer", [objects(Address=None), [], {"/org/bluez/hci0": {"org.bluez.Adapter1": {}}}])
-def test_an_answer_of_another_form_is_refused_in_words(answer: object) -> None:
+def test_answer_of_another_form_is_refused_in_words(answer: object) -> None:
     with pytest.raises(BluezError, match="not as documented"):
         read_objects(answer)

@@ -226,7 +226,7 @@ def test_a_channel_of_the_servers_ports_number(topics: tuple[Topic, ...], tmp_pa
         assert not pair.faults()
 
 
-def test_one_goes_and_others_come_while_the_connection_lives(tmp_path: Path) -> None:
+def test_one_goes_and_others_come_while_connection_lives(tmp_path: Path) -> None:
     with paired(tmp_path, *_TOPICS) as pair:
         pair.carries("/map", "/joy", "/cmd")
         pair.remove("/map")
@@ -247,7 +247,7 @@ def test_one_goes_and_others_come_while_the_connection_lives(tmp_path: Path) -> 
         assert not pair.faults()
 
 
-def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(tmp_path: Path) -> None:
+def test_topic_closed_amid_messages_disturbs_no_other(tmp_path: Path) -> None:
     with paired(tmp_path, *_TOPICS) as pair:
         pair.carries("/map", "/joy", "/cmd")
         for _ in range(10):
@@ -259,7 +259,7 @@ def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(tmp_path: 
         assert not pair.faults()
 
 
-def test_a_topic_that_begins_paused_joins_when_it_is_resumed(tmp_path: Path) -> None:
+def test_topic_paused_from_start_joins_when_resumed(tmp_path: Path) -> None:
     with paired(tmp_path, on_channel("/map"), on_channel("/cmd", "receive", paused=True)) as pair:
         pair.carries("/map")
         pair.client.pause(pair.route("/cmd").key, False).result(60)
@@ -285,7 +285,7 @@ def test_all_go_on_when_the_connection_dies(side: str, tmp_path: Path) -> None:
         assert {fault.code for fault in pair.faults()} == {EventCode.LINK_STREAM_REOPENED}
 
 
-def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
+def test_all_that_wait_hear_why_connection_failed(tmp_path: Path) -> None:
     with paired(tmp_path, Topic("/odom", "transmit")) as pair:
         pair.carries("/odom")
         pair.radio.off = pair.radio.searching = True
@@ -314,7 +314,7 @@ def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
          Broken.FRAME_TOO_LONG(length=CONTROL_LIMIT + 1, limit=CONTROL_LIMIT)),
     ],
 )  # fmt: skip
-def test_what_has_no_place_on_it_ends_it_in_words(side: str, data: bytes, words: str, tmp_path: Path) -> None:
+def test_unexpected_input_ends_connection_in_words(side: str, data: bytes, words: str, tmp_path: Path) -> None:
     """Routes 1 and 3 are on it; 5 is the TCP topic's, 7 is paused and not on it yet, and 9 was never opened."""
     topics = (on_channel("/map"), on_channel("/joy"), Topic("/odom", "transmit"), on_channel("/late", paused=True))
     with paired(tmp_path, *topics) as pair:

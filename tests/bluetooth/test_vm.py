@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from tests.bluetooth.vm.layers import Layers
 
 
-def test_failures_inside_come_out_with_output_and_exit_code(outcomes: Outcomes) -> None:
+def test_failures_inside_give_output_and_exit_code(outcomes: Outcomes) -> None:
     assert outcomes.probes.exit_code == 1
     assert "1 failed, 1 passed" in outcomes.probes.output
     assert "the answer is 42" in outcomes.probes.output
     assert "[init] ready" in outcomes.probes.console
 
 
-def test_a_dead_machine_is_told_from_a_failed_test(boots_from: Layers, tmp_path: Path) -> None:
+def test_dead_machine_is_told_from_failed_test(boots_from: Layers, tmp_path: Path) -> None:
     """Without an init the kernel panics as soon as it has booted."""
     (nothing := tmp_path / "initrd").touch()
     with pytest.raises(machine.DiedError, match=r"no exit code: it ended\n(.|\n)*Kernel panic(.|\n)*Call Trace"):

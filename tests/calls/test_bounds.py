@@ -48,7 +48,7 @@ def test_calls_beyond_the_bytes_of_responses_are_refused(
     nothing_left(*engines)
 
 
-def test_a_service_is_not_offered_again_before_the_other_side_has_resumed_it(
+def test_service_waits_for_peers_resume_before_new_offer(
     bridge: Bridge, relay: Relay, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its report from before the pause is outdated: a call would be refused there."""

@@ -70,7 +70,7 @@ def ready(engine: EngineApi, name: str) -> None:
     eventually(lambda: all(each.done for each in route(engine, name).stages if each.name == "offered"), what="offered")
 
 
-def test_a_call_goes_over_the_link_and_both_sides_record_who_called_what(bridge: Bridge, lamp: Lamp) -> None:
+def test_call_over_link_is_recorded_on_both_sides(bridge: Bridge, lamp: Lamp) -> None:
     engines = server, client = bridge.both(called("/set"))
     ready(client, "/set")
     assert route(client, "/set").lanes == ("",)
@@ -96,7 +96,7 @@ def last_call(engine: Engine, from_peer: bool) -> Event | None:
     return next((each for each in found if each.from_peer is from_peer), None)
 
 
-def test_a_call_from_the_providing_side_goes_to_the_node_even_without_a_link(bridge: Bridge, lamp: Lamp) -> None:
+def test_call_from_providing_side_needs_no_link(bridge: Bridge, lamp: Lamp) -> None:
     server, client = bridge.both(called("/set"))
     ready(client, "/set")
     assert yaml.safe_load(by_hand(server, "/set", "{data: true}").result(60))["success"]
@@ -150,7 +150,7 @@ def test_both_sides_record_what_became_of_a_call(bridge: Bridge, lamp: Lamp) -> 
         assert codes.count(EventCode.OPERATOR_CALLED) == codes.count(EventCode.OPERATOR_CALL_ENDED) == 4
 
 
-def test_a_call_that_is_refused_late_is_recorded_as_refused(bridge: Bridge, lamp: Lamp) -> None:
+def test_call_refused_late_is_recorded_as_refused(bridge: Bridge, lamp: Lamp) -> None:
     _, client = bridge.both(called("/set", max_rate=0.01))
     ready(client, "/set")
     by_hand(client, "/set", "data: true").result(60)
@@ -161,9 +161,7 @@ def test_a_call_that_is_refused_late_is_recorded_as_refused(bridge: Bridge, lamp
     assert lamp.was == [True]
 
 
-def test_a_console_of_another_process_calls_under_its_own_name_and_one_that_only_watches_is_refused(
-    bridge: Bridge, lamp: Lamp, machine: Machine
-) -> None:
+def test_attached_console_calls_by_name_watcher_is_refused(bridge: Bridge, lamp: Lamp, machine: Machine) -> None:
     _, client = bridge.both(called("/set"))
     machine.serve(client)
     remote, watcher = machine.attach(), machine.attach(read_only=True)
@@ -181,7 +179,7 @@ def test_a_console_of_another_process_calls_under_its_own_name_and_one_that_only
     assert lamp.was == [True]
 
 
-def test_what_cannot_be_called_is_said_and_nothing_is_sent(bridge: Bridge, lamp: Lamp) -> None:
+def test_impossible_call_is_explained_and_not_sent(bridge: Bridge, lamp: Lamp) -> None:
     """A program that repeats a request with a misspelt field would have the same answer."""
     engines = _, client = bridge.both(called("/set"))
     ready(client, "/set")
@@ -201,7 +199,7 @@ def test_what_cannot_be_called_is_said_and_nothing_is_sent(bridge: Bridge, lamp:
     assert lamp.was == []
 
 
-def test_a_topic_cannot_be_called_nor_what_nobody_serves_nor_what_is_gone(bridge: Bridge) -> None:
+def test_topics_and_unserved_names_cannot_be_called(bridge: Bridge) -> None:
     server, client = bridge.both(Topic("/chat", "transmit"), called("/nobody"))
     with pytest.raises(EngineError, match="is a topic"):
         by_hand(client, "/chat", "").result(60)
@@ -213,7 +211,7 @@ def test_a_topic_cannot_be_called_nor_what_nobody_serves_nor_what_is_gone(bridge
         client.call("nonsense", "").result(60)
 
 
-def test_a_call_of_a_type_that_is_not_installed_is_refused_in_words(
+def test_call_of_uninstalled_type_is_refused_in_words(
     bridge: Bridge, lamp: Lamp, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server, client = bridge.both(called("/set"))
@@ -229,9 +227,7 @@ def test_a_call_of_a_type_that_is_not_installed_is_refused_in_words(
 
 
 @pytest.mark.filterwarnings("ignore:failed to send response")  # what rclpy says to a client that has gone
-def test_a_call_that_gets_no_answer_expires_on_either_side(
-    bridge: Bridge, lamp: Lamp, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unanswered_call_expires_on_either_side(bridge: Bridge, lamp: Lamp, monkeypatch: pytest.MonkeyPatch) -> None:
     server, client = bridge.both(called("/set", timeout=4.5))
     ready(client, "/set")
     lamp.goes_on.clear()
@@ -256,7 +252,7 @@ def test_a_call_that_gets_no_answer_expires_on_either_side(
     assert says(str(unreported.value).partition("; ")[2], LandedText.UNREPORTED), "it is not said to have landed"
 
 
-def test_a_call_under_way_ends_with_the_link_and_with_its_pause(bridge: Bridge, lamp: Lamp) -> None:
+def test_running_call_ends_with_link_and_with_pause(bridge: Bridge, lamp: Lamp) -> None:
     server, client = bridge.both(called("/set"))
     ready(client, "/set")
     lamp.goes_on.clear()
@@ -280,7 +276,7 @@ def test_a_call_under_way_ends_with_the_link_and_with_its_pause(bridge: Bridge, 
     eventually(lambda: not counts(client, "/set").in_flight)
 
 
-def test_operators_call_so_much_at_once_and_no_more(bridge: Bridge, lamp: Lamp) -> None:
+def test_operators_calls_have_limit(bridge: Bridge, lamp: Lamp) -> None:
     _, client = bridge.both(called("/set"))
     ready(client, "/set")
     lamp.goes_on.clear()

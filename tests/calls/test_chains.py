@@ -52,7 +52,7 @@ def test_two_bridges_in_a_row_carry_calls(
     nothing_left(*engines, *further)
 
 
-def test_a_ring_of_bridges_offers_nothing_that_nobody_serves(
+def test_ring_of_bridges_offers_nothing_that_nobody_serves(
     bridge: Bridge, near: CallNode, far: CallNode, service: str
 ) -> None:
     """One bridge takes the robot's calls to the PC, another the PC's to the robot.
@@ -78,9 +78,7 @@ def test_a_ring_of_bridges_offers_nothing_that_nobody_serves(
     nothing_left(*there, *back)
 
 
-def test_two_links_that_offer_one_service_do_not_both_answer(
-    bridge: Bridge, near: CallNode, far: CallNode, service: str
-) -> None:
+def test_two_links_with_one_service_answer_once(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
     """A second bridge between the same domains gets the reason that the service exists already."""
     far.serve(service)
     first = bridge.both(called(service))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
 
-def test_a_client_that_goes_leaves_topics_and_other_callers_alone(
+def test_leaving_client_disturbs_no_topic_or_caller(
     bridge: Bridge,
     robot: Domain,
     pc: Domain,

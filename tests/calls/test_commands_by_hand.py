@@ -81,7 +81,7 @@ def camera(start: Callable[..., Spun], robot: Domain) -> Spun:
 
 
 @pytest.mark.parametrize("on_server", [True, False])
-def test_parameters_are_listed_read_set_and_dumped_on_either_side(
+def test_parameters_are_listed_read_set_and_dumped(
     bridge: Bridge, machine: Machine, camera: Spun, run: Callable[..., Ran], on_server: bool
 ) -> None:
     server, client = bridge.both(Topic("/camera", "receive", kind="parameters"), use_name=True)
@@ -116,7 +116,7 @@ def test_parameters_are_listed_read_set_and_dumped_on_either_side(
         assert (list(found or []) if isinstance(is_now, list) else found) == is_now
 
 
-def test_what_a_node_refuses_is_told_in_its_own_words(
+def test_refusal_of_node_is_told_in_its_words(
     bridge: Bridge, machine: Machine, camera: Spun, run: Callable[..., Ran]
 ) -> None:
     server, _ = bridge.both(Topic("/camera", "receive", kind="parameters"))
@@ -152,7 +152,7 @@ def test_who_may_not_call_sets_nothing(
     assert happened(server, EventCode.OPERATOR_CALLED, "set_parameters") is None
 
 
-def test_a_goal_is_sent_its_result_waited_for_and_cancelled_by_commands(
+def test_goal_is_sent_awaited_and_cancelled_by_commands(
     bridge: Bridge, machine: Machine, pc: Domain, run: Callable[..., Ran]
 ) -> None:
     """It takes longer than the route's timeout; a command that stops waiting reports that the goal goes on."""

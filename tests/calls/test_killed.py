@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tests.support.program import Programs
 
 
-def test_no_answer_is_wrong_or_anothers_and_nothing_is_left_over(
+def test_no_answer_is_wrong_anothers_or_left_over(
     bridge: Bridge, programs: Programs, near: CallNode, far: CallNode, another: Callable[[int], CallNode], service: str
 ) -> None:
     tally = kill(Killing(bridge, programs, far, (near, another(bridge.robot.id)), service), 3)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _LARGE = 5_000_000
 
 
-def test_a_thousand_calls_of_two_callers_are_answered_in_any_order(
+def test_thousand_calls_are_answered_in_any_order(
     bridge: Bridge, near: CallNode, far: CallNode, another: Callable[[int], CallNode], service: str
 ) -> None:
     """No answer is given before all thousand have arrived."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @pytest.mark.parametrize(("who", "own"), [(0, False), (1, True)])
-def test_calls_on_a_shared_stream_that_were_paused_from_the_start_cross_when_they_are_resumed(
+def test_calls_paused_from_start_cross_shared_stream_later(
     who: int, own: bool, bridge: Bridge, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frames that come before there is a channel for them would be dropped, and the next seal would not hold."""

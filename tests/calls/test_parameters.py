@@ -86,7 +86,7 @@ def subscriptions(domain: Domain) -> int:
     return sum(each.node_name.startswith("_rsb_robot1") for each in found)
 
 
-def test_a_client_of_parameters_does_all_that_it_does_beside_the_node(
+def test_remote_client_of_parameters_does_everything(
     bridge: Bridge, start: Callable[..., Spun], camera: Spun, pc: Domain
 ) -> None:
     server, client = bridge.both(parameters("/camera"), use_name=True)
@@ -118,7 +118,7 @@ def test_a_client_of_parameters_does_all_that_it_does_beside_the_node(
         assert calls.asked == calls.answered == 7
 
 
-def test_the_events_of_that_node_alone_come_under_its_name_there(
+def test_events_of_node_come_under_its_name(
     bridge: Bridge, start: Callable[..., Spun], camera: Spun, robot: Domain, pc: Domain
 ) -> None:
     """Two nodes are bridged, and one is not; one subscription brings the events of all of them."""
@@ -193,7 +193,7 @@ def test_what_is_no_event_is_left_out(
     assert {event.node for event in heard(listener)} == {"/robot1/camera"}
 
 
-def test_a_node_without_all_the_services_is_not_offered_and_what_is_missing_is_said(
+def test_node_that_lacks_services_is_not_offered(
     bridge: Bridge, start: Callable[..., Spun], robot: Domain, pc: Domain
 ) -> None:
     start(robot, "plain", start_parameter_services=False)
@@ -213,7 +213,7 @@ def test_a_node_without_all_the_services_is_not_offered_and_what_is_missing_is_s
     assert program.node.count_services("/plain/list_parameters") == 0
 
 
-def test_when_the_node_goes_its_parameters_go_and_come_back_with_it(
+def test_parameters_leave_and_return_with_node(
     bridge: Bridge, start: Callable[..., Spun], camera: Spun, robot: Domain, pc: Domain
 ) -> None:
     bridge.both(parameters("/camera"))

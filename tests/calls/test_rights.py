@@ -23,9 +23,7 @@ def of_the_robot(name: str) -> Topic:
     return Topic(name, "receive", kind="service")
 
 
-def test_a_server_calls_on_a_robot_only_what_its_file_lists(
-    bridge: Bridge, near: CallNode, far: CallNode, service: str
-) -> None:
+def test_server_calls_only_what_robots_file_lists(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
     """Both sides say what would allow it; the client's operator may list it while the bridge runs."""
     near.serve(service)
     server, client = bridge.both()
@@ -43,7 +41,7 @@ def test_a_server_calls_on_a_robot_only_what_its_file_lists(
     nothing_left(server, client)
 
 
-def test_a_client_calls_and_serves_what_the_server_allows(
+def test_client_calls_and_serves_what_server_allows(
     bridge: Bridge, near: CallNode, far: CallNode, service: str, tmp_path: Path
 ) -> None:
     """A right to all topics is no right to call; a reload grants it, limits it and ends it."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tests.support.calls import CallNode
 
 
-def test_a_server_that_was_killed_mid_call_is_replaced_at_once(
+def test_server_killed_mid_call_is_replaced_at_once(
     bridge: Bridge, near: CallNode, another: Callable[[int], CallNode], service: str
 ) -> None:
     """DDS still sees the dead one for 20 s (docs/services.md); the service works with the new one all the same.

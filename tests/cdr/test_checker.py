@@ -80,7 +80,7 @@ def test_what_rclpy_serializes_passes(name: str, data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("name", TYPES)
-def test_a_cut_message_passes_only_if_it_can_be_read(name: str) -> None:
+def test_cut_message_passes_only_if_readable(name: str) -> None:
     """The decoder reads field by field what the checker skips at once; both find the same end."""
     description = described(name)
     for message in (installed_class(name)(), filled(installed_class(name))):  # type: ignore[misc]
@@ -101,7 +101,7 @@ def passes(of_type: Checker, payload: bytes) -> bool:
 @pytest.mark.parametrize("name", VARYING)
 @settings(max_examples=20, deadline=None)
 @given(st.data())
-def test_a_changed_word_passes_only_if_it_can_be_read(name: str, data: st.DataObject) -> None:
+def test_changed_word_passes_only_if_readable(name: str, data: st.DataObject) -> None:
     """For all announced lengths, an accepted message reserves nothing beyond its bytes."""
     payload = bytearray(serialize_message(filled(installed_class(name))))
     at = data.draw(st.integers(1, len(payload) // 4 - 1)) * 4

@@ -151,7 +151,7 @@ def test_arrays_of_none_are_not_free() -> None:
     assert decoded.problem
 
 
-def test_a_long_array_is_shortened_and_what_follows_it_is_read() -> None:
+def test_long_array_is_shortened_and_rest_read() -> None:
     cloud: Any = installed_class("sensor_msgs/msg/PointCloud2")
     payload = serialize_message(cloud(data=array.array("B", bytes(range(256)) * 4000), is_dense=True))
     message = decode(described("sensor_msgs/msg/PointCloud2"), payload, items=5).message
@@ -159,7 +159,7 @@ def test_a_long_array_is_shortened_and_what_follows_it_is_read() -> None:
     assert message["is_dense"] is True
 
 
-def test_the_beginning_of_a_message_shows_what_is_in_it() -> None:
+def test_beginning_of_message_shows_what_is_in_it() -> None:
     image: Any = installed_class("sensor_msgs/msg/Image")
     payload = serialize_message(
         image(height=1080, width=1920, encoding="rgb8", data=array.array("B", bytes(6_220_800)))
@@ -244,7 +244,7 @@ def test_whatever_comes_it_ends_and_raises_nothing(
     decode(description, encapsulation + content, steps=2000)
 
 
-def test_a_description_shows_by_its_hash_that_it_is_the_right_one() -> None:
+def test_description_is_proved_by_its_hash() -> None:
     text = installed_description("sensor_msgs/msg/LaserScan")
     assert text is not None
     scan_hash = hash_of_text(text)

@@ -40,7 +40,7 @@ EVENTS = st.builds(
 
 
 @given(EVENTS, NAMES)
-def test_an_event_gets_another_name_and_keeps_everything_else(event: Any, name: str) -> None:
+def test_event_gets_another_name_and_keeps_everything_else(event: Any, name: str) -> None:
     event.stamp.sec, event.stamp.nanosec = -5, 999_999_999
     payload = serialize_message(event)
     assert node_of(payload) == event.node
@@ -139,7 +139,7 @@ def test_whatever_stands_in_it_nothing_else_is_raised(content: bytes) -> None:
             with_node(order + content, "/a")
 
 
-def test_the_largest_ones_take_a_moment_and_larger_ones_are_refused() -> None:
+def test_largest_take_moments_larger_are_refused() -> None:
     event = ParameterEvent(node="/a", new_parameters=[Parameter()] * 4000)
     payload = serialize_message(event)
     assert 0.9 * LONGEST < len(payload) < LONGEST

@@ -61,7 +61,7 @@ def test_the_half_of_a_service_is_named(end: str, half: str) -> None:
     assert difference_of_types(version(FLOAT), version(INT)) == TypeDifference[half](difference=found)
 
 
-def test_many_differences_are_counted_and_a_peers_names_are_harmless() -> None:
+def test_many_differences_are_counted_names_are_harmless() -> None:
     there = described(*((f"f{number}\x1b[31m" + "x" * 200, FLOAT) for number in range(50)))
     text = difference_of_types(described(("x", FLOAT)), there)
     assert "\x1b" not in text

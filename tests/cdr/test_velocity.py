@@ -44,7 +44,7 @@ def test_what_is_malformed_has_no_speeds(message: bytes) -> None:
     assert speeds_of("sensor_msgs/msg/Joy", twist(1, 0, 0, 0, 0, 0)) is None
 
 
-def test_what_is_no_number_is_allowed_by_no_limits() -> None:
+def test_not_a_number_is_within_no_limits() -> None:
     for value in (nan, inf):
         speeds = speeds_of(TWIST, twist(value, 0, 0, 0, 0, 0))
         assert speeds is not None

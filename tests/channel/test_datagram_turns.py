@@ -141,7 +141,7 @@ async def test_a_camera_fills_no_queue_of_a_radio() -> None:
         assert scene.channel.air.dropped < 0.03 * scene.channel.air.sent
 
 
-async def test_a_path_on_which_no_datagram_arrives_holds_up_no_stream() -> None:
+async def test_path_without_arrivals_holds_up_no_stream() -> None:
     """Only what was in transit does, until it is written off; once datagrams arrive again, they go on within 1 s."""
     scan, odom = Live(1, 1_000, 50), Live(2, 100, 10)
     async with publishing(radio(), 400_000, (scan,), (odom,)) as scene:
@@ -170,7 +170,7 @@ async def test_a_link_with_room_delays_no_datagram() -> None:
         assert half[len(half) // 2] < 0.001
 
 
-async def test_a_late_receipt_may_tell_of_fewer_missing_datagrams_and_of_no_further_one() -> None:
+async def test_late_receipt_may_lower_missing_count_only() -> None:
     async with connected(Route(1, outgoing=True), open_streams=tunnel().open) as (near, _):
         carrier = DatagramCarrier(Mock(), near.scheduler)
         for datagrams, missing in ((10, 5), (0, -1)):

@@ -75,7 +75,7 @@ def stream_of(side: Side, name: str) -> DataStream:
 
 @pytest.mark.parametrize("cut_by", [0, 1])
 @pytest.mark.parametrize(("name", "size"), [("small", 2_000), ("large", LARGE), ("large", 1 << 20)])
-async def test_a_route_goes_on_in_order_and_counts_what_was_lost(name: str, size: int, cut_by: int) -> None:
+async def test_route_goes_on_in_order_counting_losses(name: str, size: int, cut_by: int) -> None:
     """Three times, amid messages, and noticed by either side first."""
     async with connected(Route(1, outgoing=True), Route(2, outgoing=True)) as sides:
         near, far = sides
@@ -124,7 +124,7 @@ async def test_stream_that_passes_nothing_ends(name: str, monkeypatch: pytest.Mo
         await until(lambda: stream_of(far, name).over)
 
 
-async def test_what_waits_is_sent_and_what_was_under_way_begins_anew() -> None:
+async def test_waiting_is_sent_begun_starts_anew() -> None:
     """Nothing that has not left is lost: here, nothing at all has."""
     async with connected(Route(1, outgoing=True)) as (near, far):
         numbers = Numbers(near, 1, 1 << 20)
@@ -143,7 +143,7 @@ async def test_what_waits_is_sent_and_what_was_under_way_begins_anew() -> None:
         assert far.routes[1].channel.counts().lost == 0
 
 
-async def test_routes_that_must_not_lose_a_message_are_closed() -> None:
+async def test_routes_that_must_not_lose_message_are_closed() -> None:
     calls, topic = Route(1, outgoing=True, duplex=True), Route(3, outgoing=True)
     async with connected(calls, topic) as sides:
         stream_of(sides[0], "small").stream.abort("cut")
@@ -161,7 +161,7 @@ async def test_nobody_asks_for_streams_that_no_route_needs() -> None:
         assert not any(side.reopened for side in sides)
 
 
-async def test_streams_that_are_lost_again_and_again_are_not_opened_again() -> None:
+async def test_streams_lost_repeatedly_are_not_opened_again() -> None:
     async with connected(Route(1, outgoing=True)) as sides:
         for _ in range(3):
             assert not any(side.routes[1].lost for side in sides)
@@ -174,7 +174,7 @@ async def test_streams_that_are_lost_again_and_again_are_not_opened_again() -> N
 
 
 @pytest.mark.parametrize("ever", [False, True])
-async def test_a_stream_that_delivers_nothing_is_not_opened_again(ever: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_stream_that_delivers_nothing_is_not_opened_again(ever: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """The next one would end the same way: it delivers no more, or nothing has ever got through."""
     async with connected(Route(1, outgoing=True)) as (near, far):
         if ever:
@@ -189,7 +189,7 @@ async def test_a_stream_that_delivers_nothing_is_not_opened_again(ever: bool, mo
         assert not near.reopened
 
 
-async def test_a_new_large_stream_that_is_lost_takes_no_route_along_that_waits_for_the_small_one() -> None:
+async def test_lost_large_stream_spares_routes_of_small_one() -> None:
     """The client knew only of the loss of the large one when it opened it; the server knew of both."""
     async with connected(Route(1, outgoing=True), Route(3, outgoing=True)) as (near, far):
         near.routes[3].send(bytes(LARGE))
@@ -203,7 +203,7 @@ async def test_a_new_large_stream_that_is_lost_takes_no_route_along_that_waits_f
         assert not any(route.lost for side in (near, far) for route in side.routes.values())
 
 
-async def test_what_waits_is_not_given_to_a_stream_that_ends_with_the_lost_one() -> None:
+async def test_waiting_messages_avoid_stream_that_ends_too() -> None:
     async with connected(Route(1, outgoing=True), Route(3, outgoing=True)) as (near, far):
         near.routes[3].send(bytes(LARGE))
         await far.acknowledges_all()
@@ -232,7 +232,7 @@ async def test_streams_that_do_not_come_are_given_up(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("breach", ["against the route", "fewer", "an earlier one"])
-async def test_a_peer_that_goes_on_wrongly_loses_the_stream(breach: str) -> None:
+async def test_peer_that_goes_on_wrongly_loses_stream(breach: str) -> None:
     async with connected(Route(1, outgoing=True)) as (near, far):
         role: Role = "server" if breach == "against the route" else "client"
         keys = session_keys(CipherSuite.AESGCM, bytes(range(32)), routes=(1,))

@@ -114,7 +114,7 @@ class Path:
             self.pacer.receipt(newest, opened, self.buffer, arrived_at, self.time)
 
 
-def test_a_path_that_loses_nothing_soon_carries_as_much_as_it_can() -> None:
+def test_lossless_path_is_soon_used_fully() -> None:
     path = Path()
     assert path.send(60_000_000, 1.0)
     began = path.time
@@ -147,7 +147,7 @@ def test_late_receiver_slows_no_small_topic() -> None:
     assert path.publish(200, 1.0) < 0.01
 
 
-def test_a_small_buffer_at_a_distance_does_not_hold_the_path_up() -> None:
+def test_small_buffer_far_away_keeps_path_full() -> None:
     path = Path(buffer=212_992, delay=0.015, speed=50e6)
     path.queue_limit = 2 << 20
     path.send(20_000_000, 5.0)
@@ -170,7 +170,7 @@ def test_a_narrow_path_is_found_and_kept_to() -> None:
 
 
 @pytest.mark.parametrize("chance", [0.02, 0.3])
-def test_a_radio_is_filled_without_a_queue_whatever_it_loses(chance: float) -> None:
+def test_radio_is_filled_without_queue_whatever_it_loses(chance: float) -> None:
     """20 Mbit/s, 20 ms, and a queue of 0.16 s."""
     path = Path(speed=2.5e6, delay=0.02)
     path.queue_limit, path.losing = 400_000, chance
@@ -184,7 +184,7 @@ def test_a_radio_is_filled_without_a_queue_whatever_it_loses(chance: float) -> N
 
 
 @pytest.mark.parametrize(("speed", "delay"), [(100e6, 0.0002), (12.5e6, 0.02), (2.5e6, 0.02)])
-def test_images_with_pauses_between_them_are_not_spread_over_the_pauses(speed: float, delay: float) -> None:
+def test_images_are_not_spread_over_pauses(speed: float, delay: float) -> None:
     """60 kB at 25 Hz, which the path carries: each arrives as soon as it can, however long it goes on."""
     path = Path(speed=speed, delay=delay)
     took = []
@@ -198,7 +198,7 @@ def test_images_with_pauses_between_them_are_not_spread_over_the_pauses(speed: f
     assert max(took[50:]) < 2 * delay + 60_000 / speed + 0.01
 
 
-def test_a_late_receipt_of_what_was_written_off_tells_no_round_trip() -> None:
+def test_late_receipt_of_written_off_gives_no_rtt() -> None:
     pacer = Pacer()
     pacer.sent(2000, 1, 0.0)
     pacer.receipt(0, 1, 8 << 20, 0.5, 0.5)
@@ -220,7 +220,7 @@ def test_a_path_that_becomes_wider_is_soon_filled() -> None:
     assert (path.arrived - arrived) * DATAGRAM > 20e6
 
 
-def test_a_path_that_becomes_narrow_and_long_is_soon_kept_to() -> None:
+def test_path_that_becomes_narrow_is_soon_followed() -> None:
     path = Path(speed=25e6, delay=0.005)
     path.queue_limit = 400_000
     path.send(50_000_000, 3.0)
@@ -251,7 +251,7 @@ def test_receipts_that_were_overtaken_count_for_nothing() -> None:
     assert pacer.window == (8 << 20) // WINDOW
 
 
-def test_receipts_that_are_lost_hold_nothing_up_for_long() -> None:
+def test_lost_receipts_hold_up_nothing_for_long() -> None:
     path = Path(buffer=212_992)
     assert path.send(212_992, 1.0)
     path.receipts = False
@@ -259,7 +259,7 @@ def test_receipts_that_are_lost_hold_nothing_up_for_long() -> None:
 
 
 @pytest.mark.parametrize(("newest", "opened", "buffer"), [(2**64 - 1, 0, 0), (0, 2**64 - 1, 2**32 - 1), (5, 0, 1)])
-def test_a_peer_that_says_anything_stops_only_what_goes_to_it(newest: int, opened: int, buffer: int) -> None:
+def test_lying_peer_stops_only_its_own_traffic(newest: int, opened: int, buffer: int) -> None:
     pacer = Pacer()
     pacer.sent(1000, 0, 0.0)
     pacer.receipt(newest, opened, buffer, 0.0, 0.0)

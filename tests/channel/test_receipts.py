@@ -34,7 +34,7 @@ async def test_a_link_with_room_has_few_receipts() -> None:
         assert near.in_transit() == 0
 
 
-async def test_a_sender_hears_soon_of_a_buffer_that_has_become_larger() -> None:
+async def test_sender_soon_hears_of_larger_buffer() -> None:
     route = Route(1, outgoing=True)
     radio = Radio(1e8, delay=0.001)
     async with connected(route, open_streams=radio.open, elsewhere=(1,)) as (near, far):

@@ -46,7 +46,7 @@ async def test_a_joystick_goes_before_maps(pace: int, within: float, two: bool) 
 
 
 @pytest.mark.parametrize(("two", "tunnel"), [(False, 0), (True, 200_000)])
-async def test_routes_that_want_more_than_their_share_get_equal_ones(two: bool, tunnel: int) -> None:
+async def test_greedy_routes_get_equal_shares(two: bool, tunnel: int) -> None:
     """With two streams on a path that takes more than it carries; elsewhere the kernel shares between them."""
     routes = [
         Route(1, always=100_000, outgoing=True),
@@ -62,7 +62,7 @@ async def test_routes_that_want_more_than_their_share_get_equal_ones(two: bool, 
         assert sum(shares) > 0.9 * 60 * _PACE
 
 
-async def test_a_late_comer_does_not_make_up_for_its_silence() -> None:
+async def test_late_comer_gets_nothing_for_its_silence() -> None:
     early, late = Route(1, always=5_000, outgoing=True), Route(2, outgoing=True)
     async with connected(early, late, open_streams=Radio(_PACE).open) as (near, far):
         early.flush()
@@ -75,7 +75,7 @@ async def test_a_late_comer_does_not_make_up_for_its_silence() -> None:
 
 
 @pytest.mark.parametrize("two", [False, True])
-async def test_what_was_sent_while_nothing_waited_is_not_paid_for_later(two: bool) -> None:
+async def test_sending_while_nothing_waited_costs_nothing_later(two: bool) -> None:
     """A topic that has flowed for minutes goes on while a new one floods the link."""
     early, late = Route(1, outgoing=True), Route(2, outgoing=True)
 
@@ -132,7 +132,7 @@ async def test_what_fits_is_fresh_beside_what_does_not(rate: int) -> None:
 
 
 @pytest.mark.parametrize(("every", "full"), [(0.5, False), (0.1, True)])
-async def test_a_queue_that_never_empties_is_told_from_one_that_does(every: float, full: bool) -> None:
+async def test_never_empty_queue_is_told_apart(every: float, full: bool) -> None:
     """A route alone, with messages that take 0.2 s each; by turns, it is in the queue and is not."""
     route = Route(1, outgoing=True)
     async with connected(route, open_streams=Radio(_PACE).open) as (near, far):
@@ -165,7 +165,7 @@ class Holding(StreamHandler):
             self._stream.received(each)
 
 
-async def test_a_stream_on_which_nothing_gets_through_does_not_hold_the_other_one(
+async def test_stalled_stream_does_not_hold_other_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It fills the window of both. It takes nothing more meanwhile, and no byte is counted twice once it goes on."""

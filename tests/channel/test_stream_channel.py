@@ -52,7 +52,7 @@ async def test_both_sides_send_at_once_and_in_order(two: bool) -> None:
         assert all(len(side.receipts) < 400 for side in sides)
 
 
-async def test_a_message_asked_for_goes_ahead_of_a_large_one() -> None:
+async def test_message_asked_for_goes_ahead_of_large_one() -> None:
     large, small = Route(1, outgoing=True, duplex=True), Route(2, outgoing=True, duplex=True)
     async with connected(large, small) as sides:
         for side in sides:
@@ -63,7 +63,7 @@ async def test_a_message_asked_for_goes_ahead_of_a_large_one() -> None:
         await until(lambda: all(side.routes[1].arrived for side in sides))
 
 
-async def test_a_route_that_asks_and_gives_nothing_gets_no_turns_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_route_that_asks_in_vain_loses_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     idle, other = Route(1, outgoing=True), Route(2, outgoing=True)
     monkeypatch.setattr(idle, "flush", lambda: idle.channel.ask())  # noqa: PLW0108 -- it has no channel yet
     async with connected(idle, other) as (_, far):
@@ -74,7 +74,7 @@ async def test_a_route_that_asks_and_gives_nothing_gets_no_turns_without_end(mon
 
 
 @STREAMS
-async def test_a_closed_end_sends_no_more_of_what_waits(two: bool) -> None:
+async def test_closed_end_sends_no_more_of_what_waits(two: bool) -> None:
     route, other = Route(1, outgoing=True), Route(2, outgoing=True)
     async with connected(route, other, two=two) as (_, far):
         route.send(bytes(8 << 20))
@@ -98,7 +98,7 @@ async def test_incomplete_messages_count_until_the_channel_closes() -> None:
 
 
 @pytest.mark.parametrize("sealed_by", ["server", "nobody"])
-async def test_a_broken_frame_ends_the_streams_with_all_routes(sealed_by: str) -> None:
+async def test_broken_frame_ends_streams_with_all_routes(sealed_by: str) -> None:
     """A frame that the receiver could have sealed itself is no better: each direction has its own key."""
     frame = write_frame(_writer("server" if sealed_by == "server" else "client"), b"hello", 0)
     if sealed_by == "nobody":
@@ -124,14 +124,14 @@ async def test_a_broken_frame_ends_the_streams_with_all_routes(sealed_by: str) -
     ],
     ids=["against the route", "unknown route", "unknown kind", "moved unknown", "too short"],
 )
-async def test_a_peer_that_breaks_the_format_loses_the_streams(frame: bytes) -> None:
+async def test_peer_that_breaks_format_loses_streams(frame: bytes) -> None:
     async with connected(Route(1, outgoing=True)) as (near, far):
         far.pair.streams()[0].stream.write(frame)
         await until(lambda: near.routes[1].lost)
 
 
 @pytest.mark.parametrize("large", [False, True])
-async def test_a_route_moves_only_once_and_only_from_the_small_stream(large: bool) -> None:
+async def test_route_moves_once_from_small_stream_only(large: bool) -> None:
     async with connected(Route(1, outgoing=True)) as (near, far):
         small, big = near.pair.streams()
         writer = _writer("client")
@@ -144,7 +144,7 @@ async def test_a_route_moves_only_once_and_only_from_the_small_stream(large: boo
         await until(lambda: far.routes[1].lost)
 
 
-async def test_frames_wait_for_their_route_and_for_the_move() -> None:
+async def test_frames_wait_for_their_route_and_for_move() -> None:
     """The control message that opens a channel comes by another stream, and so do frames before a move."""
     route, other = Route(1, outgoing=True), Route(2, outgoing=True)
     async with connected(route, other) as (near, far):
@@ -188,7 +188,7 @@ async def test_a_move_waits_for_its_route() -> None:
         await until(lambda: far.routes[5].payloads == [bytes(LARGE)])
 
 
-async def test_held_frames_of_a_route_that_closes_hold_up_nobody() -> None:
+async def test_held_frames_of_closed_route_block_nobody() -> None:
     async with connected(Route(2, outgoing=True)) as (near, far):
         far.routes[5] = Route(5, outgoing=False)
         near.routes[5] = Route(5, outgoing=True)
@@ -202,7 +202,7 @@ async def test_held_frames_of_a_route_that_closes_hold_up_nobody() -> None:
         await until(lambda: far.routes[2].arrived)
 
 
-async def test_a_route_that_ends_while_it_takes_messages_is_left_alone() -> None:
+async def test_route_that_ends_while_taking_is_left_alone() -> None:
     async with connected(Route(1, outgoing=True)) as (near, far):
         route = far.routes[1]
 

@@ -196,7 +196,7 @@ async def test_each_end_says_once_that_it_is_ready() -> None:
         assert server.ready == [b"link one"]
 
 
-async def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> None:
+async def test_datagrams_reach_routes_of_named_connection() -> None:
     """Two connections on one socket, a route each way on both, with the same route ids."""
     async with serving() as server:
         arrived: dict[bytes, tuple[Route, Route]] = {}
@@ -221,9 +221,7 @@ async def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> 
 
 
 @pytest.mark.parametrize("lost", [0, 1], ids=["the first is lost", "the second is lost"])
-async def test_a_command_of_an_armed_topic_is_sent_twice_and_taken_once(
-    lost: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_armed_command_is_sent_twice_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other messages are sent once, and so is one that takes several datagrams."""
     async with serving() as server:
         client, route, sender = await one_way(server)
@@ -253,7 +251,7 @@ async def test_a_command_of_an_armed_topic_is_sent_twice_and_taken_once(
         assert route.payloads[3:] == [command, other]
 
 
-async def test_the_last_command_is_sent_again_and_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_last_command_is_sent_again_and_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may be the one that stops a robot, and no further one would make up for its loss."""
     async with serving() as server:
         client, route, sender = await one_way(server)
@@ -276,7 +274,7 @@ async def test_the_last_command_is_sent_again_and_taken_once(monkeypatch: pytest
         sender.close("over")
 
 
-async def test_a_command_is_not_sent_again_after_a_later_message(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_command_is_not_sent_again_after_later_message(monkeypatch: pytest.MonkeyPatch) -> None:
     """Even after one of several datagrams, which is sent once; the robot would take the earlier one for the newest."""
     async with serving() as server:
         client, route, sender = await one_way(server)
@@ -292,7 +290,7 @@ async def test_a_command_is_not_sent_again_after_a_later_message(monkeypatch: py
 
 
 @pytest.mark.parametrize("lost", [0, 1])
-async def test_an_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One of the two is lost."""
     async with serving() as server:
         client, _ = await met(server)
@@ -341,7 +339,7 @@ async def test_a_connection_that_is_over_is_forgotten() -> None:
         assert held_by(server.demultiplexer) < 10
 
 
-async def test_only_what_is_authentic_is_a_sign_of_life() -> None:
+async def test_only_what_is_authentic_is_sign_of_life() -> None:
     async with serving() as server:
         client, _ = server.connect(b"link one")
         await ready(client)
@@ -354,7 +352,7 @@ async def test_only_what_is_authentic_is_a_sign_of_life() -> None:
         await until(lambda: channel.received_at == server.time)
 
 
-async def test_closing_an_old_channel_twice_does_not_take_the_new_one_away() -> None:
+async def test_closing_old_channel_twice_keeps_new_one() -> None:
     async with serving() as server:
         client, _ = server.connect(b"link one")
         await until(lambda: client.ready)
@@ -415,7 +413,7 @@ async def test_silence_is_named_with_its_port() -> None:
         assert not client.trouble
 
 
-async def test_a_full_link_that_loses_probes_is_not_silent() -> None:
+async def test_full_link_that_loses_probes_is_not_silent() -> None:
     """Messages arrive, and receipts for them come back: no firewall is in the way, and both sides go on sending."""
     async with serving() as server:
         client, up, sender = await one_way(server)
@@ -434,7 +432,7 @@ async def test_a_full_link_that_loses_probes_is_not_silent() -> None:
         assert there.sent_bytes > before
 
 
-async def test_an_address_is_used_only_once_it_has_answered() -> None:
+async def test_address_is_used_only_once_it_has_answered() -> None:
     """Somebody captures a probe and delivers it first, from elsewhere: the stream goes on to the client."""
     async with serving() as server:
         client, there = await met(server)
@@ -492,7 +490,7 @@ async def test_a_client_that_moves_is_followed() -> None:
         assert server.made == 1
 
 
-async def test_nothing_is_sent_to_an_address_that_has_fallen_silent() -> None:
+async def test_silent_address_gets_nothing() -> None:
     """The next owner of that address gets nothing; a probe from there opens it again."""
     async with serving() as server:
         client, there = await met(server)

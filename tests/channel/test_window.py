@@ -114,7 +114,7 @@ class Path:
 
 @pytest.mark.parametrize("ages", AGES)
 @pytest.mark.parametrize(("rate", "size"), [(14, 1000), (1000, 1000), (5, 3000), (300, 60)])
-def test_tunnel_of_5_kb_a_second_is_kept_short_and_full(rate: float, size: int, ages: Ages) -> None:
+def test_tunnel_of_5_kb_stays_short_and_full(rate: float, size: int, ages: Ages) -> None:
     path = Path(5_000, ages=ages)
     path.run(5.0, rate, size)
     assert max(path.ages) < 2.0
@@ -137,7 +137,7 @@ def test_fast_path_is_not_throttled(delay: float, rate: float, size: int, ages: 
     assert not path.window.slow
 
 
-def test_a_window_of_young_bytes_keeps_less_on_the_way() -> None:
+def test_window_of_young_bytes_keeps_less_underway() -> None:
     """20 Mbit/s, 20 ms: a message that is published now waits for a third of a second at most, as all is one queue."""
     path = Path(2.5e6, 0.02, QUEUES_MUCH)
     path.run(5.0, 5_000, 1_000)
@@ -179,7 +179,7 @@ def test_path_that_becomes_slow() -> None:
 
 @pytest.mark.parametrize("behind", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize(("rate", "size"), [(20, 130), (25, 1000), (100, 1000)])
-def test_what_waits_in_the_other_direction_takes_no_room(behind: float, rate: float, size: int) -> None:
+def test_what_waits_in_other_direction_takes_no_room(behind: float, rate: float, size: int) -> None:
     """Commands to a robot whose uplink is full of video: the receipts for the commands wait behind the video."""
     path = Path(1e6, 0.01)
     path.run(5.0, rate, size)
@@ -190,7 +190,7 @@ def test_what_waits_in_the_other_direction_takes_no_room(behind: float, rate: fl
 
 @pytest.mark.parametrize("delay", [0.5, 1.0, 1.5])
 @pytest.mark.parametrize(("rate", "size"), [(20, 130), (25, 1000), (100, 1000)])
-def test_a_path_that_takes_longer_without_being_full_carries_as_much(delay: float, rate: float, size: int) -> None:
+def test_long_path_that_is_not_full_carries_everything(delay: float, rate: float, size: int) -> None:
     """After roaming, or behind somebody else's data: less in transit would not make it faster."""
     path = Path(1e6, 0.01)
     path.run(5.0, rate, size)
@@ -208,7 +208,7 @@ def test_a_path_that_takes_longer_without_being_full_carries_as_much(delay: floa
 
 @pytest.mark.parametrize("delay", [0.5, 1.0, 1.5])
 @pytest.mark.parametrize("pinged_first", [True, False])
-def test_a_path_that_takes_seconds_from_the_beginning_on(delay: float, pinged_first: bool) -> None:
+def test_path_that_takes_seconds_from_beginning_on(delay: float, pinged_first: bool) -> None:
     """Its pings measure the delay, and receipts cannot distinguish that from a queue: no clock gives the direction."""
     path = Path(1e6, delay)
     path.window.expect(2 * delay if pinged_first else 0.0)
@@ -219,7 +219,7 @@ def test_a_path_that_takes_seconds_from_the_beginning_on(delay: float, pinged_fi
     assert not (pinged_first and path.window.slow)
 
 
-def test_a_slow_path_behind_long_pings_is_kept_short() -> None:
+def test_slow_path_behind_long_pings_is_kept_short() -> None:
     path = Path(5_000, 1.5)
     path.window.expect(3.0)
     path.credit = 0.0

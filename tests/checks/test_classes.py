@@ -9,7 +9,7 @@ MOST = 40
 REASON = f"It has more than {MOST} methods because"
 
 
-def test_a_class_has_few_methods_or_a_reason_for_more() -> None:
+def test_class_has_few_methods_or_reason_for_more() -> None:
     root = Path(__file__).parents[2]
     for path in (path for part in ("bridge", "console", "extras") for path in (root / part).rglob("*.py")):
         text = path.read_text(encoding="utf-8")

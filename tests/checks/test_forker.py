@@ -40,7 +40,7 @@ def test_it_is_like_one_that_is_started(end: str, code: int, module: str, tmp_pa
     assert ("ZeroDivisionError" in errors) == ("/" in end)
 
 
-def test_a_terminal_is_its_own_and_a_signal_is_its_end(module: str, tmp_path: Path) -> None:
+def test_signal_ends_process_with_its_own_terminal(module: str, tmp_path: Path) -> None:
     (tmp_path / f"{module}.py").write_text("import os, time\nprint(os.tcgetpgrp(0), flush=True)\ntime.sleep(600)\n")
     ours, theirs = pty.openpty()
     with Forked(module, stdin=theirs, stdout=theirs, stderr=theirs, terminal=True) as process:

@@ -14,7 +14,7 @@ def test_folders_and_files_that_lanes_name_exist() -> None:
     assert [name for name in named if not any((folder / name).exists() for folder in (tests, tests.parent))] == []
 
 
-def test_what_computes_has_three_lanes_and_every_other_file_its_own() -> None:
+def test_computing_files_have_three_lanes_others_their_own() -> None:
     assert {lanes.lane_of(f"tests/{folder}/test_x.py::test_y[a::b]") for folder in lanes.COMPUTING} == {
         "simulation",
         "checks",
@@ -24,7 +24,7 @@ def test_what_computes_has_three_lanes_and_every_other_file_its_own() -> None:
     assert lanes.lane_of("tests/network/test_x.py::test_y") == lanes.lane_of("tests/network/test_z.py::test_y")
 
 
-def test_the_longest_come_first_and_waiting_and_computing_ones_alternate() -> None:
+def test_longest_first_waiting_and_computing_alternate() -> None:
     names = [
         f"tests/{folder}/test_{number}.py::test" for folder in ("engine", "console", "simulation") for number in (1, 2)
     ]

@@ -106,7 +106,7 @@ def test_every_thread_is_one_that_the_program_starts() -> None:
     assert [name for name in names if re.search(f'(name(_prefix)?=|in_thread\\()"{name}"', sources) is None] == []
 
 
-def test_no_two_modules_or_public_classes_have_one_name() -> None:
+def test_names_of_modules_and_public_classes_are_unique() -> None:
     places: dict[str, list[str]] = defaultdict(list)
     for package in _PACKAGES:
         for module in package.rglob("*.py"):

@@ -106,7 +106,7 @@ def test_what_is_not_valid_is_said_in_words(ran: Any, engine: ScriptedEngine, wo
     assert engine.commands == []
 
 
-def test_every_kind_is_edited_paused_armed_and_removed_by_its_name(ran: Any, engine: ScriptedEngine) -> None:
+def test_every_kind_is_operated_by_its_name(ran: Any, engine: ScriptedEngine) -> None:
     for each in (DOCK, NAVIGATE, NODE):
         assert ran("edit", each.topic, "timeout=5", "paused=yes").code == 0
         for command in ("remove", "pause", "disarm"):
@@ -118,7 +118,7 @@ def test_every_kind_is_edited_paused_armed_and_removed_by_its_name(ran: Any, eng
     assert [each[1] for each in engine.commands if each[0] == "remove"] == [DOCK.key, NAVIGATE.key, NODE.key]
 
 
-def test_a_topic_and_a_service_of_one_name_are_told_apart_by_their_kind(ran: Any, engine: ScriptedEngine) -> None:
+def test_topic_and_service_of_one_name_differ(ran: Any, engine: ScriptedEngine) -> None:
     engine.now = replace(engine.now, routes=(DOCK, SCAN))
     asked = ran("remove", "/dock")
     assert asked.code == 2
@@ -135,7 +135,7 @@ def test_a_topic_and_a_service_of_one_name_are_told_apart_by_their_kind(ran: Any
     assert {each[:2] for each in engine.commands} == {("pause", each.key) for each in (DOCK, SCAN, other)}
 
 
-def test_a_command_that_is_not_for_a_kind_says_what_there_is_instead(ran: Any, engine: ScriptedEngine) -> None:
+def test_command_for_other_kind_names_right_one(ran: Any, engine: ScriptedEngine) -> None:
     echoed = ran("echo", "/dock", "--once")
     assert echoed.code == 2
     assert says(
@@ -238,7 +238,7 @@ def test_a_call_without_an_answer_fails(ran: Any, engine: ScriptedEngine) -> Non
     assert ran("call", "/dock", "--json").json == {"ok": False, "error": "/dock: late"}
 
 
-def test_a_request_that_no_node_takes_is_wrong_usage(ran: Any, engine: ScriptedEngine) -> None:
+def test_request_that_no_node_takes_is_wrong_usage(ran: Any, engine: ScriptedEngine) -> None:
     """For example a misspelt field: the bridge's text reaches the command with its kind."""
     engine.called.set_exception(InvalidRequestError("there is no field 'spped': did you mean speed?"))
     refused = ran("call", "/dock", "{spped: 1}")

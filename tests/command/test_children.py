@@ -98,7 +98,7 @@ def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return marker
 
 
-def test_a_module_in_a_child_runs_nothing_of_its_folder(planted: Path) -> None:
+def test_module_in_child_runs_nothing_of_its_folder(planted: Path) -> None:
     with ChildProcess("rsb_console", "--version", stdout=subprocess.PIPE) as child:
         assert child.communicate(timeout=60)[0].startswith("rsb-console ")
     assert not planted.exists()

@@ -64,7 +64,7 @@ def run(ran: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
     return partial(ran, "client")
 
 
-def test_a_robot_is_added_with_all_that_it_needs(path: Path, run: Run) -> None:
+def test_robot_is_added_with_all_that_it_needs(path: Path, run: Run) -> None:
     ran = run("add", str(path), "robot2", "--deny", "/camera/*")
     assert ran.code == 0
     assert path.read_text() == TEXT + "  - {name: robot2, key_file: robot2.key, deny: [/camera/*]}\n"
@@ -83,7 +83,7 @@ def test_a_robot_is_added_with_all_that_it_needs(path: Path, run: Run) -> None:
     assert "is saved" not in shown.err
 
 
-def test_the_robots_file_is_written_where_it_is_wanted(path: Path, run: Run) -> None:
+def test_robots_file_is_written_where_it_is_wanted(path: Path, run: Run) -> None:
     assert run("add", str(path), "robot2", "-o", "robot2.yaml", "--address", "pc.local").out == ""
     assert load(Path("robot2.yaml")).server_ip == "pc.local"
     again = run("add", str(path), "robot3", "-o", "robot2.yaml")
@@ -105,7 +105,7 @@ def test_a_running_server_is_told(path: Path, run: Run, machine: Machine) -> Non
     assert path.with_name("robot1.key").exists()
 
 
-def test_nothing_is_closed_of_a_client_that_was_not_linked(path: Path, run: Run, machine: Machine) -> None:
+def test_client_that_was_unlinked_loses_nothing(path: Path, run: Run, machine: Machine) -> None:
     engine = ScriptedEngine(SERVER)
     engine.now = dataclasses.replace(
         engine.now, links=(LINK, dataclasses.replace(LINK, name="robot2", state=State.WAITING))
@@ -120,7 +120,7 @@ def test_nothing_is_closed_of_a_client_that_was_not_linked(path: Path, run: Run,
         assert not says(said, ClientEffect.REMOVED_LINK_CLOSED)
 
 
-def test_a_server_of_one_client_renews_its_key_in_place_and_keeps_letting_it_in(tmp_path: Path, run: Run) -> None:
+def test_server_of_one_client_renews_key_in_place(tmp_path: Path, run: Run) -> None:
     """It has no list: its client has its own name and key."""
     path = tmp_path / "robot1.yaml"
     before = write_key(tmp_path / "robot1.key")
@@ -206,7 +206,7 @@ def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machi
 
 @pytest.mark.parametrize("runs", [False, True], ids=["no server", "not linked"])
 @pytest.mark.parametrize(("answer", "finished"), [("y\n", True), ("n\n", False), ("", False), (None, False)])
-def test_a_finish_asks_if_the_client_may_not_have_the_new_key(
+def test_finish_asks_unless_client_has_new_key(
     path: Path,
     run: Run,
     machine: Machine,
@@ -243,7 +243,7 @@ class _Logs(Feature):
 
 
 @pytest.mark.parametrize(("used", "code"), [(("old", "next"), 0), (("next", "old"), 2), (("next of robot2",), 2)])
-def test_a_finish_knows_from_the_servers_log_which_key_was_used_last(
+def test_finish_finds_used_key_in_servers_log(
     path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, used: tuple[str, ...], code: int
 ) -> None:
     run("rekey", str(path), "robot1", "--keep-old")
@@ -263,7 +263,7 @@ def test_a_finish_knows_from_the_servers_log_which_key_was_used_last(
     assert says(ran.err, ClientEffect.USED, name="robot1", when=clock(1e9 - 1)) is (code == 0)
 
 
-def test_a_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:
+def test_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:
     """The new key was put in place, and the session was not saved."""
     run("rekey", str(path), "robot1", "--keep-old")
     new = path.with_name("robot1-next.key")
@@ -290,7 +290,7 @@ def test_a_new_key_gives_up_the_next_one(path: Path, run: Run) -> None:
     assert path.read_text() == TEXT
 
 
-def test_the_next_key_of_a_whole_server_is_replaced_by_hand(tmp_path: Path, run: Run) -> None:
+def test_next_key_of_server_is_replaced_by_hand(tmp_path: Path, run: Run) -> None:
     path = tmp_path / "robot1.yaml"
     for name in ("robot1.key", "new.key"):
         write_key(tmp_path / name)
@@ -303,7 +303,7 @@ def test_the_next_key_of_a_whole_server_is_replaced_by_hand(tmp_path: Path, run:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
-def test_the_keys_that_root_makes_belong_to_whoever_runs_the_server(path: Path, run: Run) -> None:
+def test_roots_keys_belong_to_servers_user(path: Path, run: Run) -> None:
     for file in (path, path.with_name("robot1.key")):
         os.chown(file, 1234, 5678)
     assert run("add", str(path), "robot2").code == 0
@@ -314,7 +314,7 @@ def test_the_keys_that_root_makes_belong_to_whoever_runs_the_server(path: Path, 
     assert path.with_name("robot1.key").stat().st_mode & 0o777 == 0o600
 
 
-def test_a_client_that_shares_a_key_gets_one_of_its_own(path: Path, run: Run) -> None:
+def test_client_that_shares_key_gets_its_own(path: Path, run: Run) -> None:
     shared = write_key(path.with_name("all.key"))
     save(replace(SERVER, key_file="all.key", clients=(Client("robot1"), Client("robot2"))), path)
     path.with_name("robot2.key").write_text("somebody else's")
@@ -323,7 +323,7 @@ def test_a_client_that_shares_a_key_gets_one_of_its_own(path: Path, run: Run) ->
     assert read_key(path.with_name("all.key")) == shared
 
 
-def test_the_list_says_who_is_linked_and_which_key_is_missing(path: Path, run: Run, machine: Machine) -> None:
+def test_list_shows_linked_clients_and_missing_keys(path: Path, run: Run, machine: Machine) -> None:
     kept = replace(ROBOT2, topics=(Topic("/map", "transmit"),))
     save(replace(SERVER, clients=(ROBOT1, kept)), path)
     engine = ScriptedEngine(SERVER)
@@ -391,14 +391,14 @@ def test_files_that_cannot_take_a_client(path: Path, run: Run) -> None:
     assert (ran.code, says(ran.err, ClientCommandProblem.SESSION_UNKNOWN)) == (3, True)
 
 
-def test_an_existing_key_is_used_where_it_is_named(path: Path, run: Run) -> None:
+def test_existing_key_is_used_where_it_is_named(path: Path, run: Run) -> None:
     key = write_key(path.with_name("other.key"))
     assert run("add", str(path), "robot2", "--key-file", "other.key").code == 0
     assert load(path).listed_clients[1].key_file == "other.key"
     assert read_key(path.with_name("other.key")) == key
 
 
-def test_where_the_server_binds_every_address_the_robots_file_has_a_guess(path: Path, run: Run) -> None:
+def test_robots_file_guesses_address_of_unspecific_server(path: Path, run: Run) -> None:
     path.write_text(TEXT.replace("10.0.0.20", "0.0.0.0"))
     ran = run("add", str(path), "robot2")
     assert "server_ip" in ran.out

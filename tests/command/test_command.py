@@ -135,7 +135,7 @@ def test_check_says_what_would_be_bridged_and_warns() -> None:
     assert says(run.stdout, KeyWarning.READABLE, path="key.txt", mode="0644")
 
 
-def test_check_says_whose_keys_there_are_since_when_and_warns_of_two() -> None:
+def test_check_tells_owner_and_age_of_keys() -> None:
     for name in ("old.key", "new.key"):
         rsb_console("keygen", name)
     Path("pc.yaml").write_text(
@@ -184,7 +184,7 @@ def test_check_refuses_clients_that_share_a_key(second: str) -> None:
     assert rsb_console("check", "pc.yaml").returncode == (3 if second == "gone.txt" else 0)
 
 
-def test_check_lists_operators_and_refuses_those_with_a_key_of_others() -> None:
+def test_check_lists_operators_and_refuses_shared_keys() -> None:
     for name in ("key.txt", "anna.key"):
         rsb_console("keygen", name)
     Path("pc.yaml").write_text(
@@ -202,7 +202,7 @@ def test_check_lists_operators_and_refuses_those_with_a_key_of_others() -> None:
     assert (run.returncode, f"warning: {KeyFileProblem.NO_SUCH_FILE(path='anna.key')}" in run.stdout) == (3, True)
 
 
-def test_check_lists_what_each_client_may_do_and_what_moves_a_robot() -> None:
+def test_check_lists_rights_of_clients_and_moving_topics() -> None:
     Path("fleet.yaml").write_text(
         "name: pc\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 4000\nuse_encryption: false\nports: [12001]\n"
         "clients:\n"
@@ -261,7 +261,7 @@ def test_check_leaves_out_nothing_that_a_topic_says() -> None:
     assert "accepts robot2: everything, not /map, no prefix" in fleet
 
 
-def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
+def test_invalid_key_file_is_warned_of_never_shown() -> None:
     rsb_console("keygen")
     key = Path("key.txt").read_text().strip()
     refused = rsb_console("check", "key.txt")
@@ -290,7 +290,7 @@ def test_check_warns_of_types_that_are_not_installed() -> None:
 
 
 @pytest.mark.parametrize("arguments", [("check",), ("run", "--no-ui"), ("run",), ()])
-def test_a_bad_session_file_is_refused_with_its_lines(arguments: tuple[str, ...]) -> None:
+def test_bad_session_file_is_refused_with_its_lines(arguments: tuple[str, ...]) -> None:
     Path("bad.yaml").write_text(SESSION.replace("udp", "tpc").replace("49152", "0"))
     run = rsb_console(*arguments, "bad.yaml")
     assert run.returncode == 2
@@ -375,7 +375,7 @@ def test_import_to_standard_output_and_its_mistakes() -> None:
 
 
 @pytest.mark.parametrize("command", [("check",), ("run", "--no-ui")])
-def test_a_thesis_file_in_place_of_a_session_leads_to_the_import(command: tuple[str, ...]) -> None:
+def test_thesis_file_as_session_leads_to_import(command: tuple[str, ...]) -> None:
     Path("bringup.yaml").write_text(BRINGUP)
     run = rsb_console(*command, "bringup.yaml")
     assert run.returncode == 2
@@ -415,7 +415,7 @@ def test_the_console_is_refused_on_a_dumb_terminal() -> None:
     assert says(run.stderr.decode(), LocalText.PLAIN_TERMINAL, instead="rsb-console run --no-ui robot1.yaml")
 
 
-def test_a_line_that_was_typed_ahead_answers_no_question(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_line_that_was_typed_ahead_answers_no_question(monkeypatch: pytest.MonkeyPatch) -> None:
     ours, theirs = pty.openpty()
     with open(theirs) as terminal:  # noqa: PTH123 -- a descriptor
         surroundings.set_stdin(monkeypatch, terminal)
@@ -456,12 +456,12 @@ def test_command_of_a_missing_feature_names_it() -> None:
     assert CommandText.OF_FEATURE(word="doctor", feature="doctor") in run.stderr
 
 
-def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
+def test_session_named_like_command_is_reached_by_path() -> None:
     Path("checks").write_text(SESSION.replace("udp", "tpc"))
     assert "checks:7: topic /scan, protocol" in rsb_console("checks").stderr
 
 
-def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unforeseen_failure_is_one_line_and_log(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def check(_: object) -> int:
         raise RuntimeError("sprocket")
 
@@ -529,7 +529,7 @@ def own_lines(errors: str) -> list[str]:
 
 
 @pytest.mark.parametrize("number", [*long(signal.SIGINT), signal.SIGTERM])
-def test_a_signal_while_the_engine_starts_ends_it_cleanly(number: signal.Signals) -> None:
+def test_signal_while_engine_starts_ends_it_cleanly(number: signal.Signals) -> None:
     """The engine's start says when it begins, so that the signal meets it."""
     rsb_console("keygen")
     before = (
@@ -561,7 +561,7 @@ def test_a_signal_during_imports_is_quiet(number: signal.Signals, code: int) -> 
     assert run.returncode == code
 
 
-def test_more_interrupts_while_it_stops_change_nothing_and_json_lines_are_alike() -> None:
+def test_more_interrupts_while_stopping_change_nothing() -> None:
     rsb_console("keygen")
     options = ("--log-format", "json", "--status-every", "3600")
     with started_headless("", "run", "--no-ui", *options, "robot1.yaml") as run:
@@ -578,7 +578,7 @@ def test_more_interrupts_while_it_stops_change_nothing_and_json_lines_are_alike(
 
 
 @pytest.mark.usefixtures("only_demo")
-def test_the_demo_bridges_and_leaves_one_topic_to_add() -> None:
+def test_demo_bridges_and_leaves_one_topic_to_add() -> None:
     """A Ctrl-C goes to the terminal's whole process group: the simulated robot writes no traceback for it."""
     environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     with subprocess.Popen(

@@ -153,9 +153,7 @@ def test_commands_options_sessions_and_themes_are_offered(
     assert {each for each in offered(line) if not each.startswith("-") or line.endswith("--lo")} == expected
 
 
-def test_topics_that_can_be_bridged_are_offered_to_add(
-    engine: ScriptedEngine, offered: Callable[[str], set[str]]
-) -> None:
+def test_add_offers_topics_that_can_be_bridged(engine: ScriptedEngine, offered: Callable[[str], set[str]]) -> None:
     known = {info.topic for info in engine.topics().result() if info.kind == "topic"}
     assert known
     assert offered("rsb-console add /") >= known
@@ -216,7 +214,7 @@ def test_the_other_shells_get_theirs(shell: str, file: str, word: str) -> None:
     assert word in run.stdout
 
 
-def test_a_bridge_that_does_not_answer_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bridge_that_does_not_answer_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     replaced.ATTACHED.set(monkeypatch, lambda *_, **__: time.sleep(60))
     constants.COMPLETION_WAITS.set(monkeypatch, 0.01)
     assert completion.links(argparse.Namespace()) == []

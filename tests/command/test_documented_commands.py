@@ -147,19 +147,19 @@ def test_it_is_taken(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
 _OF_BENCH = "../extras/rsb_extras/bench/tests/test_command.py"
 _OF_FLEET = "../extras/rsb_extras/fleet/tests/test_demo_fleet.py"
 _ELSEWHERE = {
-    "bench": (_OF_BENCH, "test_ctrl_c_prints_what_was_measured_and_leaves_no_process"),
+    "bench": (_OF_BENCH, "test_ctrl_c_prints_results_and_leaves_no_process"),
     "bench --quick": (_OF_BENCH, "test_a_short_run_on_this_machine"),
     "bt-scan": ("bluetooth/guest/test_scan.py", "test_what_the_command_prints"),
     "demo": (_OF_FLEET, "test_no_process_outlives_a_demo_that_is_killed"),
-    "demo --no-ui --seconds 20": ("command/test_command.py", "test_the_demo_bridges_and_leaves_one_topic_to_add"),
+    "demo --no-ui --seconds 20": ("command/test_command.py", "test_demo_bridges_and_leaves_one_topic_to_add"),
     "demo --fleet": (
-        _OF_FLEET, "test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all"
+        _OF_FLEET, "test_screen_opens_leads_to_robot_and_back"
     ),
     "demo --fleet --no-ui --seconds 30": (
         _OF_FLEET, "test_each_engine_is_linked_and_has_a_line"
     ),
     "run robot1.yaml --no-ui": (
-        "command/test_remote.py", "test_a_headless_bridge_is_attached_to_changed_and_stopped"
+        "command/test_remote.py", "test_headless_bridge_is_attached_to_changed_and_stopped"
     ),
 }  # fmt: skip
 """Lines that need ROS nodes, minutes or a Bluetooth adapter, and the test that runs the command with these options."""
@@ -372,7 +372,7 @@ def test_it_works_over_zenoh(
         check(line.text, capsys, consoles)
 
 
-def test_what_cannot_run_here_is_run_by_a_test() -> None:
+def test_what_cannot_run_here_is_run_by_test() -> None:
     assert {line.text for line in FOUND} >= set(_ELSEWHERE)
     for file, name in _ELSEWHERE.values():
         assert f"\ndef {name}(" in (_ROOT / "tests" / file).read_text(encoding="utf-8")

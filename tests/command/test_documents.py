@@ -47,7 +47,7 @@ def test_the_fields_that_are_documented_are_printed(heading: str, printed: dict[
     assert fields(heading) == printed.keys()
 
 
-def test_the_fields_of_calls_that_are_documented_are_printed() -> None:
+def test_fields_of_calls_that_are_documented_are_printed() -> None:
     topic, called = (
         route_of(replace(route("/dock"), calls=calls)) for calls in (None, CallsSnapshot())
     )  # fmt: skip
@@ -67,7 +67,7 @@ def test_every_command_with_json_has_a_row() -> None:
     assert with_json - only_ok <= documented_commands()
 
 
-def test_exit_codes_stand_in_one_table_and_in_the_help() -> None:
+def test_exit_codes_are_in_one_table_and_help() -> None:
     codes = [int(code) for cell in rows("Exit codes") for code in cell.split(",")]
     names = ("OK", "FAILURE", "USAGE", "NOT_RUNNING", "ALREADY_RUNNING", "HUNG_UP", "INTERRUPTED", "TERMINATED")
     assert codes == [getattr(shell, name) for name in names]

@@ -94,7 +94,7 @@ def test_for_programs_it_prints_one_object_a_message(ran: Any, engine: ScriptedE
         (NOW, {"is_kept": True}, StampText.KEPT()),
     ],
 )  # fmt: skip
-def test_a_stamp_that_says_no_latency_is_said_so(
+def test_stamp_that_says_no_latency_is_said_so(
     ran: Any, engine: ScriptedEngine, stamp: float, changes: dict[str, Any], words: str
 ) -> None:
     shows(engine, peeked(odometry(stamp), **changes))
@@ -114,7 +114,7 @@ def test_what_nobody_can_decode_is_shown_as_hex(ran: Any, engine: ScriptedEngine
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + bytes(12), bytes(40)])
-def test_bytes_that_are_no_stamp_are_not_taken_for_one(ran: Any, engine: ScriptedEngine, payload: bytes) -> None:
+def test_bytes_without_stamp_are_not_taken_for_one(ran: Any, engine: ScriptedEngine, payload: bytes) -> None:
     engine.peeked[:] = [replace(peeked(String()), payload=payload, size=len(payload))]
     assert "header.stamp" not in ran("echo", "/scan", "--once").out
 
@@ -125,7 +125,7 @@ def test_of_a_large_message_it_prints_the_beginning(ran: Any, engine: ScriptedEn
     assert "# only the first 2 000 of 3 009 bytes are shown" in ran("echo", "/scan", "--once").out
 
 
-def test_nothing_in_a_message_reaches_the_terminal_as_a_command(ran: Any, engine: ScriptedEngine) -> None:
+def test_nothing_in_message_reaches_terminal_as_command(ran: Any, engine: ScriptedEngine) -> None:
     wild = '\x1b]0;title\x07 \u202eevil\u2066 zero\u200bwidth\ufeff "quoted" \\ \x9b31m \U000e0041 größer'
     shows(engine, *(peeked(String(data=wild)) for _ in range(2)))
     printed = ran("echo", "/scan", "--once").out

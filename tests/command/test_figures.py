@@ -98,7 +98,7 @@ def test_without_a_message_they_exit_with_1(ran: Any, engine: Running, name: str
 
 
 @pytest.mark.parametrize("name", ["hz", "bw", "info"])
-def test_a_name_that_is_not_bridged_is_wrong_usage(ran: Any, engine: Running, name: str) -> None:
+def test_name_that_is_not_bridged_is_wrong_usage(ran: Any, engine: Running, name: str) -> None:
     done = ran(name, "/scna")
     assert done.code == 2
     assert "/scan" in done.err
@@ -179,7 +179,7 @@ class Dropping(Running):
 
 
 @pytest.mark.parametrize("name", ["hz", "bw", "info"])
-def test_what_a_full_link_delivers_stands_beside_what_it_is_given(
+def test_full_link_shows_delivered_beside_given(
     ran: Any, machine: Machine, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     constants.FIGURES_EVERY.set(monkeypatch, 0.05)
@@ -203,7 +203,7 @@ def test_figures_begin_with_a_snapshot_of_their_own() -> None:
     assert found.rate == 10.0
 
 
-def test_info_of_a_service_and_of_a_topic_whose_type_is_not_known_yet(ran: Any, engine: Running) -> None:
+def test_info_of_service_and_of_untyped_topic(ran: Any, engine: Running) -> None:
     assert "2 asked" in ran("info", "/dock").out
     assert ran("info", "/dock", "--json").json["calls"]["asked"] == 2
     engine.now = replace(engine.now, routes=(replace(SCAN, spec=Topic("/scan", "transmit"), type_name=""),))
@@ -213,7 +213,7 @@ def test_info_of_a_service_and_of_a_topic_whose_type_is_not_known_yet(ran: Any, 
 @pytest.mark.parametrize(
     ("cause", "word"), [(LinkCause.NONE, "OK"), (LinkCause.FULL, "FULL"), (LinkCause.NAME_TAKEN, "WARN")]
 )
-def test_a_link_with_a_warning_is_not_ok_in_words(cause: LinkCause, word: str) -> None:
+def test_link_with_warning_is_not_ok_in_words(cause: LinkCause, word: str) -> None:
     link = replace(LINK, cause=cause, warning="something" if cause else "", warning_since=NOW - 5 if cause else None)
     snapshot = replace(ScriptedEngine().snapshot(), links=(link,))
     found: Any = links_of(snapshot)["robot1"]

@@ -45,7 +45,7 @@ def test_a_topic_says_which_pattern_it_comes_from(ran: Any, engine: ScriptedEngi
     assert "[/camera/**]" in ran("topics").out
 
 
-def test_a_pattern_at_its_limit_is_wrong_and_one_that_waits_is_not(ran: Any, engine: ScriptedEngine) -> None:
+def test_pattern_at_limit_is_wrong_waiting_is_fine(ran: Any, engine: ScriptedEngine) -> None:
     assert ran("status").code == 0
     full = replace(LINK, patterns=(pattern(CAMERA, State.DOWN, routes=100, beyond=3),))
     engine.now = replace(engine.now, links=(full,))
@@ -78,14 +78,14 @@ def test_what_is_no_pattern_is_not_done(arguments: tuple[str, ...], ran: Any, en
     assert engine.commands == []
 
 
-def test_a_pattern_that_is_there_twice_needs_more_words(ran: Any, engine: ScriptedEngine) -> None:
+def test_pattern_that_is_there_twice_needs_more_words(ran: Any, engine: ScriptedEngine) -> None:
     both = (CAMERA, msgspec.structs.replace(CAMERA, direction="receive"))
     engine.now = replace(engine.now, links=(replace(LINK, patterns=tuple(map(pattern, both))),))
     assert ran("remove", "/camera/**").code == 2
     assert ran("remove", "/camera/**", "--direction", "receive").code == 0
 
 
-def test_check_names_a_pattern_and_what_it_leaves_out() -> None:
+def test_check_names_pattern_and_what_it_leaves_out() -> None:
     lines = list(summary(msgspec.structs.replace(SESSION, topics=(CAMERA, NAV))))
     assert any("matches /camera/**" in line and "/camera/debug" in line for line in lines)
     assert any("service that matches /nav/*" in line for line in lines)

@@ -63,7 +63,7 @@ def writes(tree: ast.AST) -> Iterator[str]:
             yield name
 
 
-def test_no_module_of_console_or_feature_prints_but_by_the_functions_that_clean() -> None:
+def test_consoles_and_features_print_by_cleaning_functions() -> None:
     found = {
         path.relative_to(part).as_posix(): calls
         for part in (CONSOLE, EXTRAS)
@@ -225,7 +225,7 @@ FINE = "name: a\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nkey_file:
     ],
 )
 @pytest.mark.parametrize("command", [("check",), ("run", "--no-ui")])
-def test_keys_and_values_of_a_file_do_nothing_to_the_terminal(
+def test_file_contents_cannot_control_terminal(
     content: str, command: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "a\x1b[31m\n.yaml"

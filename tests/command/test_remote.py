@@ -64,7 +64,7 @@ def engine(machine: Machine) -> ScriptedEngine:
     return machine.have(ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,)))
 
 
-def test_status_says_how_it_is_and_whether_something_is_wrong(ran: Any, engine: ScriptedEngine) -> None:
+def test_status_tells_state_and_faults(ran: Any, engine: ScriptedEngine) -> None:
     fine = ran("status")
     assert fine.code == 0
     assert fine.out.startswith(f"robot1: client, 10.0.0.20:49152, domain 3, pid {os.getpid()}\n")
@@ -80,7 +80,7 @@ def test_status_says_how_it_is_and_whether_something_is_wrong(ran: Any, engine: 
     assert "← /robot2/scan DOWN: no publisher of /scan in domain 4" in faulty.out
 
 
-def test_what_is_wrong_with_a_link_is_said_once_and_not_of_each_topic(ran: Any, engine: ScriptedEngine) -> None:
+def test_fault_of_link_is_told_once(ran: Any, engine: ScriptedEngine) -> None:
     reason = "its keys differ"
     down = replace(LINK, state=State.DOWN, cause="wrong_key", reason=reason)
     topics = (SCAN, route("/map", outgoing=True))
@@ -92,7 +92,7 @@ def test_what_is_wrong_with_a_link_is_said_once_and_not_of_each_topic(ran: Any, 
     assert "2 topics wait for it: /scan and /map" in status.out
 
 
-def test_status_says_who_paused_or_shut_down_and_when_the_link_asks_again(ran: Any, engine: ScriptedEngine) -> None:
+def test_status_tells_pause_shutdown_and_next_attempt(ran: Any, engine: ScriptedEngine) -> None:
     paused = replace(SCAN, state=State.PAUSED, cause="paused", reason="paused (anna on pts/3)")
     engine.now = replace(engine.now, routes=(paused,))
     assert "anna on pts/3" in ran("status").out
@@ -152,7 +152,7 @@ KNOWN = Acknowledgement("anna on pts/3", 1_700_000_000.0)
 STALE = replace(SCAN, state=State.STALE, cause="publisher_silent")
 
 
-def test_what_is_acknowledged_is_told_apart_and_is_not_wrong(ran: Any, engine: ScriptedEngine) -> None:
+def test_acknowledged_is_told_apart_and_not_wrong(ran: Any, engine: ScriptedEngine) -> None:
     other = replace(STALE, key="/map", topic="/map")
     engine.now = replace(engine.now, routes=(replace(STALE, acknowledged=KNOWN), other))
     status = ran("status", "--json")
@@ -253,7 +253,7 @@ def test_what_is_not_valid_is_said_in_words(
     assert engine.commands == []
 
 
-def test_reload_says_what_has_changed_and_what_has_not(ran: Any, engine: ScriptedEngine) -> None:
+def test_reload_tells_changed_and_unchanged(ran: Any, engine: ScriptedEngine) -> None:
     fine = ran("reload")
     assert (fine.code, fine.out, fine.err) == (0, "/scan (transmit): max_rate none → 5.0\n", "")
     engine.reloads = Reloaded(("/a: x",), ("server_port 1 → 2: restart",), ("/b: y",))
@@ -297,7 +297,7 @@ def test_changes_say_that_they_are_not_saved(ran: Any, engine: ScriptedEngine, t
     assert "not saved" not in ran("status").out
 
 
-def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any, engine: ScriptedEngine) -> None:
+def test_topic_of_both_directions_needs_its_direction(ran: Any, engine: ScriptedEngine) -> None:
     back = route("/scan", key="back")
     engine.now = replace(engine.now, routes=(SCAN, back))
     options = "--link robot1 --direction transmit; --link robot1 --direction receive"
@@ -359,7 +359,7 @@ def test_what_stops_a_name_stops_all_its_routes(
     assert len(ran(command, "/scan", "--json").json["routes"]) == 4
 
 
-def test_options_that_tell_routes_of_a_name_apart_differ_and_work(ran: Any, engine: ScriptedEngine) -> None:
+def test_options_that_tell_routes_apart_work(ran: Any, engine: ScriptedEngine) -> None:
     routes = (SCAN, replace(SCAN, key="there", remote_topic="/elsewhere"), route("/scan", key="back"))
     engine.now = replace(engine.now, routes=routes)
     start, end = RouteChoice.SEVERAL(topic="/scan", count=3, options="|").split("|")
@@ -393,7 +393,7 @@ def test_wait_waits(ran: Any, engine: ScriptedEngine) -> None:
     assert "/scan WAITING: no publisher" in late.err
 
 
-def test_a_server_waits_for_a_topic_that_a_client_may_bring(ran: Any, machine: Machine) -> None:
+def test_server_waits_for_topic_that_client_may_bring(ran: Any, machine: Machine) -> None:
     machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, role="server"), routes=(SCAN,)))
     late = ran("wait", "--for", "flowing", "/scna", "--timeout", "0")
     assert late.code == 1
@@ -401,7 +401,7 @@ def test_a_server_waits_for_a_topic_that_a_client_may_bring(ran: Any, machine: M
     assert says(late.err, RemoteProblem.NOT_BROUGHT, topic="/scna", hint="; did you mean /scan?")
 
 
-def test_on_a_server_of_several_the_client_has_to_be_named(ran: Any, machine: Machine) -> None:
+def test_server_of_several_needs_clients_name(ran: Any, machine: Machine) -> None:
     engine = ScriptedEngine(msgspec.structs.replace(SESSION, role="server"))
     engine.now = replace(engine.now, links=(LINK, replace(LINK, name="robot2")))
     machine.serve(engine)
@@ -429,7 +429,7 @@ ALONE = ("status", "topics", "retry", "restart", "reload", "save", "events", "st
 
 
 @pytest.mark.parametrize("name", sorted({*ALONE, *NEEDED}))
-def test_every_command_takes_the_bridge_in_the_same_way(ran: Any, machine: Machine, name: str) -> None:
+def test_every_command_takes_bridge_in_same_way(ran: Any, machine: Machine, name: str) -> None:
     words = *name.split(), *NEEDED.get(name, "").split()
     assert ran(*words, "--bridge", "robot7", "--json").code == 3
     machine.serve()
@@ -449,9 +449,7 @@ def test_without_a_bridge_they_say_so(ran: Any, machine: Machine) -> None:
     assert ran("status", "--control", str(machine.folder / "x.sock")).code == 3
 
 
-def test_status_shows_all_bridges_and_exits_with_the_worst_code(
-    ran: Any, machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_status_of_all_exits_with_worst_code(ran: Any, machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     first = ScriptedEngine(routes=(SCAN,))
     second = ScriptedEngine(msgspec.structs.replace(SESSION, name="robot2"), routes=(SCAN,))
     second.now = replace(second.now, name="robot2")
@@ -484,7 +482,7 @@ def test_of_several_bridges_one_has_to_be_named(ran: Any, machine: Machine) -> N
     assert ran("topics", "--control", str(machine.folder / "robot2.sock")).code == 0
 
 
-def test_of_two_bridges_of_one_name_the_sockets_are_named(
+def test_sockets_of_bridges_with_one_name_are_listed(
     ran: Any, machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     services = tmp_path / "services"
@@ -511,7 +509,7 @@ def start(*arguments: str) -> Forked:
     return Forked("rsb_console", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
-def test_a_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: Forked, path: Path) -> None:
+def test_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: Forked, path: Path) -> None:
     status = ran("status", "--json").json
     assert (status["pid"], status["file"]) == (bridge.pid, str(path))
     with start("events", "--json", "--follow") as following:
@@ -556,7 +554,7 @@ def test_a_session_is_not_started_twice(ran: Any, bridge: Forked, path: Path) ->
         assert third.wait(60) == 0
 
 
-def test_the_details_say_who_has_armed_it_and_its_limits(ran: Any, engine: ScriptedEngine) -> None:
+def test_details_tell_holder_and_limits(ran: Any, engine: ScriptedEngine) -> None:
     armed = ArmingSnapshot(armed=True, by="anna on pts/3", left=12.0, deadman=20.0)
     shown = replace(SCAN, arming=armed, max_age=0.5, limits=VelocityLimits(0.5), limited_by=("robot.yaml:14",))
     engine.now = replace(engine.now, routes=(replace(shown, ledger=Ledger()),))
@@ -576,7 +574,7 @@ def test_what_another_holds_is_asked_for_or_taken(option: str, command: str, ran
     assert engine.commands[0][:2] == (command, "/scan")
 
 
-def test_who_asks_in_a_shell_gives_signs_of_life(
+def test_who_asks_in_shell_gives_signs_of_life(
     ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without them, the question ends."""
@@ -645,7 +643,7 @@ class Keys(Terminal):
 
 
 @pytest.mark.parametrize("keeps", [True, False])
-def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
+def test_shell_asks_holder_and_enter_keeps_topic(
     keeps: bool, ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An Enter from before the question is no answer. The command itself is old by then, its answer is not."""
@@ -710,7 +708,7 @@ _STANDS_STILL = 1.2
 """s, which are longer than a state takes to be shown."""
 
 
-def test_arm_does_not_say_that_a_topic_went_over_to_itself_after_its_bridge_stood_still(
+def test_arm_after_standstill_names_no_takeover_by_itself(
     ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     StandsStill.engine = engine

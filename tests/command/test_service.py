@@ -46,7 +46,7 @@ def ran(capsys: pytest.CaptureFixture[str]) -> Any:
     return run
 
 
-def test_a_users_service_is_written_and_what_to_run_is_said(ran: Any, session: Path, home: Path) -> None:
+def test_users_service_is_written_with_next_steps(ran: Any, session: Path, home: Path) -> None:
     unit = home / "config/systemd/user/rsb-console-robot1.service"
     code, out, _ = ran("install", session)
     assert code == 0
@@ -66,7 +66,7 @@ def test_a_users_service_is_written_and_what_to_run_is_said(ran: Any, session: P
     assert ran("install", session)[1].startswith(f"{unit}: unchanged.")
 
 
-def test_a_unit_that_differs_is_replaced_by_force_only(ran: Any, session: Path, home: Path) -> None:
+def test_unit_that_differs_is_replaced_by_force_only(ran: Any, session: Path, home: Path) -> None:
     unit = home / "config/systemd/user/rsb-console-robot1.service"
     unit.parent.mkdir(parents=True)
     unit.write_text("[Service]\nExecStart=/bin/true\n")
@@ -96,7 +96,7 @@ def test_a_service_is_uninstalled_once_it_is_disabled(ran: Any, session: Path, h
     assert not unit.exists()
 
 
-def test_a_service_of_the_system_runs_as_the_files_owner(ran: Any, session: Path, home: Path) -> None:
+def test_service_of_system_runs_as_files_owner(ran: Any, session: Path, home: Path) -> None:
     code, out, _ = ran("install", "--system", session)
     assert code == 0
     assert "sudo systemctl enable --now rsb-console-robot1.service" in out
@@ -113,7 +113,7 @@ def test_a_service_of_the_system_runs_as_the_files_owner(ran: Any, session: Path
 
 
 @pytest.mark.parametrize(("folder", "protected"), [("/home/anna/bridge", "read-only"), ("/etc/rsb-console", "true")])
-def test_a_service_of_the_system_sees_its_session_file(folder: str, protected: str) -> None:
+def test_service_of_system_sees_its_session_file(folder: str, protected: str) -> None:
     made = Service(Path(folder) / "robot1.yaml", ("/usr/bin/rsb-console",), system=True, user="ros")
     assert f"ProtectHome={protected}" in made.text().splitlines()
 
@@ -150,7 +150,7 @@ def test_a_setup_file_is_sourced_first(ran: Any, session: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("stem", ["robot1", "a robot $HOME 50%", "ünï"])
-def test_a_name_of_a_unit_is_one_that_systemd_takes(stem: str) -> None:
+def test_name_of_unit_is_one_that_systemd_takes(stem: str) -> None:
     assert set(unit_name(Path(f"/x/{stem}.yaml"))) <= set(
         "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789:_.-"
     )

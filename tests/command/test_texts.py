@@ -13,7 +13,7 @@ from rsb_bridge.model.wording import Wording
 _DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_it_has_texts_of_several_words_and_no_docstrings() -> None:
+def test_texts_have_several_words_and_no_docstrings() -> None:
     found = runpy.run_path(str(_DOCS / "texts.py"))["page"]().splitlines()
     assert "# bridge/rsb_bridge/wire/protocol_error.py" in found
     assert not any(line.startswith("Attributes:") for line in found)
@@ -24,7 +24,7 @@ class Sample(Wording):
     PLAIN = "100% of (all)"
 
 
-def test_a_code_is_found_by_its_words_whatever_its_parameters() -> None:
+def test_code_is_found_by_words_without_parameters() -> None:
     text = Sample.LONG(name="a", length=4096, limit=8)
     assert text == "'a' has 4,096 bytes; at most 8"
     assert says(f"error:\n  {text}.", Sample.LONG)

@@ -102,7 +102,7 @@ def test_check_names_the_line_that_demands(tmp_path: Path) -> None:
     assert "pc.yaml:7" in listed
 
 
-def test_what_a_robot_gets_when_its_arming_ends_is_shown_with_the_line(tmp_path: Path) -> None:
+def test_rest_at_end_of_arming_is_shown(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text(
         "name: r\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 5\nuse_encryption: false\n"
@@ -135,12 +135,12 @@ def test_what_a_robot_gets_when_its_arming_ends_is_shown_with_the_line(tmp_path:
 
 
 @pytest.mark.parametrize("topic", [Topic("/a", "receive", on_end="zero"), Topic("/a", "receive", kind="service")])
-def test_only_a_topic_that_has_to_be_armed_has_an_end(topic: Topic) -> None:
+def test_only_topic_to_be_armed_has_end(topic: Topic) -> None:
     topic = msgspec.structs.replace(topic, on_end="zero")
     assert "on_end" in {problem.location for problem in topic_problems(topic, "", None, None)}
 
 
-def test_a_line_that_only_limits_the_age_demands_no_arming() -> None:
+def test_line_that_only_limits_age_demands_no_arming() -> None:
     entries = (
         Topic("/scan", "transmit", max_age=0.0),
         Topic("/odom", "transmit", max_age=2.0),
@@ -150,7 +150,7 @@ def test_a_line_that_only_limits_the_age_demands_no_arming() -> None:
     assert not any("armed" in line for line in summary(session))
 
 
-def test_the_limit_that_a_name_has_from_another_line_is_shown() -> None:
+def test_limit_from_other_line_is_shown() -> None:
     entries = Topic("/cmd*", "receive", arm=True, max_age=0.5), Topic("/cmd_vel", "receive"), Topic("/arm", "receive")
     session = Session(
         name="r", role="client", server_ip="::1", server_port=1, topics=entries, armed=(ArmedName("/arm", deadman=0.0),)

@@ -53,7 +53,7 @@ def entry(name: str, fields: str) -> str:
     return f"{CLIENT}{name}:\n  - {fields}\n"
 
 
-def test_a_session_lists_what_is_called_beside_its_topics() -> None:
+def test_session_lists_what_is_called_beside_its_topics() -> None:
     assert parse(CLIENT + EVERY_KIND, FILE).topics == (
         Topic("/scan", "transmit"),
         Topic("/map_server/load_map", "receive", kind="service", timeout=5.0),
@@ -81,7 +81,7 @@ def test_a_server_lists_it_under_its_clients() -> None:
     assert client.topics == parse(CLIENT + EVERY_KIND, FILE).topics
 
 
-def test_what_is_saved_is_read_again_in_the_lists_of_each_kind() -> None:
+def test_saved_lists_are_read_again_by_kind() -> None:
     session = parse(CLIENT + EVERY_KIND, FILE)
     mixed = replace(session, topics=session.topics[::-1])
     for each in (session, mixed):
@@ -126,7 +126,7 @@ def test_what_is_saved_is_read_again_in_the_lists_of_each_kind() -> None:
         ("type: p/action/A", TopicMistake.TYPE_OF_OTHER_KIND, {"kind": "an action"}),
     ],
 )
-def test_a_mistake_of_a_service_has_its_line_and_key(fields: str, code: Wording, parameters: dict[str, Any]) -> None:
+def test_mistake_of_service_has_its_line_and_key(fields: str, code: Wording, parameters: dict[str, Any]) -> None:
     (problem,) = problems(service(fields))
     assert has(problem, 7, f"services[0].{fields.partition(':')[0]}", code, parameters)
 
@@ -157,7 +157,7 @@ def test_a_mistake_of_a_service_has_its_line_and_key(fields: str, code: Wording,
         ("topics", "{topic: /a, direction: transmit, node: /n}", "node", ForeignKey.NOT_A_TOPIC, {}),
     ],
 )
-def test_a_mistake_of_an_entry_has_its_line_and_key(
+def test_mistake_of_entry_has_its_line_and_key(
     kind: str, fields: str, key: str, code: Wording, parameters: dict[str, Any]
 ) -> None:
     (problem,) = problems(entry(kind, fields))
@@ -191,7 +191,7 @@ def test_a_mistake_has_its_line_and_place(text: str, place: str, code: Wording, 
     assert says(problem.message, code, **parameters)
 
 
-def test_a_topic_a_service_and_an_action_may_have_one_name() -> None:
+def test_topic_service_and_action_may_have_one_name() -> None:
     lists = "topics: [{topic: /d, direction: transmit}]\nservices: [{service: /d, provider: client}]\n"
     lists += "actions: [{action: /d, provider: client}]\nparameters: [{node: /d, provider: client}]\n"
     assert len({topic.identity for topic in parse(CLIENT + lists, FILE).topics}) == 4
@@ -208,7 +208,7 @@ def test_names_leave_room_for_what_belongs_to_them() -> None:
 @pytest.mark.parametrize(
     ("field", "value"), [("qos", 5), ("expected_rate", 1.0), ("stale_after", 3.0)]
 )  # fmt: skip
-def test_what_a_file_cannot_say_is_refused_where_a_session_is_made_otherwise(field: str, value: Any) -> None:
+def test_session_refuses_what_file_cannot_say(field: str, value: Any) -> None:
     """By a peer's proposal, or a program at the control socket."""
     topic = Topic("/d", "transmit", kind="service", **{field: value})
     assert [problem.location for problem in validate_topic(topic)] == [field]
@@ -241,7 +241,7 @@ def test_a_save_changes_only_what_changed(change: Any, before: str, after: str, 
     assert same(load(path), session)
 
 
-def test_the_first_service_of_a_file_begins_a_list(tmp_path: Path) -> None:
+def test_first_service_of_file_begins_list(tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
     path.write_text(f"{CLIENT}topics:\n  - {{topic: /scan, direction: transmit}}  # laser\n# the end\n")
     opened = load_file(path)
@@ -290,7 +290,7 @@ def test_an_entry_says_all_of_a_topic(topic: Topic) -> None:
     assert set(written.__struct_fields__) == set(KEYS[topic.kind])
 
 
-def test_differences_are_told_in_the_words_of_the_file() -> None:
+def test_differences_are_told_in_words_of_file() -> None:
     old = Topic("/dock", "transmit", kind="service")
     new = replace(old, remote_topic="/robot/dock", timeout=5.0)
     assert changes(old, new) == ["timeout none → 5.0", "remote_service none → /robot/dock"]
@@ -299,7 +299,7 @@ def test_differences_are_told_in_the_words_of_the_file() -> None:
     assert unsaved(session, replace(session, topics=(Topic("/dock", "transmit"), new))) == "added /dock, /dock"
 
 
-def test_a_form_is_told_of_mistakes_by_the_fields_of_a_topic() -> None:
+def test_form_names_mistakes_by_topics_fields() -> None:
     session = parse(CLIENT + EVERY_KIND, FILE)
     new = Topic("dock", "transmit", remote_topic="x", kind="service", timeout=0.0)
     assert set(problems_of(new, session, None)) == {"topic", "remote_topic", "timeout"}

@@ -55,7 +55,7 @@ def test_what_was_written_is_read_as_it_stands(text: str, fields: object) -> Non
         ("é" * (FIELDS_LENGTH // 2 + 1), FieldProblem.TOO_LONG, {}),
     ],
 )
-def test_a_text_that_is_no_mapping_of_fields_is_refused(text: str, code: Wording, parameters: dict[str, Any]) -> None:
+def test_text_without_mapping_is_refused(text: str, code: Wording, parameters: dict[str, Any]) -> None:
     with pytest.raises(FieldError) as refused:
         read_fields(text)
     assert says(refused.value, code, **parameters)
@@ -132,7 +132,7 @@ def test_the_largest_answer_takes_a_moment() -> None:
 
 
 @given(st.text(st.characters(codec="utf-8")))
-def test_no_text_of_a_message_does_anything_to_a_terminal(words: str) -> None:
+def test_no_text_of_message_does_anything_to_terminal(words: str) -> None:
     text = write_fields(Decoded({"data": words + "\u202e\x1b[2J"}))
     assert "\u202e" not in text
     assert "\x1b" not in text

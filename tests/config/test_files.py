@@ -51,7 +51,7 @@ def umask(request: pytest.FixtureRequest) -> Iterator[int]:
 
 
 @pytest.mark.usefixtures("umask")
-def test_a_new_file_is_its_owners_from_the_start(tmp_path: Path) -> None:
+def test_new_file_is_its_owners_from_start(tmp_path: Path) -> None:
     with new_file(tmp_path / "a") as file:
         assert mode(tmp_path / "a") == 0o600
         file.write("x")
@@ -61,7 +61,7 @@ def test_a_new_file_is_its_owners_from_the_start(tmp_path: Path) -> None:
     assert mode(tmp_path / "b") == mode(tmp_path / "c.key") == 0o600
 
 
-def test_a_file_that_others_could_read_is_the_owners_after_it_is_written(tmp_path: Path) -> None:
+def test_readable_file_is_owners_after_writing(tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_text("old")
     path.chmod(0o666)
@@ -75,7 +75,7 @@ def test_half_a_new_file_does_not_stay(tmp_path: Path) -> None:
     assert not (tmp_path / "a").exists()
 
 
-def test_no_symbolic_link_is_followed_to_a_new_file(tmp_path: Path) -> None:
+def test_no_symbolic_link_is_followed_to_new_file(tmp_path: Path) -> None:
     (tmp_path / "a").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="a"), new_file(tmp_path / "a"):
         pass
@@ -84,7 +84,7 @@ def test_no_symbolic_link_is_followed_to_a_new_file(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be somebody else")
 @pytest.mark.parametrize("is_there", [True, False])
-def test_a_symbolic_link_of_another_user_is_not_followed(tmp_path: Path, *, is_there: bool) -> None:
+def test_symbolic_link_of_another_user_is_not_followed(tmp_path: Path, *, is_there: bool) -> None:
     target, link = tmp_path / "target", tmp_path / "link"
     if is_there:
         target.write_text("old")
@@ -145,7 +145,7 @@ def writes(tree: ast.AST) -> bool:
     return False
 
 
-def test_no_module_writes_files_but_by_the_functions_that_keep_them_private() -> None:
+def test_all_modules_write_files_privately() -> None:
     found = {
         path.relative_to(package).as_posix()
         for package in PACKAGES

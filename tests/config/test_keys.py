@@ -39,7 +39,7 @@ def test_a_key_is_one_that_fernet_takes(tmp_path: Path) -> None:
     assert generate() != generate()
 
 
-def test_the_thesis_key_file_with_its_date_is_read(tmp_path: Path) -> None:
+def test_thesis_key_file_with_its_date_is_read(tmp_path: Path) -> None:
     """Its generate_key.py wrote a line with the date, an empty one, and the key without a line's end."""
     path = tmp_path / "key.txt"
     key = Fernet.generate_key().decode()
@@ -49,7 +49,7 @@ def test_the_thesis_key_file_with_its_date_is_read(tmp_path: Path) -> None:
     assert read_key(path) == read_key(plain)
 
 
-def test_a_key_file_is_never_overwritten_unless_told_to(tmp_path: Path) -> None:
+def test_key_file_is_never_overwritten_unless_told_to(tmp_path: Path) -> None:
     path = tmp_path / "key.txt"
     old = write_key(path)
     with pytest.raises(KeyFileError, match=pattern(KeyFileProblem.EXISTS, path=path)):
@@ -60,7 +60,7 @@ def test_a_key_file_is_never_overwritten_unless_told_to(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_dangling_link_is_not_followed_by_a_new_key(tmp_path: Path) -> None:
+def test_dangling_link_is_not_followed_by_new_key(tmp_path: Path) -> None:
     link = tmp_path / "key.txt"
     link.symlink_to(tmp_path / "elsewhere")
     with pytest.raises(KeyFileError, match=pattern(KeyFileProblem.EXISTS, path=link)):
@@ -86,7 +86,7 @@ def test_a_fingerprint_is_the_start_of_the_sha256(tmp_path: Path) -> None:
     assert fingerprint(read_key(path)) == "ea43 1b01 33d7 512f"
 
 
-def test_a_key_that_others_can_read_comes_with_a_warning(tmp_path: Path) -> None:
+def test_key_that_others_can_read_comes_with_warning(tmp_path: Path) -> None:
     path = tmp_path / "key.txt"
     write_key(path)
     path.chmod(0o640)
@@ -94,7 +94,7 @@ def test_a_key_that_others_can_read_comes_with_a_warning(tmp_path: Path) -> None
     assert says(warning, KeyWarning.READABLE, path=path, mode="0640")
 
 
-def test_a_key_that_others_can_replace_comes_with_a_warning(tmp_path: Path) -> None:
+def test_key_that_others_can_replace_comes_with_warning(tmp_path: Path) -> None:
     folder = tmp_path / "open"
     folder.mkdir()
     write_key(folder / "key.txt")
@@ -109,7 +109,7 @@ def test_a_key_that_others_can_replace_comes_with_a_warning(tmp_path: Path) -> N
     assert read_key(link).warnings == (), "as in /tmp: only its owner replaces a file there"
 
 
-def test_a_key_of_another_user_comes_with_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_key_of_another_user_comes_with_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "key.txt"
     write_key(path)
     owner = path.stat().st_uid
@@ -177,7 +177,7 @@ def test_a_keys_file_says_when_it_was_written(tmp_path: Path) -> None:
         (base64.urlsafe_b64encode(bytes(range(16)) * 2), KeyFileProblem.WEAK, {"count": 2}),
     ],
 )
-def test_a_file_without_a_key_is_refused_and_not_quoted(
+def test_file_without_key_is_refused_and_not_quoted(
     tmp_path: Path, content: bytes, code: KeyFileProblem, parameters: dict[str, int]
 ) -> None:
     path = tmp_path / "key.txt"
@@ -188,7 +188,7 @@ def test_a_file_without_a_key_is_refused_and_not_quoted(
     assert len(content.strip()) < 5 or content.decode("ascii", "replace").strip() not in str(caught.value)
 
 
-def test_a_passphrase_in_place_of_a_key_comes_with_a_warning(tmp_path: Path) -> None:
+def test_passphrase_in_place_of_key_comes_with_warning(tmp_path: Path) -> None:
     path = tmp_path / "key.txt"
     write_key(path)
     path.write_bytes(base64.urlsafe_b64encode(b"correct horse battery staple, 42"))

@@ -177,7 +177,7 @@ def test_a_topic_name_is_measured_with_its_prefix() -> None:
 
 
 @pytest.mark.parametrize(("variable", "domain"), [(None, 0), ("", 0), (" 7 ", 7), ("232", 232)])
-def test_the_domain_is_the_session_s_else_the_environment_s(variable: str | None, domain: int) -> None:
+def test_domain_is_session_s_else_environment_s(variable: str | None, domain: int) -> None:
     session = Session(name="a", role="server", server_ip="::", server_port=1)
     assert domain_of(session, variable) == domain
     assert domain_of(msgspec.structs.replace(session, domain_id=3), variable) == 3

@@ -54,7 +54,7 @@ def entries(lock: str) -> list[tuple[str, str, str, list[str]]]:
 
 
 @pytest.mark.parametrize("lock", NAMED)
-def test_a_lock_has_all_that_is_named_with_hashes(lock: str) -> None:
+def test_lock_has_all_that_is_named_with_hashes(lock: str) -> None:
     """After a change of pyproject.toml, run `make lock`."""
     locked = entries(lock)
     assert all(hashes and all(re.fullmatch(r"sha256:[0-9a-f]{64}", each) for each in hashes) for *_, hashes in locked)

@@ -85,7 +85,7 @@ def clients(entry: str) -> str:
         ("topic: /other", YamlMistake.DUPLICATE_KEY, {"line": 7}),
     ],
 )
-def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, parameters: dict[str, Any]) -> None:
+def test_mistake_of_topic_has_its_line_and_key(fields: str, code: Wording, parameters: dict[str, Any]) -> None:
     (problem,) = problems(topic(fields))
     assert has(problem, 7, f"topics[0].{fields.partition(':')[0]}", code, parameters)
 
@@ -205,7 +205,7 @@ def test_a_mistake_names_its_entry(text: str, line: int, place: str) -> None:
     assert refusal.startswith(f"robot1.yaml:{line}: {place}: ")
 
 
-def test_every_mistake_of_a_file_comes_at_once_in_its_order() -> None:
+def test_all_mistakes_come_at_once_in_order() -> None:
     found = refusals(
         "name: robot1\nrole: clint\nserver_ip: ''\nserver_port: 0\ncolour: red\ntopics:\n"
         "  - {topic: scan, direction: transmit, protocol: tpc, max_rate: 0}\n"
@@ -226,14 +226,14 @@ def test_every_mistake_of_a_file_comes_at_once_in_its_order() -> None:
     assert [int(line) for line, _ in places] == sorted(int(line) for line, _ in places)
 
 
-def test_a_mistake_is_not_held_against_what_rests_on_it() -> None:
+def test_consequences_of_mistake_are_no_mistakes() -> None:
     """A mistyped direction could be either: it makes no duplicate of the topic's other direction."""
     found = refusals(CLIENT + "topics:\n  - {topic: /a, direction: transmit}\n  - {topic: /a, direction: recieve}\n")
     assert len(found) == 1
     assert "topic /a, direction" in found[0]
 
 
-def test_the_same_topic_twice_in_one_direction_is_refused_and_both_ways_is_not() -> None:
+def test_repeated_topic_is_refused_both_ways_is_not() -> None:
     both = CLIENT + "topics:\n  - {topic: /a, direction: transmit}\n  - {topic: /a, direction: receive}\n"
     assert len(parse(both, FILE).topics) == 2
     (problem,) = problems(both + "  - {topic: /a, direction: receive, protocol: udp}\n")
@@ -242,7 +242,7 @@ def test_the_same_topic_twice_in_one_direction_is_refused_and_both_ways_is_not()
 
 
 @pytest.mark.parametrize("use_name", ["", "use_name: true\n"])
-def test_one_topic_of_the_server_cannot_come_under_two_names(use_name: str) -> None:
+def test_one_topic_of_server_has_one_name(use_name: str) -> None:
     """The bridge refuses such a route, and did not start."""
     of_server = "/robot1/a" if use_name else "/a"
     text = CLIENT + use_name + "topics:\n  - {topic: /a, direction: receive}\n"
@@ -253,7 +253,7 @@ def test_one_topic_of_the_server_cannot_come_under_two_names(use_name: str) -> N
     assert says(problem.message, SessionMistake.SOURCE_TWICE, name="/a", remote=of_server)
 
 
-def test_two_topics_cannot_have_one_port_of_their_own_unless_protocols_differ() -> None:
+def test_topics_share_port_only_with_different_protocols() -> None:
     text = CLIENT + "topics:\n  - {topic: /a, direction: transmit, port: 5000}\n"
     assert parse(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: udp}\n", FILE)
     (problem,) = problems(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: tcp}\n")
@@ -292,7 +292,7 @@ def test_topics_may_share_a_channel_of_their_own(head: str) -> None:
         ("name: !!KEY x\n", 1, "name", YamlMistake.TAG, {"tag": "tag:yaml.org,2002:<a key>"}),
     ],
 )
-def test_a_key_in_a_wrong_place_is_refused_without_being_quoted(
+def test_misplaced_key_is_refused_unquoted(
     text: str, line: int | None, location: str, code: Wording, parameters: dict[str, Any]
 ) -> None:
     key = "VdzT2kwMacThZWkBigjbtte9iRjW8djEJ10JiemVwLM="
@@ -302,14 +302,14 @@ def test_a_key_in_a_wrong_place_is_refused_without_being_quoted(
 
 
 @pytest.mark.parametrize("text", ["name: !KEY! x\n", "name: *KEY\n"])
-def test_a_key_that_is_no_yaml_is_not_quoted_either(text: str) -> None:
+def test_key_that_breaks_yaml_is_unquoted(text: str) -> None:
     key = "VdzT2kwMacThZWkBigjbtte9iRjW8djEJ10JiemVwLM="
     (refusal,) = refusals(text.replace("KEY", key))
     assert refusal.startswith("robot1.yaml:1: ")
     assert key[:20] not in refusal
 
 
-def test_a_key_that_lost_its_padding_is_not_quoted_either_and_long_names_are() -> None:
+def test_key_without_padding_is_unquoted_long_names_quoted() -> None:
     key = "VdzT2kwMacThZWkBigjbtte9iRjW8djEJ10JiemVwLM"
     (problem,) = problems(CLIENT + f"domain_id: {key}\n")
     assert says(problem.message, ValueMistake.MISFIT, value="'<a key>'")
@@ -406,7 +406,7 @@ def test_a_group_is_kept() -> None:
     assert [client.group for client in session.accepted_clients] == ["yard", None]
 
 
-def test_a_form_has_the_same_rules_as_a_file() -> None:
+def test_form_has_same_rules_as_file() -> None:
     (problem,) = validate_topic(Topic(topic="scan", direction="transmit"))
     assert (problem.location, problem.line) == ("topic", None)
     assert says(problem.message, Hint.DID_YOU_MEAN, name="/scan")

@@ -46,7 +46,7 @@ def test_only_topics_that_say_nothing_are_named() -> None:
     assert list(without_max_age(session)) == ["/cmd_a"]
 
 
-def test_a_topic_that_another_line_limits_is_not_named() -> None:
+def test_topic_that_another_line_limits_is_not_named() -> None:
     topics = (Topic("/cmd_a", "receive"), Topic("/cmd_b", "receive"), Topic("/*_b", "receive", max_age=0.5))
     session = Session(name="robot1", role="client", server_ip="127.0.0.1", topics=topics, armed=("/cmd_a",))
     assert not list(without_max_age(session))

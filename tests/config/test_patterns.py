@@ -69,7 +69,7 @@ def test_patterns_are_read() -> None:
     ],
     ids=lambda value: value.topic if isinstance(value, Topic) else value,
 )
-def test_a_mistake_is_at_the_key_that_has_it(topic: Topic, where: str) -> None:
+def test_mistake_is_at_key_that_has_it(topic: Topic, where: str) -> None:
     assert locations(topic) == {where}
 
 
@@ -90,7 +90,7 @@ def test_what_is_right_has_no_mistakes(topic: Topic) -> None:
     assert locations(topic, bluetooth) == set()
 
 
-def test_one_pattern_is_listed_once_and_too_many_are_refused() -> None:
+def test_repeated_patterns_merge_too_many_are_refused() -> None:
     with pytest.raises(SessionError) as caught:
         read("topics:\n" + "  - {topic: /a/*, direction: transmit}\n" * 2)
     assert [problem.location for problem in caught.value.problems] == ["topics[1]"]
@@ -126,7 +126,7 @@ def test_exceptions_are_told_as_the_file_has_them() -> None:
 
 
 @pytest.mark.parametrize(("topic", "moves"), [("/**", True), ("/cmd_*", True), ("/camera/*", False)])
-def test_who_receives_by_a_pattern_is_told_what_may_move_the_robot(topic: str, moves: bool) -> None:
+def test_receiver_by_pattern_is_told_what_moves_robot(topic: str, moves: bool) -> None:
     (listing,) = listings(read(f"topics:\n  - {{topic: {topic}, direction: receive}}\n"))
     assert ("/cmd_vel" in listing.moves) == moves
     (listing,) = listings(read(f"topics:\n  - {{topic: {topic}, direction: transmit}}\n"))

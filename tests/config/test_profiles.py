@@ -47,7 +47,7 @@ def test_what_is_given_wins() -> None:
     assert (given.compression, none.compression) == ("none", "zstd")
 
 
-def test_a_client_s_profile_is_stronger_than_its_server_s() -> None:
+def test_clients_profile_overrides_servers() -> None:
     assert profile_of("wifi", "lte") is PROFILES["wifi"]
     assert profile_of(None, "lte") is PROFILES["lte"]
     assert profile_of(None, None) is NO_PROFILE is PROFILES["lan"]
@@ -60,7 +60,7 @@ def test_a_radio_is_no_network(profile: str) -> None:
     assert [problem.location for problem in refused.value.problems] == ["profile"]
 
 
-def test_it_is_kept_in_the_file_and_while_the_bridge_runs() -> None:
+def test_profile_is_kept_in_file_and_bridge() -> None:
     wifi, lte = session("wifi"), session("lte")
     assert parse(dump(wifi), Path("again.yaml")) == wifi
     unchanged, left = kept(wifi, lte)

@@ -150,7 +150,7 @@ def test_of_several_rates_the_lowest_counts() -> None:
     assert rights.max_rate(Use("/scan", "read", "tcp")) == 0.0
 
 
-def test_a_peer_is_shown_what_it_may_read_or_publish() -> None:
+def test_peer_is_shown_what_it_may_use() -> None:
     rights = on_client(allow=(DRIVE,), deny=("/secret",))
     assert rights.shows("/cmd_vel")
     assert not rights.shows("/scan")
@@ -234,7 +234,7 @@ def test_what_is_typed_in_one_line() -> None:
         ({"deny": (Grant("*", may="look"),), "allow": ("/scan",)}, DeniedRemedy.NARROW_DENY),
     ],
 )
-def test_a_view_needs_the_right_to_look_at_something(rights: dict[str, Any], remedy: Wording | None) -> None:
+def test_view_needs_right_to_look_at_something(rights: dict[str, Any], remedy: Wording | None) -> None:
     refusal = on_server(**rights).no_look()
     if remedy is None:
         assert refusal is None
@@ -253,7 +253,7 @@ def test_a_view_needs_the_right_to_look_at_something(rights: dict[str, Any], rem
         ("/navigate/_action/send_goal", call("/navigate", "action")),
     ],
 )
-def test_who_is_denied_a_part_has_no_way_around_by_the_whole(denied: str, use: Use) -> None:
+def test_denied_part_is_denied_by_whole(denied: str, use: Use) -> None:
     for rights in (
         on_server(deny=(denied,)),
         rights_of_server(
@@ -273,7 +273,7 @@ def test_calls_have_a_rate_of_their_own() -> None:
     assert rights.max_rate(Use("/dock", "publish")) == 1.0
 
 
-def test_names_that_nothing_may_be_done_with_are_not_shown() -> None:
+def test_useless_names_are_not_shown() -> None:
     rights = on_client(topics=(DOCK, NAVIGATE), deny=("/navigate",))
     assert rights.shows("/dock", "service")
     assert not rights.shows("/dock", "action")
@@ -291,7 +291,7 @@ def test_names_that_nothing_may_be_done_with_are_not_shown() -> None:
         (False, False, Use("/near", "serve", "tcp", "service")),
     ],
 )
-def test_whose_nodes_call_decides_what_a_proposal_asks_for(from_client: bool, is_client: bool, use: Use) -> None:
+def test_whose_nodes_call_decides_what_proposal_asks_for(from_client: bool, is_client: bool, use: Use) -> None:
     """`Propose.topic` is the name on the callers' side."""
     proposal = Propose(
         route=1, topic="/near", remote_topic="/far", from_client=from_client, transport="tcp", kind="service", type="",
@@ -332,7 +332,7 @@ def test_a_mistake_has_its_place_and_words(
     assert has(problem, 6, location, code, parameters)
 
 
-def test_the_table_says_what_may_be_called_and_what_of_it_changes_a_robot() -> None:
+def test_table_tells_callable_names_and_effects() -> None:
     clients = (
         Client("open"),
         Client("named", use_name=True),
@@ -358,7 +358,7 @@ def test_the_table_says_what_may_be_called_and_what_of_it_changes_a_robot() -> N
     }  # fmt: skip
 
 
-def test_on_a_client_the_table_says_what_its_lists_let_the_server_do() -> None:
+def test_clients_table_tells_what_server_may_do() -> None:
     state = Topic("/n/get_state", "receive", kind="service")
     (found,) = listings(Session(**CLIENT, topics=(DOCK, MAP, NAVIGATE, state)))
     rows = {row.may: row.topics for row in found.rows}
@@ -368,7 +368,7 @@ def test_on_a_client_the_table_says_what_its_lists_let_the_server_do() -> None:
     assert set(found.acts) == {"/dock", "/navigate (action)"}
 
 
-def test_what_deny_would_refuse_and_crosses_all_the_same_is_warned_of() -> None:
+def test_crossing_despite_deny_is_warned_of() -> None:
     """On either side; what `allow` does not name is no contradiction, since own entries need none."""
     given: dict[str, Any] = {"topics": (DOCK, MAP, Topic("/a", "transmit")), "allow": ("/b",), "deny": ("/dock",)}
     session = Session(**CLIENT, **given, domain_id=3)

@@ -60,9 +60,7 @@ def test_rosdep_knows_all_that_the_package_needs() -> None:
 
 
 @pytest.mark.parametrize(("own", "expected"), [(True, "own"), (False, "on PATH")])
-def test_ros2_run_starts_the_prefixs_own_command_else_the_one_on_path(
-    own: bool, expected: str, prefix: Path, tmp_path: Path
-) -> None:
+def test_ros2_run_prefers_command_of_prefix(own: bool, expected: str, prefix: Path, tmp_path: Path) -> None:
     command_in(tmp_path / "path", "on PATH")
     if own:
         command_in(prefix / "bin", "own")

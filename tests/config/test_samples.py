@@ -28,7 +28,7 @@ PAGES = [
 UNIT = CONFIGS / "rsb-console@.service"
 
 
-def test_the_two_sides_of_the_readmes_first_bridge_fit() -> None:
+def test_two_sides_of_readmes_first_bridge_fit() -> None:
     readme = (CONFIGS.parent / "README.md").read_text(encoding="utf-8")
     server, client = (parse(block.partition("```")[0], Path("README.md")) for block in readme.split("```yaml\n")[1:])
     assert (server.role, client.role) == ("server", "client")
@@ -44,7 +44,7 @@ def test_links_between_the_pages_lead_somewhere(page: Path) -> None:
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
-def test_a_sample_holds_no_key_and_needs_nothing_beside_it(path: Path, tmp_path: Path) -> None:
+def test_sample_holds_no_key_and_stands_alone(path: Path, tmp_path: Path) -> None:
     assert parse(path.read_text(encoding="utf-8"), tmp_path / path.name) == load(path)
 
 

@@ -201,7 +201,7 @@ def test_only_what_changed_changes(
     assert edited(text, tmp_path, change) == text.replace(old, new)
 
 
-def test_the_clients_of_a_server_keep_their_comments_too(tmp_path: Path) -> None:
+def test_clients_of_server_keep_their_comments_too(tmp_path: Path) -> None:
     text = next(path for path in CONFIGS if path.stem == "control-pc").read_text()
 
     def change(session: Session) -> Session:
@@ -217,7 +217,7 @@ def test_the_clients_of_a_server_keep_their_comments_too(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("text", ["? topics\n: - {topic: /a, direction: receive}\n", "? domain_id\n: 3\n"])
-def test_a_layout_that_cannot_be_edited_is_said_and_left_alone(tmp_path: Path, text: str) -> None:
+def test_uneditable_layout_is_left_alone(tmp_path: Path, text: str) -> None:
     with pytest.raises(UneditableError, match=pattern(SavingProblem.LAYOUT)):
         edited(HEAD + text, tmp_path, lambda session: replace(session, topics=(), domain_id=None))
     assert (tmp_path / "robot1.yaml").read_text() == HEAD + text
@@ -239,7 +239,7 @@ def test_what_a_file_said_before_is_kept_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mode", [0o600, 0o640, 0o664])
-def test_a_file_keeps_its_mode_and_a_new_one_is_the_users_alone(tmp_path: Path, mode: int) -> None:
+def test_file_keeps_mode_new_one_is_private(tmp_path: Path, mode: int) -> None:
     path = tmp_path / "robot1.yaml"
     save(parse(HEAD, path), path)
     assert path.stat().st_mode & 0o777 == 0o600
@@ -258,7 +258,7 @@ def test_a_file_keeps_its_owner(tmp_path: Path) -> None:
     assert (path.stat().st_uid, path.stat().st_gid) == (1234, 5678)
 
 
-def test_a_read_only_file_is_refused_with_the_remedy(tmp_path: Path) -> None:
+def test_read_only_file_is_refused_with_remedy(tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
     path.write_text(HEAD)
     path.chmod(0o444)
@@ -302,7 +302,7 @@ clients:
         ),
     ],
 )  # fmt: skip
-def test_what_a_server_proposes_is_kept_under_the_client(
+def test_what_server_proposes_is_kept_under_client(
     tmp_path: Path, change: Callable[[Client, Client], tuple[Client, ...]], old: str, new: str
 ) -> None:
     now = edited(SERVER, tmp_path, lambda session: replace(session, clients=change(*session.listed_clients)))
@@ -561,7 +561,7 @@ def merged(text: str, session: Session) -> str:
     return merge(text, read_yaml(text, path).root, parse(text, path), session)
 
 
-def test_a_file_that_was_changed_on_disk_is_not_overwritten(tmp_path: Path) -> None:
+def test_file_changed_on_disk_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
     path.write_text(FLOWS)
     opened = load_file(path)

@@ -31,7 +31,7 @@ def taken(script: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("script", [SCRIPT, *OF_FEATURES], ids=lambda script: script.stem)
-def test_each_picture_is_taken_by_the_script_beside_it(script: Path) -> None:
+def test_each_picture_is_taken_by_script_beside(script: Path) -> None:
     assert taken(script) == {picture.stem for picture in (script.parent / "pictures").glob("*.svg")}
 
 
@@ -40,7 +40,7 @@ def words_of(name: str) -> str:
     return unescape(picture).replace("\xa0", " ")
 
 
-def test_the_picture_of_the_help_has_the_present_keys() -> None:
+def test_picture_of_help_has_present_keys() -> None:
     words = words_of("help")
     missing = [each.id for each in ACTIONS if each.group in (Group.MOVE, Group.VIEW) and each.help not in words]
     assert not missing, "make screenshots"

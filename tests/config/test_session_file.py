@@ -126,7 +126,7 @@ def test_a_session_with_mistakes_is_not_saved(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["fifo", "link", "folder"])
-def test_what_is_no_file_is_not_replaced_by_one(tmp_path: Path, name: str) -> None:
+def test_only_files_are_replaced(tmp_path: Path, name: str) -> None:
     """Here a FIFO, a link to one, and a folder; a device node, like /dev/null, is refused by the same rule."""
     os.mkfifo(tmp_path / "fifo")
     (tmp_path / "link").symlink_to(tmp_path / "fifo")
@@ -157,7 +157,7 @@ def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_readers_and_a_kill_see_one_whole_session_or_the_other(tmp_path: Path) -> None:
+def test_readers_and_kill_see_one_whole_session(tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
     save(SESSION, path)
     script = (

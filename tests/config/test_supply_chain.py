@@ -36,7 +36,7 @@ def test_actions_are_named_by_their_commit(workflow: Path) -> None:
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.stem)
-def test_a_job_has_no_more_rights_than_it_names(workflow: Path) -> None:
+def test_job_has_no_more_rights_than_it_names(workflow: Path) -> None:
     for name, job in jobs(workflow).items():
         assert job["permissions"], name
         steps = [step.get("uses", "").partition("@")[0] for step in job["steps"]]
@@ -87,11 +87,11 @@ def in_context(path: str) -> bool:
         "bridge/rsb_bridge/__pycache__/api.pyc", "build/deb/x.deb",
     ],
 )  # fmt: skip
-def test_what_lies_in_the_checkout_stays_out_of_the_image(path: str) -> None:
+def test_what_lies_in_checkout_stays_out_of_image(path: str) -> None:
     assert not in_context(path)
 
 
-def test_the_image_gets_what_the_wheel_is_built_from() -> None:
+def test_image_gets_what_wheel_is_built_from() -> None:
     tracked = captured("git", "ls-files", cwd=ROOT, check=True).stdout.splitlines()
     wheel = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
     sources = [
@@ -111,7 +111,7 @@ def test_the_image_gets_what_the_wheel_is_built_from() -> None:
     assert all(any(path == each or path.startswith(f"{each.split('/')[0]}/") for each in sources) for path in allowed)
 
 
-def test_the_containers_session_is_in_a_folder_of_its_own() -> None:
+def test_containers_session_is_in_folder_of_its_own() -> None:
     compose = yaml.safe_load((ROOT / "compose.yaml").read_text(encoding="utf-8"))
     mounts = itertools.chain.from_iterable(service.get("volumes", ()) for service in compose["services"].values())
     binds = [each for each in mounts if each.startswith(".")]

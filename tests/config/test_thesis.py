@@ -109,7 +109,7 @@ def test_a_server(bringup: Path) -> None:
         imported(bringup, name="robot1", key_file="key.txt")
 
 
-def test_bluetooth_leaves_out_what_rfcomm_or_the_session_does_itself(bringup: Path) -> None:
+def test_bluetooth_leaves_out_what_rfcomm_does(bringup: Path) -> None:
     bringup.write_text(BLUETOOTH)
     session, notes = imported(bringup, name="robot1", key_file="key.txt")
     assert session.is_bluetooth

@@ -99,7 +99,7 @@ def said(problems: list[Problem], where: str) -> list[tuple[str, str]]:
         ({"topic": "/**", "excepts": ("/a", f"/{KEY}")}, "except[1]"),
     ],
 )
-def test_a_key_in_place_of_a_text_is_named_and_not_quoted(change: dict[str, Any], place: str) -> None:
+def test_key_instead_of_text_is_named_unquoted(change: dict[str, Any], place: str) -> None:
     (problem,) = entry_problems(Topic(**{"topic": "/scan", "direction": "transmit", **change}))
     assert problem.location == place
     assert problem.message == ValueMistake.IS_A_KEY()

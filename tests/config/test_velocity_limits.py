@@ -94,7 +94,7 @@ def test_check_shows_the_smallest_with_their_lines(path: Path) -> None:
     assert SessionCheckText.LIMITED_PATTERN(limits=VelocityLimits(2.0)) in pattern
 
 
-def test_check_shows_them_on_a_server_without_routes_of_its_own(tmp_path: Path) -> None:
+def test_check_shows_limits_on_server_without_routes(tmp_path: Path) -> None:
     """No entry has the name there; its clients' files do."""
     path = tmp_path / "pc.yaml"
     path.write_text(
@@ -124,7 +124,7 @@ def test_they_belong_to_the_name_and_its_type(path: Path) -> None:
     assert service.limits is None
 
 
-def test_the_line_of_an_entry_in_armed_has_its_limits() -> None:
+def test_armed_line_of_entry_has_its_limits() -> None:
     limited = Topic("/cmd", "receive", arm=True, limits=LIMITS)
     wider = Topic("/cmd", "transmit", arm=True, limits=VelocityLimits(0.6, 0.9))
     lines = tuple(sources_of(Session(name="r", role="client", server_ip="::1", topics=(limited, wider))))

@@ -28,7 +28,7 @@ def faults(*routes: RouteSnapshot, links: tuple[LinkSnapshot, ...] = (LINK,)) ->
     return [fault.name for fault in faults_of(snapshot)]
 
 
-def test_it_is_not_in_the_banner_and_counted_apart() -> None:
+def test_it_is_not_in_banner_and_counted_apart() -> None:
     assert faults(*ROUTES)[0] == FIRST.topic
     assert FIRST.topic not in faults(known(), *OTHERS)
     warned = replace(LINK, warning="two machines are called robot1")
@@ -44,7 +44,7 @@ def test_it_is_not_in_the_banner_and_counted_apart() -> None:
 
 
 @on_main()
-async def test_it_is_listed_after_the_other_faults_dimmed_with_a_mark(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_acknowledged_fault_is_last_dimmed_and_marked(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert listed(app)[0] == FIRST.topic
     put(app, known(), *OTHERS)
     table = app.main.topics

@@ -56,7 +56,7 @@ def test_no_id_and_no_key_twice() -> None:
     assert set(BY_ID) == {action.id for action in ACTIONS}
 
 
-def test_no_action_hangs_on_a_key_that_terminals_eat() -> None:
+def test_no_action_hangs_on_key_that_terminals_eat() -> None:
     for action in ACTIONS:
         assert any(key not in EATEN and not key.startswith("alt+") for key in split_keys(action.keys)), action.id
 
@@ -78,7 +78,7 @@ def test_a_mistake_in_the_users_keys_is_reported(
         load_keymap(path)
 
 
-def test_keys_that_are_no_yaml_are_reported_with_the_line(tmp_path: Path) -> None:
+def test_keys_with_broken_yaml_name_line(tmp_path: Path) -> None:
     path = tmp_path / "keys.yaml"
     path.write_text("pause: [")
     with pytest.raises(PreferenceError, match=r"keys\.yaml(.|\n)*line 1"):
@@ -119,7 +119,7 @@ async def test_bad_keys_leave_the_default_ones(app: ConsoleApp, pilot: Pilot[Non
 
 
 @pytest.mark.parametrize("width", [120, 80])
-def test_help_lists_every_action_with_its_keys_and_id(width: int) -> None:
+def test_help_lists_every_action_with_keys(width: int) -> None:
     app = scripted_app()
 
     async def steps(pilot: Pilot[None]) -> None:
@@ -197,7 +197,7 @@ async def test_the_palette_begins_with_what_is_likely(app: ConsoleApp, pilot: Pi
 
 
 @on_main()
-async def test_the_palette_finds_an_action_by_its_words_and_does_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_palette_finds_action_by_words_and_runs_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("colon", *"faults only")
     await shown(pilot, "Show faults only")
     await pilot.press("enter", "enter")

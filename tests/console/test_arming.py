@@ -59,7 +59,7 @@ async def arm(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 
 @on_main()
-async def test_a_question_that_names_topic_and_robot_comes_before(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_question_that_names_topic_and_robot_comes_before(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, DISARMED)
     await shown(pilot, "A arm")
     await shown(pilot, "⊘ DISARMED")
@@ -72,7 +72,7 @@ async def test_a_question_that_names_topic_and_robot_comes_before(app: ConsoleAp
 
 
 @on_main()
-async def test_a_paused_topic_is_resumed_before_anybody_is_asked(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_paused_topic_is_resumed_before_anybody_is_asked(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, replace(DISARMED, state=State.PAUSED))
     await shown(pilot, "A arm")
     await pilot.press("A")
@@ -82,7 +82,7 @@ async def test_a_paused_topic_is_resumed_before_anybody_is_asked(app: ConsoleApp
 
 
 @on_main()
-async def test_an_armed_topic_is_marked_and_disarmed_at_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_armed_topic_is_marked_and_disarmed_at_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, ARMED)
     await shown(pilot, "◆ ARMED    /cmd_vel")
     await shown(pilot, "◆ 1 ARMED 42 s")
@@ -106,9 +106,7 @@ async def test_a_frozen_list_stops_nobody_from_disarming(app: ConsoleApp, pilot:
 
 
 @on_main()
-async def test_the_key_that_armed_a_topic_disarms_it_wherever_it_and_the_cursor_are(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_key_that_armed_disarms_wherever_cursor_is(app: ConsoleApp, pilot: Pilot[None]) -> None:
     camera = route("/camera")
     put(app, DISARMED, camera)
     await shown(pilot, "A arm")  # DISARMED comes first
@@ -169,7 +167,7 @@ async def test_another_operators_question_is_another_one(app: ConsoleApp, pilot:
 
 
 @on_main()
-async def test_a_question_that_is_over_closes_no_screen_above_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_expired_question_closes_no_screen_above_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
     title = HandOverText.GIVE(topic="/cmd_vel", link="robot1")
     put(app, asked())
     await shown(pilot, title)
@@ -212,7 +210,7 @@ async def test_a_name_is_disarmed_everywhere(app: ConsoleApp, pilot: Pilot[None]
 
 
 @on_main()
-async def test_the_lines_that_demand_and_limit_it_are_among_the_details(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_demanding_and_limiting_lines_are_in_details(app: ConsoleApp, pilot: Pilot[None]) -> None:
     demanded = ArmingSnapshot(armed=False, demanded_by=("robot.yaml:14",))
     put(app, replace(DISARMED, arming=demanded, limits=VelocityLimits(0.5), limited_by=("robot.yaml:15",)))
     for words in ("robot.yaml:14", "at most 0.5 m/s by hand", "robot.yaml:15"):
@@ -393,7 +391,7 @@ def test_a_console_that_dies_disarms(end: str, robot: Robot, tmp_path: Path) -> 
     assert every_so_often(robot.why_disarmed, "disarmed") == "console_gone"
 
 
-def test_the_robot_s_own_console_that_dies_disarms_the_other_side(tmp_path: Path) -> None:
+def test_dying_console_of_robot_disarms_other_side(tmp_path: Path) -> None:
     """Its bridge dies with it: the link drops."""
     pair = armed_pair(tmp_path, ELSEWHERE)
     there = Robot(tmp_path / "server.sock")
@@ -425,7 +423,7 @@ def test_the_command_holds_it_armed_while_it_runs(number: signal.Signals, robot:
     assert robot.why_disarmed() == "console_gone"
 
 
-def test_a_command_that_stands_still_gets_nothing_from_the_holder(robot: Robot) -> None:
+def test_command_that_stands_still_gets_nothing_from_holder(robot: Robot) -> None:
     """It got the topic after the countdown, though nobody was there who would have driven."""
     with robot.arming() as (holder, first), contextlib.ExitStack() as at_end:
         at_end.callback(holder.kill)

@@ -47,9 +47,7 @@ def attached_app(machine: Machine, **options: object) -> ConsoleApp:
     return scripted_app(session=None, path=None, attach_to=machine.folder / "robot1.sock", **options)
 
 
-def test_it_shows_what_the_engine_shows_and_does_what_the_operator_wants(
-    machine: Machine, engine: ScriptedEngine, tmp_path: Path
-) -> None:
+def test_attached_console_shows_and_operates_engine(machine: Machine, engine: ScriptedEngine, tmp_path: Path) -> None:
     app = attached_app(machine)
 
     async def steps(pilot: Pilot[None]) -> None:
@@ -67,7 +65,7 @@ def test_it_shows_what_the_engine_shows_and_does_what_the_operator_wants(
     assert eventually(lambda: bridges.ask(machine.folder / "robot1.sock").info)  # its thread may stand still for 2 s
 
 
-def test_it_says_that_the_bridge_has_ended_and_comes_back(machine: Machine, engine: ScriptedEngine) -> None:
+def test_end_of_bridge_is_told_and_return(machine: Machine, engine: ScriptedEngine) -> None:
     app = attached_app(machine)
 
     async def steps(pilot: Pilot[None]) -> None:

@@ -55,7 +55,7 @@ def test_it_rings_once_when_a_fault_begins() -> None:
     assert rung.sees(SLOW, seconds=60) == 2
 
 
-def test_it_rings_once_for_faults_that_begin_close_together() -> None:
+def test_bell_rings_once_for_faults_close_together() -> None:
     rung = Rung()
     rung.sees(FINE)
     faults = [route(f"/topic{number}", State.DOWN) for number in range(20)]
@@ -65,7 +65,7 @@ def test_it_rings_once_for_faults_that_begin_close_together() -> None:
     assert rung.sees(*faults) == 2
 
 
-def test_it_rings_once_for_a_fault_that_flaps_and_not_for_one_that_was_there_before() -> None:
+def test_bell_rings_once_for_new_flapping_fault() -> None:
     rung = Rung()
     assert rung.sees(SLOW, seconds=60) == 0
     rung.sees(FINE)

@@ -75,7 +75,7 @@ def opened(words: str, keys: Sequence[str]) -> dict[str, int]:
 @pytest.mark.parametrize(
     "form", ["Add a topic", "Generate a key", *long("New session", "Edit", "Sessions", "Save as", "Import")]
 )
-def test_a_sentence_typed_behind_the_key_that_opens_the_form_stands_in_field_after_field(form: str) -> None:
+def test_sentence_after_opening_key_fills_fields(form: str) -> None:
     keys, words = FORMS[form]
     places = dict(list(opened(words, keys).items())[:MOST])
     assert places
@@ -161,7 +161,7 @@ def in_tmux(tmux: Tmux, how: str, text: str, folder: Path) -> None:
 
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("how", ["typed", "pasted"])
-def test_in_tmux_all_fields_of_each_form_at_once(how: str, tmp_path: Path) -> None:
+def test_in_tmux_all_forms_take_all_fields(how: str, tmp_path: Path) -> None:
     save(SESSION, Path("nav2.yaml"))
     command = shlex.join([sys.executable, "-m", "tests.console.scripted_console"])
     path = os.pathsep.join(p for p in sys.path if p)
@@ -201,7 +201,7 @@ async def test_a_filter_and_what_follows_it(app: ConsoleApp, pilot: Pilot[None])
 
 
 @on_main()
-async def test_a_question_is_answered_by_the_key_behind_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_question_is_answered_by_key_behind_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
     burst(app, "dn/tf\rdy")
     engine = engine_of(app)
     await until(pilot, lambda: engine.commands, "a command")
@@ -215,7 +215,7 @@ async def test_the_palette_runs_what_was_typed(app: ConsoleApp, pilot: Pilot[Non
 
 
 @on_main()
-async def test_what_is_typed_while_the_app_ends_goes_nowhere(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_what_is_typed_while_app_ends_goes_nowhere(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """The app would raise its failure at its end."""
     await app._close_all()  # the first thing that Textual does then; the app's messages are handled a while longer
     app.post_message(Key("j", "j"))
@@ -245,7 +245,7 @@ def test_escape_and_a_bracket_count_after_a_moment(monkeypatch: pytest.MonkeyPat
     assert [event.key for event in parser.tick() if isinstance(event, Key)] == ["escape", "right_square_bracket"]
 
 
-def test_escape_and_a_key_in_one_read_are_two_keys() -> None:
+def test_escape_and_key_read_together_are_two() -> None:
     parser = KeyParser()
     keys = [event.key for event in parser.feed("\x1b/a\x1b\x1bj\x1b[A\x1bOP\x1b") if isinstance(event, Key)]
     assert keys == ["escape", "slash", "a", "escape", "escape", "j", "up", "f1"]

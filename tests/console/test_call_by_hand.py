@@ -67,7 +67,7 @@ async def call(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 
 @on(MODE, *long(WIDE), NARROW)
-async def test_a_service_is_called_once_it_is_confirmed_and_answers(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_confirmed_call_is_sent_once_and_answered(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")
     await shown(pilot, "data: false")
     await shown(pilot, CallText.NOTHING_CALLED)
@@ -93,7 +93,7 @@ async def test_a_service_is_called_once_it_is_confirmed_and_answers(app: Console
 
 
 @on(MODE)
-async def test_why_there_is_no_answer_is_said_and_one_can_try_again(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_missing_answer_is_explained_with_retry(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await call(app, pilot)
     engine_of(app).called.set_exception(EngineError("no luck\x1b[2J"))
     await shown(pilot, "✗ no luck")
@@ -104,9 +104,7 @@ async def test_why_there_is_no_answer_is_said_and_one_can_try_again(app: Console
 
 
 @on(MODE)
-async def test_what_is_under_way_is_not_sent_again_and_keys_still_do_something(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_running_call_is_not_repeated_keys_work(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await call(app, pilot)
     put(app, call_route("service", "/robot1/set_mode", State.DOWN, reason="no server any more"))
     await shown(pilot, "✗ DOWN  std_srvs/srv/SetBool  no server any more")
@@ -121,7 +119,7 @@ async def test_what_is_under_way_is_not_sent_again_and_keys_still_do_something(
 
 
 @on(MODE)
-async def test_what_is_no_request_is_said_as_it_is_typed(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_invalid_request_is_told_while_typing(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")
     await shown(pilot, "data: false")
     for wrong, words in (
@@ -143,7 +141,7 @@ async def test_what_is_no_request_is_said_as_it_is_typed(app: ConsoleApp, pilot:
 
 
 @on(call_route("service", "/unknown"))
-async def test_without_the_type_the_form_says_why_and_can_be_filled_in(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_untyped_form_explains_and_is_filled(app: ConsoleApp, pilot: Pilot[None]) -> None:
     engine_of(app).templates = {}
     await pilot.press("C")
     await shown(pilot, "std_srvs is not installed")
@@ -170,7 +168,7 @@ async def test_of_an_action_each_service_can_be_called(app: ConsoleApp, pilot: P
 
 
 @on(PARAMETERS, *long(WIDE), NARROW)
-async def test_a_parameter_is_set_by_its_name_and_value(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_parameter_is_set_by_its_name_and_value(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")
     await shown(pilot, "set one parameter")
     await pilot.press("f9")
@@ -192,7 +190,7 @@ async def test_a_parameter_is_set_by_its_name_and_value(app: ConsoleApp, pilot: 
 
 
 @on(MODE, NARROW)
-async def test_a_long_answer_scrolls_is_cut_with_a_note_and_laid_out_once(
+async def test_long_answer_scrolls_and_is_laid_out_once(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await call(app, pilot)
@@ -228,7 +226,7 @@ async def test_a_long_answer_scrolls_is_cut_with_a_note_and_laid_out_once(
     ids=["a long line", "many lines", "too much"],
 )
 @on(MODE, *long((120, 36), NARROW), (80, 12))
-async def test_the_buttons_stay_in_sight_below_a_long_request(
+async def test_buttons_stay_in_sight_below_long_request(
     app: ConsoleApp, pilot: Pilot[None], request_: str, last: str
 ) -> None:
     await pilot.press("C")
@@ -246,13 +244,13 @@ async def test_the_buttons_stay_in_sight_below_a_long_request(
     await until(pilot, lambda: calls(app) == [("call", MODE.key, request_, "")], "all of it")
 
 
-def test_wide_characters_are_wrapped_by_the_room_that_they_take() -> None:
+def test_wide_characters_are_wrapped_by_width() -> None:
     lines = ["".join(piece for piece, _ in line) for line in answer_lines("a: " + "地図" * 20, 21)]
     assert "".join(lines) == "a: " + "地図" * 20
     assert all(cell_len(line) <= 21 for line in lines)
 
 
-def test_answers_are_wrapped_and_nothing_in_them_is_obeyed() -> None:
+def test_answers_are_wrapped_and_harmless() -> None:
     lines = [
         "".join(piece for piece, _ in line) for line in answer_lines("a: '" + "x" * 30 + "\x1b[2J\u202e'\n# cut", 20)
     ]
@@ -263,9 +261,7 @@ def test_answers_are_wrapped_and_nothing_in_them_is_obeyed() -> None:
 
 
 @on_main(routes=(*ROUTES, MODE))
-async def test_the_key_stands_in_the_footer_only_where_there_is_something_to_call(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_call_key_is_shown_only_where_callable(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await shown(pilot, "q quit")
     await gone(pilot, "C call")
     await pilot.press("C")
@@ -353,7 +349,7 @@ def test_a_type_that_is_asked_for_is_had(value: str, kind: str, field: str, made
     [("fast", "double"), ("5.0", "integer"), ("1", "bool"), ("[256]", "byte_array"), ("[true]", "byte_array"),
      ("5", "integer_array"), ("[5]", "integer"), ("[1]", "string_array")],
 )  # fmt: skip
-def test_what_is_not_of_the_type_that_is_asked_for_is_refused(value: str, kind: str) -> None:
+def test_value_of_wrong_type_is_refused(value: str, kind: str) -> None:
     with pytest.raises(FieldError):
         set_request("p", value, kind)
 
@@ -361,7 +357,7 @@ def test_what_is_not_of_the_type_that_is_asked_for_is_refused(value: str, kind: 
 @pytest.mark.parametrize(
     "value", ["9223372036854775808", "-9223372036854775809", "9" * 5000, "[1, 0xffffffffffffffff]"]
 )
-def test_an_integer_beyond_64_bits_is_no_double_and_names_the_parameter(value: str) -> None:
+def test_integer_beyond_64_bits_names_parameter(value: str) -> None:
     with pytest.raises(FieldError, match="^max_rate: " + pattern(ValueText.NO_INTEGER, bits=64)):
         set_request("max_rate", value)
 

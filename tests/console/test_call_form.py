@@ -72,7 +72,7 @@ async def added(app: ConsoleApp, pilot: Pilot[None]) -> Topic:
     ],
 )
 @form(NARROW)
-async def test_it_is_found_by_a_few_letters_and_comes_with_kind_provider_and_type(
+async def test_entry_is_found_by_letters_with_type(
     app: ConsoleApp, pilot: Pilot[None], letters: str, expected: Topic
 ) -> None:
     await pilot.press(*letters)
@@ -85,9 +85,7 @@ async def test_it_is_found_by_a_few_letters_and_comes_with_kind_provider_and_typ
 
 
 @form()
-async def test_a_kind_that_is_chosen_narrows_the_list_and_changes_the_fields(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_chosen_kind_narrows_list_and_fields(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("f8")  # all fields
     await shown(pilot, "Stale after")
     await choose(pilot, "kind", "service")
@@ -108,7 +106,7 @@ async def test_a_kind_that_is_chosen_narrows_the_list_and_changes_the_fields(
 
 
 @form()
-async def test_a_name_that_is_typed_is_of_the_chosen_kind(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_name_that_is_typed_is_of_chosen_kind(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await choose(pilot, "kind", "service")
     await fill(pilot, topic="/reset", timeout="5", type="std_srvs/srv/Trigger")
     await choose(pilot, "provider", "client")
@@ -132,7 +130,7 @@ async def test_mistakes_are_said_at_their_fields(app: ConsoleApp, pilot: Pilot[N
 
 
 @form()
-async def test_what_only_a_topic_has_is_not_sent_with_a_service(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_fields_of_topics_are_not_sent_with_service(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await choose(pilot, "protocol", "udp")
     await fill(pilot, qos="latched", stale_after="3")
     await choose(pilot, "kind", "service")
@@ -146,7 +144,7 @@ EDITED = Topic("/set_mode", "receive", "std_srvs/srv/SetBool", timeout=5.0, kind
 
 
 @on_main(landmark="/set_mode", routes=(call_route("service", "/set_mode", spec=EDITED, outgoing=False),))
-async def test_an_edit_begins_with_what_is_and_sends_what_became(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_edit_begins_with_present_and_sends_new(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("e")
     await shown(pilot, "◉ the client (here)")
     await gone(pilot, "Kind  ")
@@ -160,7 +158,7 @@ async def test_an_edit_begins_with_what_is_and_sends_what_became(app: ConsoleApp
 
 
 @on_main(landmark="/robot1/set_mode", routes=CALL_ROUTES[:1])
-async def test_a_service_is_paused_and_removed_like_a_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_service_is_paused_and_removed_like_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("p")
     await until(pilot, lambda: ("pause", "service /robot1/set_mode", True) in engine_of(app).commands, "a pause")
     await pilot.press("d", "y")
@@ -168,7 +166,7 @@ async def test_a_service_is_paused_and_removed_like_a_topic(app: ConsoleApp, pil
 
 
 @on_main(session=SERVER, make_engine=Graphs)
-async def test_on_a_server_the_provider_is_seen_from_there(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_on_server_provider_is_seen_from_there(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("a")
     await shown(pilot, "/map_server/load_map")
     await pilot.press(*"load", "enter")
@@ -179,7 +177,7 @@ async def test_on_a_server_the_provider_is_seen_from_there(app: ConsoleApp, pilo
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_kind_has_the_fields_that_it_has_in_a_session_file(kind: Kind) -> None:
+def test_each_kind_has_fields_of_its_session_entry(kind: Kind) -> None:
     fields = set(fields_by_kind(SESSION, ENDS, None)[kind])
     renamed = {"provider": "direction"}
     assert {renamed.get(key, key) for key in fields} - {"kind"} == set(KEYS[kind].values())
@@ -215,7 +213,7 @@ def test_services_of_a_bridged_node_are_not_offered(here: bool) -> None:
     assert [offer.value for offer in offers] == ["/node/load"]
 
 
-def test_topics_stand_first_and_one_name_may_be_of_two_kinds() -> None:
+def test_topics_come_first_kinds_may_share_name() -> None:
     topic = TopicInfo("/set_mode", "std_msgs/msg/Bool", "", None, 1, 0)
     offers = suggestions_for(ENDS, [topic], [CONTROLLER, NAVIGATE, MODE], [])
     assert [(offer.fills["kind"], offer.value) for offer in offers] == [
@@ -226,7 +224,7 @@ def test_topics_stand_first_and_one_name_may_be_of_two_kinds() -> None:
     ]
 
 
-def test_what_is_bridged_is_not_offered_from_either_end_nor_the_other_way_round() -> None:
+def test_bridged_entries_are_not_offered_again() -> None:
     bridged = call_route(
         "service", "/a", remote_topic="/b", spec=Topic("/a", "transmit", remote_topic="/b", kind="service")
     )

@@ -32,7 +32,7 @@ ALL = (*ROUTES, *CALL_ROUTES)
 
 
 @on_main()
-async def test_the_kind_has_a_column_where_not_all_are_topics(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_kind_has_column_where_not_all_are_topics(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await gone(pilot, "KIND")
     put(app, *ALL)
     await shown(pilot, "KIND TOPIC")
@@ -67,7 +67,7 @@ async def test_sorting_by_kind_keeps_the_kinds_together(app: ConsoleApp, pilot: 
 
 
 @on_main()
-async def test_calls_a_second_those_under_way_and_the_time_on_the_way(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_calls_per_second_open_ones_and_latency(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, *ALL)
     await shown(pilot, "→ TCP      0.4 +1   0.8  1.4s")
     put(app, call_route("service", "/quiet", calls=replace(CALLS, in_flight=0)))
@@ -97,7 +97,7 @@ def test_the_column_of_transports_has_room_for_each(transport: str) -> None:
 
 
 @on_main((200, 40))
-async def test_a_wide_table_has_the_last_failure_and_the_nodes_time(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_wide_table_has_last_failure_and_nodes_time(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, *ALL)
     await pilot.press("z")
     await shown(pilot, "LAST FAILURE")
@@ -114,7 +114,7 @@ async def test_what_failed_is_found_by_its_cause(app: ConsoleApp, pilot: Pilot[N
 
 
 @on_main(NARROW)
-async def test_a_long_name_keeps_its_beginning_and_its_end(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_long_name_keeps_its_beginning_and_its_end(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, *(call_route("service", f"/controller_server/{what}_state") for what in ("change", "get")))
     await shown(pilot, "e_state")
     rows = [line for line in text(app).splitlines() if "srv  /con" in line]
@@ -152,7 +152,7 @@ async def test_the_counts_fit_on_a_narrow_screen(app: ConsoleApp, pilot: Pilot[N
 
 
 @on_main()
-async def test_a_service_that_is_down_is_a_fault_like_a_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_service_that_is_down_is_fault_like_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, *ALL)
     await shown(pilot, "✗ /robot1/map_server/load_map: no server of /map_server/load_map")
     await pilot.press("f")
@@ -181,7 +181,7 @@ def test_nothing_is_said_of_messages() -> None:
 
 
 @pytest.mark.parametrize("outgoing", [True, False])
-def test_the_ledger_of_calls_adds_up_and_late_answers_stand_apart(outgoing: bool) -> None:
+def test_ledger_of_calls_balances_with_late_answers(outgoing: bool) -> None:
     words = said(call_route("service", "/set_mode", outgoing=outgoing))
     lines = {line[:18].strip(): line[18:].split() for line in words.splitlines()}
     parts = ("answered", "expired", "refused", "lost", "in flight")
@@ -206,7 +206,7 @@ def test_without_calls_there_are_no_figures() -> None:
         assert absent not in words
 
 
-def test_goals_with_their_state_since_when_and_who_waits() -> None:
+def test_goals_show_state_age_and_waiting_callers() -> None:
     words = said(CALL_ROUTES[2])
     assert "Goals  2 under way" in words
     assert "▸ executing since 07:59:18\n   3f2a91c0  130 feedbacks, its caller waits" in words

@@ -72,9 +72,7 @@ async def back_on_main(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
 
 
 @on_links(*long((120, 36)), NARROW)
-async def test_a_client_is_added_at_once_and_in_the_file_and_removed_again(
-    app: ConsoleApp, pilot: Pilot[None], path: Path
-) -> None:
+async def test_client_is_added_and_removed_in_file_too(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     await pilot.press("a")
     await shown(pilot, "Add a client")
     await fill(pilot, name="robot1")
@@ -106,9 +104,7 @@ async def test_a_client_is_added_at_once_and_in_the_file_and_removed_again(
 
 
 @on_links()
-async def test_a_client_is_removed_only_with_a_yes_and_comes_back_with_its_key(
-    app: ConsoleApp, pilot: Pilot[None], path: Path
-) -> None:
+async def test_client_is_removed_with_yes_and_returns(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     key = read_key(path.with_name("robot1.key"))
     await pilot.press("d")
     await shown(pilot, "Remove the client robot1?")
@@ -168,9 +164,7 @@ async def test_only_a_servers_operator_has_these_keys(
 
 
 @on_links()
-async def test_a_removed_client_whose_key_is_gone_is_not_given_a_new_one(
-    app: ConsoleApp, pilot: Pilot[None], path: Path
-) -> None:
+async def test_removed_client_without_key_gets_no_new_one(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     await pilot.press("d", "y")
     await shown(pilot, "robot1: removed")
     path.with_name("robot1.key").unlink()

@@ -12,7 +12,7 @@ from rsb_console.app import ConsoleApp
 
 
 @pytest.mark.parametrize("failure", [subprocess.TimeoutExpired("tmux", 2), subprocess.CalledProcessError(1, "tmux")])
-def test_what_tmux_does_not_take_is_left_to_the_terminal(
+def test_what_tmux_refuses_is_left_to_terminal(
     failure: Exception, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def fail(*_: object, **__: object) -> None:

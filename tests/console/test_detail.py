@@ -49,7 +49,7 @@ async def test_the_keys_of_a_list_scroll_it(app: ConsoleApp, pilot: Pilot[None])
     assert selected_topic(app) == "/robot2/scan", "the table's cursor stays"
 
 
-def test_a_type_that_was_asked_for_is_named_before_it_is_found() -> None:
+def test_wanted_type_is_named_before_found() -> None:
     waiting = route("/scan", State.WAITING, type_name="", spec=Topic("/scan", "receive", type="LaserScan"))
     assert "LaserScan (as configured)" in said(waiting)
     assert DetailText.UNKNOWN_TYPE() in said(replace(waiting, spec=Topic("/scan", "receive")))
@@ -65,7 +65,7 @@ async def test_a_client_calls_its_peer_by_its_address(app: ConsoleApp, pilot: Pi
     await shown(pilot, "← from robot1")
 
 
-def test_where_peer_and_carrier_have_no_room_beside_each_other_both_are_whole() -> None:
+def test_peer_and_carrier_are_whole_on_narrow_screens() -> None:
     bluetooth = route("/scan", transport="bluetooth", port=3)
     assert "10.0.0.20:49152  BLUETOOTH channel 3" in said(bluetooth)
     assert "BLUETOOTH channel 3" in said(bluetooth, 36)
@@ -79,7 +79,7 @@ WORDY = route(
 
 
 @on_main(landmark="/scan", routes=(WORDY,))
-async def test_what_has_no_room_on_one_line_goes_on_on_the_next(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_long_text_continues_on_next_line(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("enter", "G")
     for words in (
         "best effort,  ", "transient local,  ", "deadline 500.0 ms", "± 400 µs", "No route to host,", "  and again",
@@ -108,12 +108,12 @@ async def test_no_latency_is_below_zero(app: ConsoleApp, pilot: Pilot[None]) -> 
 
 
 @pytest.mark.parametrize("about", ROUTES, ids=lambda about: about.state.value)
-def test_only_what_does_not_flow_has_a_why_and_no_rate(about: RouteSnapshot) -> None:
+def test_only_stopped_routes_show_why_without_rate(about: RouteSnapshot) -> None:
     assert (DetailText.WHY_NOT_FLOWING() in said(about)) is (about.state is not State.OK)
     assert ("Rate  - Hz" in said(about)) is (about.state not in {State.OK, State.STALE})
 
 
-def test_what_flows_with_a_fault_says_which_and_what_has_stopped_passes_no_stage() -> None:
+def test_faulty_flow_names_fault_stopped_passes_no_stage() -> None:
     slow = said(route("/scan", State.SLOW, reason="robot1: 2 Hz of 20 expected", cause="slow"))
     assert "robot1: 2 Hz of 20 expected" in slow
     assert "all 10 passed\n" in slow
@@ -154,7 +154,7 @@ async def test_control_characters_never_go_out(app: ConsoleApp, pilot: Pilot[Non
     assert all(line.isprintable() for line in text(app).split("\n"))
 
 
-def test_the_qos_of_both_ends_and_of_the_bridge() -> None:
+def test_qos_of_both_ends_and_of_bridge() -> None:
     words = said(route("/scan", publisher_qos=Qos("best_effort", deadline=0.5), subscriber_qos=Qos()))
     assert "QoS         best effort, volatile, last 5\n" in words
     assert "publishers  offer best effort, volatile, deadline 500.0 ms\n" in words

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from textual.pilot import Pilot
 
 
-def test_who_may_look_has_a_console_that_only_looks(machine: Machine, tmp_path: Path) -> None:
+def test_who_may_look_has_console_that_only_looks(machine: Machine, tmp_path: Path) -> None:
     write_key(tmp_path / "r.key")  # of the name that the robot's session has, where its files would be
     robot = Reachable(machine, file=tmp_path / "robot1.yaml")
     app = scripted_app(session=None, path=None, attach_to=lambda: robot.attach("bob", BOB))

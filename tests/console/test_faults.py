@@ -40,7 +40,7 @@ def drawn(*routes: RouteSnapshot, width: int, most: int) -> list[str]:
     return made
 
 
-def test_faults_come_first_then_what_waits_for_a_remedy() -> None:
+def test_faults_come_first_then_what_waits_for_remedy() -> None:
     assert said(TYPO, *ROUTES, route("/a", State.WAITING, cause="no_publisher", reason=no_publisher("/a", 3))) == [
         "✗ /robot2/scan: no publisher of /scan in domain 4",
         "▲ /robot1/map: nothing for 15 s",
@@ -54,7 +54,7 @@ def test_what_a_link_explains_is_told_once() -> None:
     assert said(*down, links=(link,)) == ["✗ robot1: Connection refused"]
 
 
-def test_those_of_one_cause_are_told_of_together_each_robots_apart() -> None:
+def test_faults_of_one_cause_are_grouped_per_robot() -> None:
     links = (LINK, *(replace(LINK, name=f"robot{n}", state=State.WAITING, cause="not_yet", peer="") for n in (2, 3)))
     unheard = [
         route(f"/{robot}/{n}", State.UNHEARD, link=robot, reason=f"nobody subscribes to /{robot}/{n}")
@@ -70,7 +70,7 @@ def test_those_of_one_cause_are_told_of_together_each_robots_apart() -> None:
     assert other.startswith("◇ robot2: /robot2/0: nobody subscribes to /robot2/0 (also")
 
 
-def test_topics_that_nobody_here_subscribes_to_are_one_line_whatever_their_robot() -> None:
+def test_unheard_topics_are_one_line_for_all_robots() -> None:
     links = (LINK, replace(LINK, name="robot2"))
     unheard = [
         replace(
@@ -85,7 +85,7 @@ def test_topics_that_nobody_here_subscribes_to_are_one_line_whatever_their_robot
     assert told[0].endswith("(also /robot1/1, /robot2/0 and /robot2/1)")
 
 
-def test_the_first_is_whole_and_the_others_are_counted() -> None:
+def test_first_is_whole_and_others_are_counted() -> None:
     first, second = route("/a", State.DOWN, reason=QOS), route("/b", State.DOWN, reason="refused there")
     assert drawn(first, second, width=120, most=3) == [f" ✗ /a: {QOS}", " ✗ /b: refused there"]
     assert drawn(first, second, width=60, most=3) == [
@@ -176,13 +176,13 @@ async def test_a_fault_gives_its_room_back_in_time(app: ConsoleApp, pilot: Pilot
 
 
 @on_main((80, 24), landmark="/fine", routes=(route("/fine"),))
-async def test_a_client_that_is_refused_is_on_the_first_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_client_that_is_refused_is_on_first_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     refused = RefusedClient("robot9", "10.0.0.9", "unknown_name", "unknown: add it", NOW - 5.0, 3)
     put(app, refused=(refused,))
     await shown(pilot, "robot9 at 10.0.0.9: unknown: add it")
 
 
 @pytest.mark.parametrize(("cause", "missing"), [("not_yet", False), ("lost", True)])
-def test_a_robot_that_was_never_there_is_not_missing(cause: str, missing: bool) -> None:
+def test_robot_that_was_never_there_is_not_missing(cause: str, missing: bool) -> None:
     never = replace(LINK, name="robot2", state=State.DOWN, cause=cause, reason="", peer="", since=NOW)
     assert ("missing" in link_fault(never, server=True)) is missing

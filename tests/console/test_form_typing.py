@@ -12,9 +12,7 @@ pytestmark = pytest.mark.usefixtures("folder")
 
 
 @on_welcome()
-async def test_what_is_typed_on_coming_to_a_field_replaces_what_is_there_but_lengthens_a_path(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_typing_replaces_field_but_lengthens_path(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("n")
     await shown(pilot, "Session file")
     form = form_of(app)
@@ -38,7 +36,7 @@ def type_at_once(app: ConsoleApp, *keys: str) -> None:
 
 @pytest.mark.parametrize("pressed", ["server_port", "use_encryption", "#yes"])
 @on_welcome()
-async def test_what_is_typed_between_create_and_its_refusal_lands_in_no_field(
+async def test_typing_between_create_and_refusal_is_dropped(
     app: ConsoleApp, pilot: Pilot[None], pressed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await pilot.press("n")

@@ -19,7 +19,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 
 
-def test_both_first_screens_say_that_the_link_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_first_screens_say_that_link_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     pair = Pair(tmp_path, Topic("/chat", "transmit"), domains=(HERE, THERE), stale_after=120.0)

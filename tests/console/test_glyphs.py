@@ -60,7 +60,7 @@ def test_a_level_curve_is_one_line_of_dots() -> None:
     assert plot == ["⠉⠉⠉⠉", "⠀⠀⠀⠀"]
 
 
-def test_a_step_is_drawn_as_an_edge_and_new_values_stand_right() -> None:
+def test_step_is_drawn_as_edge() -> None:
     first, second = braille_plot([0.0, 1.0], 3, 2, top=1.0)
     assert first.startswith("⠀⠀")
     assert first[2] != "⠀"

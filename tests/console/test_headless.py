@@ -13,7 +13,7 @@ def parts(*routes: RouteSnapshot) -> list[str]:
     return StatusLines().text(replace(ScriptedEngine().snapshot(), routes=routes)).split(" | ")[3:]
 
 
-def test_what_does_not_flow_says_why_and_stands_first() -> None:
+def test_stopped_routes_come_first_with_reason() -> None:
     waiting = route("/scan", State.WAITING, outgoing=True, reason="no publisher of /scan in domain 2", ledger=Ledger())
     stale = route("/map", State.STALE, reason="nothing for 15 s", rate=0.0, ledger=Ledger(dropped={"queue full": 3}))
     paused = route("/goal", State.PAUSED, reason="paused there", ledger=Ledger())
@@ -32,7 +32,7 @@ def test_what_has_no_room_is_what_flows() -> None:
     assert line[-1] == "and 2 more"
 
 
-def test_what_is_wrong_with_a_link_is_said_once() -> None:
+def test_what_is_wrong_with_link_is_said_once() -> None:
     down = replace(LINK, name="robot2", state=State.DOWN, reason="cable pulled")
     twice = replace(LINK, warning="a namesake at 10.0.0.9")
     routes = [route(f"/t{number}", State.DOWN, link="robot2", reason="cable pulled") for number in range(5)]
@@ -47,7 +47,7 @@ def test_what_is_wrong_with_a_link_is_said_once() -> None:
     assert "6 topics: 5 down, 1 ok" in line
 
 
-def test_a_cause_is_told_when_it_changes_and_once_a_minute() -> None:
+def test_cause_is_told_on_change_once_a_minute() -> None:
     snapshot = replace(ScriptedEngine().snapshot(), links=(LINK,))
     lines = StatusLines()
 

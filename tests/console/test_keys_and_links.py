@@ -25,9 +25,7 @@ from rsb_console.session.saving import PathProblem
 
 
 @on_main()
-async def test_a_key_is_shown_by_fingerprint_and_mode_never_itself(
-    app: ConsoleApp, pilot: Pilot[None], folder: Path
-) -> None:
+async def test_key_is_shown_by_fingerprint_only(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     key = write_key(folder / "r.key")
     (folder / "r.key").chmod(0o644)
     await pilot.press("K")
@@ -55,9 +53,7 @@ async def test_a_key_is_replaced_only_with_a_yes(app: ConsoleApp, pilot: Pilot[N
 
 
 @on_main()
-async def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(
-    app: ConsoleApp, pilot: Pilot[None], folder: Path
-) -> None:
+async def test_new_key_is_saved_bad_place_refused(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     await pilot.press("K")
     await shown(pilot, "no such key file")
     await pilot.press("g")
@@ -82,7 +78,7 @@ async def test_readonly_looks_at_keys_and_makes_none(app: ConsoleApp, pilot: Pil
     await gone(pilot, "Generate a key")
 
 
-def test_each_of_a_servers_key_files_and_whose_it_is() -> None:
+def test_each_key_file_of_server_names_its_client() -> None:
     clients = (
         Client("robot1"),
         Client("robot2", key_file="/keys/two.key"),
@@ -99,9 +95,7 @@ def test_each_of_a_servers_key_files_and_whose_it_is() -> None:
 
 
 @on_main()
-async def test_a_key_says_whether_a_link_uses_it_and_when_it_was_written(
-    app: ConsoleApp, pilot: Pilot[None], folder: Path
-) -> None:
+async def test_key_tells_whether_used_and_its_age(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     key = write_key(folder / "r.key")
     await pilot.press("K")
     await shown(pilot, "written ")
@@ -115,7 +109,7 @@ async def test_a_key_says_whether_a_link_uses_it_and_when_it_was_written(
 
 
 @on_main()
-async def test_a_link_says_which_of_two_keys_is_in_use(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_link_tells_which_key_is_used(app: ConsoleApp, pilot: Pilot[None]) -> None:
     valid = replace(LINK, next_fingerprint="aaaa bbbb cccc dddd")
     engine_of(app).now = replace(engine_of(app).now, links=(valid,))
     await pilot.press("c")
@@ -128,7 +122,7 @@ async def test_a_link_says_which_of_two_keys_is_in_use(app: ConsoleApp, pilot: P
 
 
 @on_main(*long(WIDE), NARROW)
-async def test_one_row_a_robot_the_worst_first_and_why(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_one_row_robot_worst_first_and_why(app: ConsoleApp, pilot: Pilot[None]) -> None:
     down = replace(LINK, name="robot2", state=State.DOWN, reason="no answer", rtt=None, retry_in=3.0, attempts=3)
     engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
     await pilot.press("c")
@@ -146,7 +140,7 @@ async def test_one_row_a_robot_the_worst_first_and_why(app: ConsoleApp, pilot: P
 
 
 @on_main()
-async def test_the_cursor_stays_on_its_link_when_that_comes_up(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_cursor_stays_on_link_that_comes_up(app: ConsoleApp, pilot: Pilot[None]) -> None:
     down = replace(LINK, name="robot2", state=State.DOWN, reason="no answer", rtt=None)
     engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
     await pilot.press("c")
@@ -167,7 +161,7 @@ async def test_a_link_in_the_clear_stands_out(app: ConsoleApp, pilot: Pilot[None
 
 
 @on_main()
-async def test_a_link_that_goes_closes_its_screen_and_none_above_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_lost_link_closes_its_own_screen_only(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("c", "enter")
     await shown(pilot, "Link robot1")
     link = app.screen
@@ -205,7 +199,7 @@ def radio(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 
 
 @on_main()
-async def test_before_anything_is_found_the_dialog_has_no_empty_lines(
+async def test_dialog_without_findings_has_no_empty_lines(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scan(own_channels: object) -> Scan:
@@ -232,7 +226,7 @@ async def test_adapters_devices_and_channels_at_a_glance(
 
 
 @on_main()
-async def test_a_paired_device_becomes_the_server_of_a_new_session(
+async def test_paired_device_becomes_server_of_new_session(
     app: ConsoleApp, pilot: Pilot[None], radio: list[object]
 ) -> None:
     await pilot.press("b")
@@ -246,9 +240,7 @@ async def test_a_paired_device_becomes_the_server_of_a_new_session(
 
 
 @on_main(session=msgspec.structs.replace(SESSION, role="server", server_ip=HCI0.address, server_port=4))
-async def test_a_servers_own_channels_are_told_to_the_scan(
-    app: ConsoleApp, pilot: Pilot[None], radio: list[object]
-) -> None:
+async def test_servers_own_channels_are_told_to_scan(app: ConsoleApp, pilot: Pilot[None], radio: list[object]) -> None:
     await pilot.press("b")
     await until(pilot, lambda: radio, "a scan")
     assert radio == [{(HCI0.address, 4), (HCI0.address, 3)}]  # the session's, and that of /robot2/scan

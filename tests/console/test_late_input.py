@@ -148,7 +148,7 @@ def test_keys_of_a_small_terminal_count() -> None:
 @pytest.mark.parametrize("latency", [0.0, 0.3])
 @pytest.mark.parametrize("hang", [1.3, 8.0, 40.0])
 @pytest.mark.parametrize("keys", [1, 3, 9])
-def test_keys_that_a_hung_line_delivers_late_do_not_count(latency: float, hang: float, keys: int) -> None:
+def test_late_keys_of_hung_line_do_not_count(latency: float, hang: float, keys: int) -> None:
     clock = Time()
     line = Line(clock, latency=latency)
     line.go_on(3.0)
@@ -167,7 +167,7 @@ def test_keys_that_a_hung_line_delivers_late_do_not_count(latency: float, hang: 
     assert line.fresh() == [True]
 
 
-def test_a_console_that_stood_still_finds_its_keys_old() -> None:
+def test_console_that_stood_still_finds_its_keys_old() -> None:
     clock = Time()
     line = Line(clock)
     line.go_on(1.0)
@@ -222,7 +222,7 @@ def test_a_multiplexer_is_known_by_its_variable(name: str) -> None:
     assert Pulse({name: "1"}).relayed
 
 
-def test_a_terminal_that_never_answers_is_as_a_multiplexer() -> None:
+def test_terminal_that_never_answers_is_as_multiplexer() -> None:
     clock = Time()
     pulse = Pulse({}, clock)
     pulse.question()
@@ -290,7 +290,7 @@ def key(name: str, heard: float, came_at: float = float("inf")) -> events.Key:
     return event
 
 
-def test_a_guarded_screen_takes_young_keys_and_all_safe_ones() -> None:
+def test_guarded_screen_takes_young_and_safe_keys() -> None:
     clock = Time()
     gate, screen = gate_of(clock), ConfirmScreen("Arm?", "", "Arm", Effect.MOVES)
     assert gate.refuses(key("y", 99.9), screen)  # not drawn
@@ -315,7 +315,7 @@ def test_a_guarded_screen_takes_young_keys_and_all_safe_ones() -> None:
 
 
 @on_main()
-async def test_the_pictures_of_a_question_say_when_its_keys_count(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_pictures_of_question_say_when_its_keys_count(app: ConsoleApp, pilot: Pilot[None]) -> None:
     clock = Time()
     app.input_gate.pulse = Pulse({}, clock)
     clock.now += ANSWERS_WITHIN + 0.1  # it gives none
@@ -334,7 +334,7 @@ async def test_the_pictures_of_a_question_say_when_its_keys_count(app: ConsoleAp
     await until(pilot, lambda: answers == [True], "the answer")
 
 
-def test_a_question_that_moves_nothing_can_be_answered_over_a_slow_line() -> None:
+def test_harmless_question_can_be_answered_over_slow_line() -> None:
     clock = Time()
     gate, screen = gate_of(clock), ConfirmScreen("Quit?", "", "Quit", Effect.LOSES)
     screen.drawn_at = clock.now
@@ -343,7 +343,7 @@ def test_a_question_that_moves_nothing_can_be_answered_over_a_slow_line() -> Non
     assert not gate.refuses(key("y", screen.drawn_at + 0.1), screen)
 
 
-def test_a_question_that_opens_by_itself_waits_until_the_operator_has_stopped_typing() -> None:
+def test_question_that_opens_itself_waits_for_typing() -> None:
     clock = Time()
     gate, screen = gate_of(clock), ConfirmScreen("Give it?", "", "Give", Effect.MOVES)
     screen.opens_itself, screen.drawn_at = True, clock.now
@@ -371,7 +371,7 @@ def test_a_late_answer_behind_a_multiplexer_does_nothing(environ: dict[str, str]
     assert not gate.refuses(key("y", clock.now, clock.now), screen)
 
 
-def test_an_answer_that_proves_its_age_may_take_its_time() -> None:
+def test_answer_that_proves_its_age_may_be_late() -> None:
     clock = Time()
     gate, screen = gate_of(clock), ConfirmScreen("Arm?", "", "Arm", Effect.MOVES)
     screen.drawn_at = clock.now
@@ -379,7 +379,7 @@ def test_an_answer_that_proves_its_age_may_take_its_time() -> None:
     assert not gate.refuses(key("y", clock.now, clock.now), screen)
 
 
-def test_a_list_that_slid_after_a_key_came_refuses_it() -> None:
+def test_list_that_slid_after_key_came_refuses_it() -> None:
     clock = Time()
     gate = gate_of(clock)
     gate.refuses(key("p", clock.now, clock.now), GuardedScreen.__mro__[1]())
@@ -389,7 +389,7 @@ def test_a_list_that_slid_after_a_key_came_refuses_it() -> None:
 
 
 @pytest.mark.parametrize("name", ["n", "escape"])
-def test_what_is_typed_as_somebody_begins_to_ask_decides_nothing(name: str) -> None:
+def test_typing_as_somebody_asks_decides_nothing(name: str) -> None:
     question = HandOverScreen(scripted_app(), route("/cmd_vel", arming=ArmingSnapshot(armed=True, asked_by="bert")))
     assert gate_of(Time()).refuses(key(name, 0.0), question)
 
@@ -405,7 +405,7 @@ async def test_questions_with_an_effect_take_no_late_keys(app: ConsoleApp, pilot
 # -- resuming
 
 
-def test_the_gate_knows_whether_the_newest_input_is_young() -> None:
+def test_gate_knows_whether_newest_input_is_young() -> None:
     clock = Time()
     gate = gate_of(clock, answers=False)
     screen = GuardedScreen.__mro__[1]()
@@ -452,7 +452,7 @@ async def test_a_late_key_resumes_nothing_without_a_question(app: ConsoleApp, pi
 
 
 @on_main()
-async def test_a_late_key_lets_nobody_back_in_without_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_late_key_lets_nobody_back_in_without_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, links=(replace(LINK, state=State.DOWN, cause=LinkCause.SHUT_DOWN),))
     assert app.needs_young_keys
     app.input_gate.is_young = False
@@ -466,7 +466,7 @@ async def test_a_late_key_lets_nobody_back_in_without_a_question(app: ConsoleApp
 
 
 @on_main()
-async def test_a_late_key_in_a_form_resumes_nothing_without_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_late_key_in_form_resumes_nothing_without_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route("/cmd_vel", State.PAUSED, spec=Topic("/cmd_vel", "receive", paused=True)))
     await pilot.press("e")
     await choose(pilot, "paused", "")
@@ -478,9 +478,7 @@ async def test_a_late_key_in_a_form_resumes_nothing_without_a_question(app: Cons
 
 
 @on_main()
-async def test_a_key_is_not_for_a_topic_that_has_just_slid_under_the_cursor(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_key_ignores_topic_that_slid_under_cursor(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route("/a"), route("/b"), route("/c", arming=ArmingSnapshot(armed=True)))
     await pilot.press("j", "k")
     app.input_gate.pulse = Pulse({}, Time())

@@ -28,7 +28,7 @@ def test_all_beyond_the_changed_width_is_the_same(old: Line, new: Line) -> None:
     assert padded[0][start:] == padded[1][start:]
 
 
-def test_a_change_at_the_start_costs_only_the_start() -> None:
+def test_change_at_start_costs_only_start() -> None:
     assert changed_width((("ab", ""), ("c" * 50, "")), (("xy", ""), ("c" * 50, "")), 80) == 2
 
 
@@ -45,7 +45,7 @@ def test_clip_never_cuts_a_wide_character_in_two() -> None:
 
 
 @on_main()
-async def test_a_pane_keeps_what_it_has_drawn_until_its_look_changes(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_pane_keeps_its_drawing_until_look_changes(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """The line under the cursor changes with the focus, and all of it with the theme; else it is the very same."""
 
     def cursor_line() -> Strip:

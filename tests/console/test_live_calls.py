@@ -35,7 +35,7 @@ async def usable(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
     await until(pilot, lambda: (row := app.main.topics.selected) is not None and row.topic == name, "the cursor on it")
 
 
-def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
+def test_service_and_parameter_of_far_node(tmp_path: Path) -> None:
     pair = Pair(tmp_path, Topic(MODE, "transmit", kind="service"), Topic(f"/{NODE}", "transmit", kind="parameters"))
     app = console(pair.client_path)
 

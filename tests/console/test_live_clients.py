@@ -25,7 +25,7 @@ def link_of(app: ConsoleApp, name: str) -> LinkSnapshot | None:
     return next((link for link in app.snapshot().links if link.name == name and link.state is State.OK), None)
 
 
-def test_a_fleet_grows_and_shrinks_under_its_operators_hands(tmp_path: Path) -> None:
+def test_fleet_grows_and_shrinks_under_its_operators_hands(tmp_path: Path) -> None:
     pair = Pair(tmp_path)
     app = console(pair.server_path)
     robot2 = tmp_path / "robot2.yaml"

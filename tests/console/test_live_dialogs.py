@@ -20,7 +20,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/dialogs_{os.getpid()}/chatter"
 
 
-def test_a_restart_shows_its_steps_and_then_all_flows_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_restart_shows_steps_and_everything_flows_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.RESTART_WITHIN.set(monkeypatch, 60.0)
     pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
     app = console(pair.client_path)
@@ -52,7 +52,7 @@ def test_a_restart_that_finds_nobody_says_so(tmp_path: Path) -> None:
     watch(app, steps)
 
 
-def test_the_demo_runs_from_the_welcome_and_leaves_nothing() -> None:
+def test_demo_runs_from_welcome_and_leaves_nothing() -> None:
     app = ConsoleApp(None, None, theme="dark")
     folders: list[Path] = []
 
@@ -68,7 +68,7 @@ def test_the_demo_runs_from_the_welcome_and_leaves_nothing() -> None:
     assert not folders[0].exists()
 
 
-def test_a_demo_that_takes_over_from_a_demo_ends_its_robot() -> None:
+def test_demo_that_replaces_demo_ends_its_robot() -> None:
     """Otherwise, after `rsb-console demo` and F4, the robots of both would publish the same topics."""
     with alone("demo"), contextlib.ExitStack() as resources:
         first = resources.enter_context(running_demo())

@@ -37,7 +37,7 @@ async def test_log_levels_and_search(app: ConsoleApp, pilot: Pilot[None]) -> Non
 
 
 @on_main()
-async def test_the_log_follows_at_the_top_and_holds_still_further_down(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_log_follows_at_top_and_holds_below(app: ConsoleApp, pilot: Pilot[None]) -> None:
     log = app.main.log_pane
     await pilot.press("l", "j")
     held = log.selected
@@ -52,7 +52,7 @@ async def test_the_log_follows_at_the_top_and_holds_still_further_down(app: Cons
 
 
 @on_main()
-async def test_the_log_follows_again_when_another_pane_gets_the_focus(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_log_follows_again_when_another_pane_gets_focus(app: ConsoleApp, pilot: Pilot[None]) -> None:
     log = app.main.log_pane
     await pilot.press("l", "G")
     held = log.selected
@@ -74,7 +74,7 @@ async def test_the_log_follows_again_when_another_pane_gets_the_focus(app: Conso
 
 
 @on_main(NARROW)
-async def test_a_long_line_of_the_log_can_be_read_whole(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_long_line_of_log_can_be_read_whole(app: ConsoleApp, pilot: Pilot[None]) -> None:
     words = " ".join(f"word{number}" for number in range(40))
     engine_of(app).happened.append(Event(5, NOW, Level.ERROR, "link.up", words, "robot1"))
     put(app, links=(LINK,))

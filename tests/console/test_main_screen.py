@@ -76,7 +76,7 @@ def test_over_ssh_it_begins_at_two_hertz(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @on_main(NARROW)
-async def test_on_a_narrow_screen_detail_and_log_open_over_the_table(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_narrow_screen_opens_detail_and_log_over_table(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await gone(pilot, "Ledger")
     await pilot.press("enter")
     await shown(pilot, "Ledger")
@@ -118,7 +118,7 @@ async def test_pause_and_resume(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 
 @on_main()
-async def test_quitting_while_linked_asks_with_the_focus_on_no(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_quitting_while_linked_asks_with_focus_on_no(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("q")
     await shown(pilot, "Quit?")
     await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "the focus on No")
@@ -135,7 +135,7 @@ async def test_quitting_while_linked_asks_with_the_focus_on_no(app: ConsoleApp, 
 
 
 @on_main()
-async def test_quitting_unlinked_asks_as_long_as_the_bridge_runs(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_quitting_unlinked_asks_as_long_as_bridge_runs(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, links=(replace(LINK, state=State.DOWN),))
     await pilot.press("q")
     await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
@@ -165,7 +165,7 @@ async def test_an_unencrypted_link_is_an_alarm_however_narrow(app: ConsoleApp, p
 
 
 @on_main()
-async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_link_nobody_has_joined_is_no_fault(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, links=(replace(LINK, state=State.WAITING, reason="not connected yet"),), role="server")
     await shown(pilot, "◌ WAIT")
     await pilot.press("c")
@@ -177,7 +177,7 @@ async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app: ConsoleApp, pi
 
 
 @on_main()
-async def test_links_with_a_fault_have_a_line_on_the_main_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_links_with_fault_have_line_on_main_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     gone_robot = replace(LINK, name="robot2", state=State.DOWN, cause="lost", reason="cable pulled", since=NOW)
     put(app, links=(LINK, gone_robot), role="server")
     since = formats.time_of_day(NOW)[:5]
@@ -233,7 +233,7 @@ async def test_the_domain_is_not_cut_at_100_columns(app: ConsoleApp, pilot: Pilo
 
 
 @on_main(path=Path("robot1.yaml"))
-async def test_a_session_named_like_its_file_is_named_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_session_named_like_its_file_is_named_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert text(app).splitlines()[0].count("robot1") == 1
 
 
@@ -307,7 +307,7 @@ class Dying(ScriptedEngine):
 
 
 @pytest.mark.parametrize("temporary", [False, True])
-def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: bool) -> None:
+def test_dead_engine_explains_itself_and_starts_anew(temporary: bool) -> None:
     ended: list[str] = []
     resources = ExitStack()
     resources.callback(ended.append, "the demo's robot")
@@ -341,9 +341,7 @@ def touched() -> dict[str, Any]:
 
 @pytest.mark.usefixtures("folder")
 @on_main(before=touched, temporary=True)
-async def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_demo_session_is_neither_unsaved_nor_recent(app: ConsoleApp, pilot: Pilot[None]) -> None:
     from rsb_console.screens.session_files import recent_sessions
 
     engine_of(app).session = msgspec.structs.replace(engine_of(app).session, topics=(Topic("/new", "transmit"),))
@@ -390,7 +388,7 @@ async def test_a_dialog_has_the_only_keys(app: ConsoleApp, pilot: Pilot[None]) -
     await shown(pilot, "q quit")
 
 
-def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
+def test_engine_that_cannot_start_explains_itself() -> None:
     from rsb_bridge.api import EngineError
 
     class Broken(ScriptedEngine):

@@ -70,9 +70,7 @@ async def answered(pilot: Pilot[None], message: PeekedMessage | None) -> None:
 
 @pytest.mark.parametrize("keys", [["v"], ["enter", "enter"]])
 @on_main(make_engine=TextEngine)
-async def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(
-    app: ConsoleApp, pilot: Pilot[None], keys: list[str]
-) -> None:
+async def test_topic_shows_latest_message_and_later_ones(app: ConsoleApp, pilot: Pilot[None], keys: list[str]) -> None:
     engine = engine_of(app)
     engine.described = installed_description("nav_msgs/msg/Odometry")
     engine.peeked.append(peeked(odometry()))
@@ -149,7 +147,7 @@ async def test_what_nobody_describes_is_shown_as_hex(app: ConsoleApp, pilot: Pil
 
 
 @on_main(make_engine=TextEngine)
-async def test_nothing_in_a_message_is_obeyed_by_the_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_nothing_in_message_is_obeyed_by_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     engine_of(app).described = installed_description("std_msgs/msg/String")
     engine_of(app).peeked.append(peeked(String(data="\x1b[2J [red]markup[/] \u202e\u200b")))
     await pilot.press("v")

@@ -13,7 +13,7 @@ def lost_line(lost: int, reason: str) -> str:
     return f"{lost} lost: {reason}"
 
 
-def test_a_reader_that_comes_late_gets_the_newest_and_how_many_are_missing() -> None:
+def test_late_reader_gets_newest_and_count_of_missing() -> None:
     reader, pipe = os.pipe()
     writer = LogWriter(pipe, lost_line)
     writer.write("x" * (1 << 17))  # more than a pipe holds: what follows has to wait

@@ -36,7 +36,7 @@ def with_pattern(app: ConsoleApp, state: State = State.DOWN, **changes: Any) -> 
 
 
 @on_main()
-async def test_a_pattern_has_a_row_and_counts_as_no_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_pattern_has_row_and_counts_as_no_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
     with_pattern(app)
     assert listed(app)[:2] == ["/aa/**", "/aa/scan"]
     await shown(pilot, "3 names")
@@ -101,7 +101,7 @@ async def test_a_pattern_has_no_figures(
 
 
 @on_main()
-async def test_its_keys_are_shown_where_its_row_is_the_only_one(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_its_keys_show_where_row_is_single(app: ConsoleApp, pilot: Pilot[None]) -> None:
     with_pattern(app)
     await pilot.press("slash", *"name:nothing", "enter")
     await gone(pilot, "d remove")
@@ -109,7 +109,7 @@ async def test_its_keys_are_shown_where_its_row_is_the_only_one(app: ConsoleApp,
     await shown(pilot, "d remove")
 
 
-def test_topics_of_one_way_stay_together_where_it_sorts_the_table() -> None:
+def test_topics_of_one_direction_sort_together() -> None:
     way = next(column for column in COLUMNS if column.title == "VIA")
     ways = [("bluetooth", 10), ("tcp", 9003), ("tcp", 9001), ("bluetooth", 2), ("tcp", 9003)]
     rows = sorted((route("/a", transport=name, port=port) for name, port in ways), key=way.order)
@@ -126,7 +126,7 @@ async def test_a_link_shows_its_own_patterns_only(app: ConsoleApp, pilot: Pilot[
 
 
 @on_main()
-async def test_both_names_are_this_side_s_and_the_other_s(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_both_names_belong_to_their_sides(app: ConsoleApp, pilot: Pilot[None]) -> None:
     with_pattern(app)
     now = app.snapshot()
     (row,) = pattern_rows(now)

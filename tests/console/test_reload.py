@@ -38,7 +38,7 @@ async def test_what_differs_is_shown_before_anything_changes(app: ConsoleApp, pi
 
 
 @on_main()
-async def test_what_fails_is_said_and_the_session_is_not_as_in_the_file(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_failure_is_told_and_session_differs_from_file(app: ConsoleApp, pilot: Pilot[None]) -> None:
     engine_of(app).reloads = Reloaded(("/scan: added",), failed=("/scan: no leave",), digest="seen")
     saved, engine_of(app).session = app.saved, replace(engine_of(app).session, stale_after=9.0)
     await pilot.press("f6")

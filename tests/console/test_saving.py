@@ -67,7 +67,7 @@ async def saves_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 
 @on_file()
-async def test_saving_asks_and_then_the_file_holds_what_runs(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+async def test_saving_asks_and_then_file_holds_what_runs(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     now = changed(app, Topic("/new", "transmit"))
     await pilot.press("w")
     await shown(pilot, "Save nav2.yaml?")
@@ -90,9 +90,7 @@ async def test_unsaved_changes_are_in_header_and_footer(app: ConsoleApp, pilot: 
 
 
 @on_file(f"# mine\n{dump(SESSION)}")
-async def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(
-    app: ConsoleApp, pilot: Pilot[None], path: Path
-) -> None:
+async def test_unchanged_session_leaves_file_with_comments(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     await saves_nothing(app, pilot)
     assert path.read_text().startswith("# mine")
 
@@ -112,7 +110,7 @@ async def test_comments_and_layout_survive_a_save(app: ConsoleApp, pilot: Pilot[
 
 @pytest.mark.parametrize("edited", ["name: [\n", "# mine, later\n{}stale_after: 3.0\n"])
 @on_file()
-async def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(
+async def test_concurrent_change_on_disk_is_not_overwritten(
     app: ConsoleApp, pilot: Pilot[None], path: Path, edited: str
 ) -> None:
     edited = edited.format(dump(SESSION))
@@ -136,7 +134,7 @@ async def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(
 
 @pytest.mark.parametrize("how", ["touched", "written anew", "commented"])
 @on_file()
-async def test_a_file_that_says_the_same_as_before_was_changed_by_nobody(
+async def test_file_with_same_content_was_changed_by_nobody(
     app: ConsoleApp, pilot: Pilot[None], path: Path, how: str
 ) -> None:
     text_now = path.read_text() if how != "commented" else f"# mine, later\n{path.read_text()}"
@@ -154,7 +152,7 @@ async def test_a_file_that_says_the_same_as_before_was_changed_by_nobody(
 
 
 @on_file()
-async def test_a_file_that_was_changed_on_disk_can_be_overwritten_with_its_new_comments(
+async def test_file_changed_on_disk_is_overwritten_with_comments(
     app: ConsoleApp, pilot: Pilot[None], path: Path
 ) -> None:
     edited = f"# mine, later\n{dump(SESSION)}stale_after: 3.0\n"
@@ -173,7 +171,7 @@ async def test_a_file_that_was_changed_on_disk_can_be_overwritten_with_its_new_c
 
 
 @on_file()
-async def test_a_file_that_was_changed_on_disk_can_be_reloaded(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+async def test_file_changed_on_disk_can_be_reloaded(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     later = msgspec.structs.replace(SESSION, stale_after=3.0)
     changed(app, Topic("/new", "transmit"))
     save(later, path)
@@ -188,9 +186,7 @@ async def test_a_file_that_was_changed_on_disk_can_be_reloaded(app: ConsoleApp, 
 
 
 @on_file()
-async def test_quitting_does_not_ask_for_what_somebody_else_has_saved(
-    app: ConsoleApp, pilot: Pilot[None], path: Path
-) -> None:
+async def test_quitting_ignores_what_somebody_else_has_saved(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     save(changed(app, Topic("/new", "transmit")), path)
     await pilot.press("q")
     await shown(pilot, "Quit?")
@@ -212,7 +208,7 @@ async def test_the_difference_is_shown_before_it_is_written(app: ConsoleApp, pil
 
 
 @on_file(dump(ONE_TOPIC), NARROW)
-async def test_a_long_line_of_the_difference_is_shown_whole(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+async def test_long_line_of_difference_is_shown_whole(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     changed(app, Topic("/a", "transmit", type="sensor_msgs/msg/LaserScan", protocol="udp", max_rate=12.5))
     await pilot.press("w")
     await shown(pilot, "Save nav2.yaml?")
@@ -220,7 +216,7 @@ async def test_a_long_line_of_the_difference_is_shown_whole(app: ConsoleApp, pil
 
 
 @on_file(UNUSUAL)
-async def test_a_layout_that_cannot_be_edited_is_rewritten_only_after_a_question(
+async def test_uneditable_layout_is_rewritten_only_after_question(
     app: ConsoleApp, pilot: Pilot[None], path: Path
 ) -> None:
     now = changed(app, Topic("/new", "transmit"))
@@ -246,7 +242,7 @@ async def save_as(pilot: Pilot[None], path: str) -> None:
 
 
 @on_file(f"# mine\n{dump(SERVER)}")
-async def test_a_server_saves_what_operators_added_under_its_client(
+async def test_server_saves_what_operators_added_under_its_client(
     app: ConsoleApp, pilot: Pilot[None], path: Path
 ) -> None:
     await saves_nothing(app, pilot)
@@ -269,9 +265,7 @@ KEY_ELSEWHERE = msgspec.structs.replace(SESSION, key_file="safe/r.key")
 
 
 @at("nav2.yaml", session=KEY_ELSEWHERE)
-async def test_saved_to_another_folder_the_key_is_still_found(
-    app: ConsoleApp, pilot: Pilot[None], folder: Path
-) -> None:
+async def test_saved_to_another_folder_key_is_still_found(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     (folder / "robots").mkdir()
     (folder / "safe").mkdir()
     key = write_key(folder / "safe" / "r.key")
@@ -288,9 +282,7 @@ DEMO = msgspec.structs.replace(SESSION, key_file="demo.key")
 
 
 @at("ends/demo.yaml", session=DEMO, temporary=True)
-async def test_what_ends_with_the_console_is_saved_with_its_key(
-    app: ConsoleApp, pilot: Pilot[None], folder: Path
-) -> None:
+async def test_what_ends_with_console_is_saved_by_key(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     old = folder / "ends"
     old.mkdir()
     key, other = write_key(old / "demo.key"), write_key(folder / "demo.key")

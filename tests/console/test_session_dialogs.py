@@ -48,7 +48,7 @@ pytestmark = pytest.mark.usefixtures("folder")
 
 
 @on_welcome(*long((120, 36)), NARROW)
-async def test_without_a_session_the_console_says_how_to_begin(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_without_session_console_says_how_to_begin(app: ConsoleApp, pilot: Pilot[None]) -> None:
     for words in ("Demo", "Open a session", "Import", "Quit"):
         await shown(pilot, words)
     await gone(pilot, "…")
@@ -59,7 +59,7 @@ async def test_without_a_session_the_console_says_how_to_begin(app: ConsoleApp, 
 
 
 @on_welcome()
-async def test_a_dialog_that_is_left_leads_back_to_the_welcome(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_dialog_that_is_left_leads_back_to_welcome(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("down", "enter")
     await shown(pilot, "Session file")
     await pilot.press("escape")
@@ -85,7 +85,7 @@ def remembered() -> dict[str, Any]:
 
 
 @on_welcome(landmark="1  nav2", before=remembered)
-async def test_a_digit_chooses_a_recent_session_and_enter_starts_it(
+async def test_digit_chooses_recent_session_and_enter_starts_it(
     app: ConsoleApp, pilot: Pilot[None], folder: Path
 ) -> None:
     assert isinstance(app.screen, WelcomeScreen)
@@ -106,9 +106,7 @@ async def test_a_digit_chooses_a_recent_session_and_enter_starts_it(
 
 
 @on_welcome(landmark="Open a session")
-async def test_a_session_is_found_by_a_few_letters_and_opened(
-    app: ConsoleApp, pilot: Pilot[None], folder: Path
-) -> None:
+async def test_session_is_found_by_few_letters_and_opened(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     for name in ("alpha", "beta"):
         save(msgspec.structs.replace(SESSION, name=name), folder / f"{name}.yaml")
     await pilot.press("o", *"bet", "enter")
@@ -126,7 +124,7 @@ async def test_a_session_is_found_by_a_few_letters_and_opened(
     ],
 )
 @on_welcome()
-async def test_a_session_that_does_not_load_says_why_with_the_line(
+async def test_session_that_does_not_load_names_line(
     app: ConsoleApp, pilot: Pilot[None], folder: Path, content: str | None, words: str
 ) -> None:
     if content is not None:
@@ -144,9 +142,7 @@ async def test_a_session_that_does_not_load_says_why_with_the_line(
 
 
 @on_welcome(*long((120, 36)), NARROW)
-async def test_a_new_session_is_a_valid_file_with_a_key_of_its_own(
-    app: ConsoleApp, pilot: Pilot[None], folder: Path
-) -> None:
+async def test_new_session_is_valid_with_own_key(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     await pilot.press("n")
     await shown(pilot, "Session file")
     await fill(pilot, name="robot1", server_ip="10.0.0.20", domain_id="3")
@@ -164,7 +160,7 @@ async def test_a_new_session_is_a_valid_file_with_a_key_of_its_own(
 
 
 @on_welcome()
-async def test_a_key_that_is_there_is_taken_and_known_by_its_fingerprint(
+async def test_existing_key_is_taken_and_known_by_fingerprint(
     app: ConsoleApp, pilot: Pilot[None], folder: Path
 ) -> None:
     key = write_key(folder / "shared.key")
@@ -195,7 +191,7 @@ MISTAKES = [
 
 
 @on_welcome()
-async def test_a_new_session_with_a_mistake_is_not_written(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
+async def test_new_session_with_mistake_is_not_written(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     (folder / "nokey").write_text("nothing of the kind\n")
     right = {"name": "robot1", "server_ip": "10.0.0.20", "server_port": "49152"}
     await pilot.press("n")
@@ -273,7 +269,7 @@ def robots(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("typed", ["../robots/nav.yaml", "~/nav.yaml  "])
 @on_welcome()
-async def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(
+async def test_existing_file_is_not_called_missing(
     app: ConsoleApp, pilot: Pilot[None], robots: Path, typed: str
 ) -> None:
     await pilot.press("i")
@@ -296,7 +292,7 @@ async def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_sess
 
 
 @on_welcome()
-async def test_a_path_to_nowhere_is_said_to_be_one(app: ConsoleApp, pilot: Pilot[None], robots: Path) -> None:
+async def test_path_to_nowhere_is_said_to_be_one(app: ConsoleApp, pilot: Pilot[None], robots: Path) -> None:
     for key, fields in (("o", ("path",)), ("n", ("path", "key_file"))):
         for typed in ("nowhere/a.yaml", "~nobody_is_called_so/a", f"{'long' * 100}.yaml"):
             await shown(pilot, "Open a session")
@@ -311,7 +307,7 @@ async def test_a_path_to_nowhere_is_said_to_be_one(app: ConsoleApp, pilot: Pilot
 
 
 @on_welcome()
-async def test_a_thesis_file_with_a_mistake_says_the_line(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
+async def test_thesis_file_with_mistake_says_line(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     (folder / "bringup.yaml").write_text(BRINGUP.format(protocol="UDX"))
     await pilot.press("i", *"bri", "enter")
     await fill(pilot, name="robot1", path="robot1.yaml")

@@ -64,7 +64,7 @@ def test_restart_while_starting_makes_no_second_engine(monkeypatch: pytest.Monke
     drive(app, steps)
 
 
-def test_another_session_waits_until_the_first_has_started_and_stops_it() -> None:
+def test_another_session_waits_for_start_of_first() -> None:
     made: list[Slow] = []
     app = scripted_app(make_engine=making(made))
 

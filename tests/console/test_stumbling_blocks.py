@@ -20,14 +20,14 @@ from rsb_console.widgets.form import Choice
 from rsb_console.widgets.topics import TopicsTable
 
 
-def test_what_is_chosen_and_what_is_not_differ_in_ascii() -> None:
+def test_chosen_and_unchosen_differ_in_ascii() -> None:
     options = next(spec.options for spec in FIELDS if spec.key == "role")
     chosen, other = (to_ascii(piece)[0] for piece in Choice(options)._pieces())
     assert chosen != other
 
 
 @on_main()
-async def test_a_refused_topic_comes_back_with_its_values_and_the_reason(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_refused_topic_returns_with_values_and_reason(app: ConsoleApp, pilot: Pilot[None]) -> None:
     engine_of(app).add_topic = lambda *_: refused("robot1 does not allow /added")  # type: ignore[method-assign]
     await pilot.press("a")
     await shown(pilot, "Add a topic")
@@ -68,9 +68,7 @@ async def test_no_leads_back_to_the_dialog_that_asked(app: ConsoleApp, pilot: Pi
 
 
 @on_main(session=msgspec.structs.replace(SESSION, use_name=True))
-async def test_on_the_server_a_name_with_a_prefix_is_not_said_to_be_the_same(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_prefixed_name_on_server_is_not_called_same(app: ConsoleApp, pilot: Pilot[None]) -> None:
     engine_of(app).now = replace(engine_of(app).now, links=(replace(LINK, use_name=True),))
     await pilot.press("a", "f8")  # the name there is among the further fields
     await shown(pilot, "/robot1 and its name")
@@ -109,7 +107,7 @@ COLUMNS = {"topic": "/robot1/scan", "robot": "robot1", "state": "DOWN", "type": 
         ("!", True),
     ],
 )
-def test_a_filter_looks_in_the_column_that_it_names_or_in_all(typed: str, found: bool) -> None:
+def test_filter_looks_in_named_column_or_all(typed: str, found: bool) -> None:
     assert RowFilter(typed).matches(COLUMNS) is found
 
 
@@ -130,7 +128,7 @@ async def test_the_topics_of_a_robot_stand_together(app: ConsoleApp, pilot: Pilo
 
 
 @on_main()
-async def test_enter_on_a_link_shows_it_with_its_topics(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_enter_on_link_shows_it_with_its_topics(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route("/a", link="robot1"), route("/b", link="robot2"), links=(LINK, replace(LINK, name="robot2")))
     await pilot.press("c", "enter")
     await shown(pilot, "Link robot1")

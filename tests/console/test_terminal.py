@@ -84,7 +84,7 @@ sys.exit(main(["run"]))
 
 
 @pytest.mark.parametrize("heard", [True, False])
-def test_a_terminal_that_vanishes_while_the_console_starts_is_no_crash(heard: bool, tmp_path: Path) -> None:
+def test_terminal_lost_during_start_is_no_crash(heard: bool, tmp_path: Path) -> None:
     """It reports that where somebody may still read it."""
     errors = tmp_path / "errors"
     command = (sys.executable, "-c", LATE, *([str(errors)] if heard else []))
@@ -135,7 +135,7 @@ class FarSide:
             delivered = [route["delivered"] for status in statuses for route in status["routes"]]
 
 
-def test_the_first_picture_does_not_wait_for_the_engine(pair: Pair, tmp_path: Path) -> None:
+def test_first_picture_does_not_wait_for_engine(pair: Pair, tmp_path: Path) -> None:
     """Its imports alone take a while; `bench/console.py` prints how soon the picture comes."""
     script, may_import = tmp_path / "patient.py", tmp_path / "may_import"
     script.write_text(PATIENT)
@@ -146,7 +146,7 @@ def test_the_first_picture_does_not_wait_for_the_engine(pair: Pair, tmp_path: Pa
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, *long(signal.SIGINT)], ids=["SIGTERM", "SIGINT"])
-def test_a_signal_ends_it_cleanly_and_restores_the_terminal(pair: Pair, tmp_path: Path, number: signal.Signals) -> None:
+def test_signal_ends_it_cleanly_and_restores_terminal(pair: Pair, tmp_path: Path, number: signal.Signals) -> None:
     with FarSide(pair, tmp_path / "far") as far, console(pair) as terminal:
         terminal.wait_for("LINKED")
         terminal.kill(number)
@@ -174,7 +174,7 @@ def new_modes() -> list[Any]:
         os.close(there)
 
 
-def test_stopped_and_continued_it_draws_again_and_leaves_nothing_behind(pair: Pair, tmp_path: Path) -> None:
+def test_stopped_and_continued_console_draws_again(pair: Pair, tmp_path: Path) -> None:
     """SIGSTOP tells it nothing; a shell's own terminal modes may be set when it goes on."""
     state = tmp_path / "state"
     with console(pair, XDG_STATE_HOME=str(state)) as terminal:
@@ -205,7 +205,7 @@ def test_stopped_and_continued_it_draws_again_and_leaves_nothing_behind(pair: Pa
         assert termios.tcgetattr(terminal.fd) == new_modes()
 
 
-def test_a_dropped_line_ends_it_and_the_peer_is_told(pair: Pair, tmp_path: Path) -> None:
+def test_dropped_line_ends_it_and_peer_is_told(pair: Pair, tmp_path: Path) -> None:
     with FarSide(pair, tmp_path / "far") as far, console(pair) as terminal:
         terminal.wait_for("LINKED")
         terminal.hang_up()
@@ -220,7 +220,7 @@ def test_a_dropped_line_ends_a_headless_bridge(pair: Pair) -> None:
         assert terminal.exit_code() == 129
 
 
-def test_a_dropped_line_leaves_it_bridging_where_that_is_asked_for(pair: Pair, tmp_path: Path) -> None:
+def test_dropped_line_leaves_bridge_running_if_wanted(pair: Pair, tmp_path: Path) -> None:
     going_on = console(pair, "--on-hangup", "continue")
     with FarSide(pair, tmp_path / "far") as far, talker(CHATTER), going_on as terminal:
         terminal.wait_for("LINKED")
@@ -231,7 +231,7 @@ def test_a_dropped_line_leaves_it_bridging_where_that_is_asked_for(pair: Pair, t
         assert terminal.exit_code() == 0
 
 
-def test_a_terminal_that_does_not_read_stalls_neither_the_bridge_nor_the_end(pair: Pair, tmp_path: Path) -> None:
+def test_stuck_terminal_stalls_neither_bridge_nor_end(pair: Pair, tmp_path: Path) -> None:
     with FarSide(pair, tmp_path / "far") as far, talker(CHATTER), console(pair) as terminal:
         terminal.wait_for("LINKED")
         for step in range(60):  # each redraws the whole screen: far more than the line holds
@@ -248,7 +248,7 @@ def test_a_terminal_that_does_not_read_stalls_neither_the_bridge_nor_the_end(pai
         assert terminal.exit_code(read=False) == 0
 
 
-def test_a_crash_of_the_console_leaves_the_bridge_running_and_is_told(pair: Pair, tmp_path: Path) -> None:
+def test_crash_of_console_leaves_bridge_running(pair: Pair, tmp_path: Path) -> None:
     script = tmp_path / "crashing.py"
     script.write_text(CRASHING)
     with FarSide(pair, tmp_path / "far") as far, talker(CHATTER):
@@ -267,7 +267,7 @@ def test_a_crash_of_the_console_leaves_the_bridge_running_and_is_told(pair: Pair
     assert stat.S_IMODE(crash.stat().st_mode) == 0o600
 
 
-def test_what_is_done_in_a_bridges_own_console_is_done_by_its_user_on_its_terminal(pair: Pair, tmp_path: Path) -> None:
+def test_actions_in_own_console_are_of_its_user(pair: Pair, tmp_path: Path) -> None:
     control = str(tmp_path / "console.sock")
     with console(pair, "--control", control) as terminal:
         terminal.wait_for("/console_")
@@ -316,7 +316,7 @@ def test_the_mouse_can_be_left_to_the_terminal(pair: Pair) -> None:
         terminal.wait_for("\x1b[?1003l")
 
 
-def test_the_terminals_title_names_the_bridge_and_its_faults(pair: Pair) -> None:
+def test_terminals_title_names_bridge_and_its_faults(pair: Pair) -> None:
     with console(pair) as terminal:
         terminal.wait_for("\x1b[22;0t")
         terminal.wait_for(f"\x1b]0;{load(pair.client_path).name} ✗1\x07")  # nobody answers
@@ -354,11 +354,11 @@ def test_a_light_background_changes_the_terminals_theme(tmp_path: Path) -> None:
         ({"LC_CTYPE": "C.UTF-8"}, False),
     ],
 )
-def test_ascii_is_chosen_where_the_terminal_has_no_more(environ: dict[str, str], expected: bool) -> None:
+def test_ascii_is_chosen_where_terminal_has_no_more(environ: dict[str, str], expected: bool) -> None:
     assert prefers_ascii(environ) is expected
 
 
-def test_commands_draw_ascii_where_the_terminal_has_no_more(pair: Pair) -> None:
+def test_commands_draw_ascii_where_terminal_has_no_more(pair: Pair) -> None:
     environ = {"LANG": "C", "LC_ALL": "", "LC_CTYPE": "", "TERM": "vt100"}
     with console(pair) as bridge:
         bridge.wait_for(" quit")

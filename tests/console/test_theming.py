@@ -98,7 +98,7 @@ def test_a_mistake_is_reported(
     assert says(reported, problem, **parameters)
 
 
-def test_a_file_that_is_no_yaml_is_reported_with_the_line(tmp_path: Path) -> None:
+def test_file_with_broken_yaml_names_line(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("primary: [")
     _, (reported,) = preferences.load_themes(tmp_path)
@@ -106,7 +106,7 @@ def test_a_file_that_is_no_yaml_is_reported_with_the_line(tmp_path: Path) -> Non
     assert "line 1" in reported
 
 
-def test_a_users_theme_stands_beside_the_shipped_ones_and_may_replace_one(tmp_path: Path) -> None:
+def test_users_theme_joins_or_replaces_shipped_ones(tmp_path: Path) -> None:
     (tmp_path / "dark.yaml").write_text('primary: "#ffffff"')
     found, _ = preferences.load_themes(preferences.shipped_themes(), tmp_path)
     assert found["dark"].primary == "#ffffff"
@@ -123,7 +123,7 @@ def own_themes() -> dict[str, Any]:
 
 @pytest.mark.usefixtures("folder")
 @on_main(landmark="Themes skipped", theme="mine", before=own_themes)
-async def test_bad_themes_become_one_toast_and_the_rest_still_works(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_bad_themes_are_one_toast_rest_works(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert app.theme == "mine"
     assert len(notices(app)) == 1
 
@@ -186,7 +186,7 @@ async def test_choices_are_kept_for_the_next_start(app: ConsoleApp, pilot: Pilot
 
 
 @pytest.mark.parametrize("text", ["{bell: true}\n", "bell: [\n", "bel: true\n"])
-def test_a_choice_leaves_a_file_alone_that_it_cannot_edit(tmp_path: Path, text: str) -> None:
+def test_choice_leaves_file_alone_that_it_cannot_edit(tmp_path: Path, text: str) -> None:
     path = tmp_path / "console.yaml"
     path.write_text(text)
     with pytest.raises(preferences.PreferenceError):

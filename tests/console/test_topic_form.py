@@ -48,7 +48,7 @@ LINKS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("link", LINKS)
-def test_the_form_offers_the_transports_that_the_rules_allow(link: str, kind: Kind) -> None:
+def test_form_offers_transports_that_rules_allow(link: str, kind: Kind) -> None:
     session = msgspec.structs.replace(SESSION, **LINKS[link])
     form = fields_by_kind(session, Ends(is_server=False, client="robot1", use_name=False), None)[kind]
     assert "port" in form
@@ -62,13 +62,13 @@ def test_the_form_offers_the_transports_that_the_rules_allow(link: str, kind: Ki
 @pytest.mark.parametrize(
     ("word", "on"), [("true", True), ("yes", True), ("false", False), ("No", False), ("off", False)]
 )
-def test_a_switch_is_off_where_the_word_says_so(word: str, on: bool) -> None:
+def test_switch_is_off_where_word_says_so(word: str, on: bool) -> None:
     topic = topic_of({"topic": "/cmd_vel", "direction": "receive", "arm": word, "paused": word})
     assert (topic.arm, topic.paused) == (on, on)
 
 
 @on_main(*long((120, 36)), NARROW)
-async def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_topic_is_found_by_letters_with_type(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("a", *"dep")
     await shown(pilot, "▌→ /camera/depth")
     await gone(pilot, "not an absolute topic name")  # what is looked for is no mistake
@@ -93,9 +93,7 @@ async def test_each_label_has_room_beside_its_field(app: ConsoleApp, pilot: Pilo
 
 
 @on_main()
-async def test_a_whole_name_is_taken_as_typed_though_a_longer_one_is_offered(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_whole_name_is_taken_despite_longer_offer(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("a", *"/camera")
     await shown(pilot, "/camera/depth")
     await pilot.press("enter", "enter")
@@ -126,7 +124,7 @@ def test_a_mistake_is_named_with_its_field(key: str, typed: str, words: str) -> 
 
 
 @on_main()
-async def test_a_mistake_is_said_beside_its_field_and_nothing_is_added(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_mistake_is_told_at_its_field(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Texts of an unfolded field, of a folded one, and of the first one."""
     await pilot.press("a")
     await shown(pilot, "Add a topic")
@@ -148,7 +146,7 @@ async def test_a_mistake_is_said_beside_its_field_and_nothing_is_added(app: Cons
 
 @pytest.mark.parametrize(("qos", "typed"), [(20, "5"), ("sensor_data", "5"), ({"depth": 3}, "{depth: 3}5")])
 @on_main()
-async def test_qos_policies_are_gone_on_with_but_another_qos_is_replaced(
+async def test_qos_policies_extend_but_profiles_replace(
     app: ConsoleApp, pilot: Pilot[None], qos: str | int | dict[str, Any], typed: str
 ) -> None:
     put(app, route("/scan", spec=Topic("/scan", "receive", qos=qos)))
@@ -162,7 +160,7 @@ async def test_qos_policies_are_gone_on_with_but_another_qos_is_replaced(
 
 
 @on_main(session=msgspec.structs.replace(SESSION, topics=(Topic("/scan", "transmit"),)))
-async def test_a_topic_that_crosses_already_is_refused_in_the_form(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_topic_that_crosses_already_is_refused_in_form(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("a")
     await shown(pilot, "Add a topic")
     await fill(pilot, topic="/scan")
@@ -176,9 +174,7 @@ RADIO = msgspec.structs.replace(SESSION, bluetooth_address="B8:27:EB:11:22:33")
 
 
 @on_main(*long((120, 36)), NARROW, session=RADIO)
-async def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetooth(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_ip_link_with_bluetooth_address_offers_bluetooth(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("a")
     await shown(pilot, "Add a topic")
     await fill(pilot, topic="/scan")
@@ -194,7 +190,7 @@ async def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bl
 
 
 @pytest.mark.parametrize("session", [SESSION, RADIO], ids=["no address", "address"])
-def test_a_topic_that_goes_over_bluetooth_can_be_edited(session: Session) -> None:
+def test_topic_that_goes_over_bluetooth_can_be_edited(session: Session) -> None:
     edited = Topic("/scan", "receive", protocol="bluetooth", port=5)
     fields = fields_by_kind(
         session, Ends(is_server=False, client="robot1", use_name=False), route("/scan", spec=edited)
@@ -224,7 +220,7 @@ async def test_fields_are_found_by_their_names(app: ConsoleApp, pilot: Pilot[Non
 
 
 @on_main(landmark="/scan", routes=(route("/scan", spec=EDITED),))
-async def test_an_edit_begins_with_what_is_and_sends_what_became(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_edit_begins_with_present_and_sends_new(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("e")
     await shown(pilot, "{reliability: best_effort, depth: 3}")
     await left_as_it_was(app, pilot, "/scan")
@@ -305,7 +301,7 @@ def test_topics_flow_from_publishers_to_where_somebody_listens(is_server: bool) 
 
 
 @pytest.mark.parametrize("publisher_here", [True, False])
-def test_a_topic_with_a_publisher_here_and_a_subscriber_there_is_told_by_the_publisher(publisher_here: bool) -> None:
+def test_topic_with_both_ends_is_told_by_publisher(publisher_here: bool) -> None:
     here, there = [info("/a")], [info("/a", 0, 1)]
     if not publisher_here:
         here, there = there, here
@@ -314,7 +310,7 @@ def test_a_topic_with_a_publisher_here_and_a_subscriber_there_is_told_by_the_pub
     assert offer.fills["direction"] == ("transmit" if publisher_here else "receive")
 
 
-def test_what_crosses_already_is_not_offered_again_from_either_end() -> None:
+def test_bridged_topics_are_not_offered_again() -> None:
     crossing = route("/a", spec=Topic("/a", "transmit", remote_topic="/b"), remote_topic="/b", outgoing=True)
     ends = Ends(is_server=False, client="robot1", use_name=False)
     here, there = [info("/a"), info("/c")], [info("/b", 0, 1), info("/d", 0, 1)]

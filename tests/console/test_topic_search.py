@@ -46,7 +46,7 @@ def _look_often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @on_main(make_engine=SlowPeer)
-async def test_an_answer_that_takes_many_looks_fills_the_list(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_answer_that_takes_many_looks_fills_list(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("a")
     await shown(pilot, "/camera/depth")  # this side's own
     await shown(pilot, "waiting for what the other side has")
@@ -59,7 +59,7 @@ async def test_an_answer_that_takes_many_looks_fills_the_list(app: ConsoleApp, p
 
 
 @on_main(make_engine=SlowPeer)
-async def test_an_answer_that_never_comes_is_said_and_asked_for_again(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_missing_answer_is_told_and_asked_again(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("a")
     await shown(pilot, "/camera/depth")
     engine_as(app, SlowPeer).asked[0].set_exception(EngineError("robot1 did not answer"))

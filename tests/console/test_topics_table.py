@@ -15,9 +15,7 @@ from rsb_console.widgets.filter import PatternProblem
 
 
 @on_main()
-async def test_the_cursor_begins_with_the_worst_and_then_stays_on_its_topic(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_cursor_begins_with_worst_and_stays(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route("/worse", State.DOWN), *ROUTES)
     assert selected_topic(app) == "/robot2/scan"  # /worse sorts behind it
     put(app, route("/a/worse", State.DOWN), *ROUTES)
@@ -88,7 +86,7 @@ async def test_five_hundred_topics_scroll_and_the_heading_stays(app: ConsoleApp,
 
 
 @on_main()
-async def test_the_cursor_is_on_the_screen_right_after_the_list_has_grown(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_cursor_is_visible_after_list_has_grown(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """The key came before the refresh that makes the scrollbar."""
     put(app, *(route(f"/t{i:03d}") for i in range(500)))
     app.main.topics.action_move_last()
@@ -112,7 +110,7 @@ async def test_sorting(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 
 @on_main()
-async def test_a_click_on_a_heading_sorts_by_it_and_again_turns_round(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_click_on_heading_sorts_and_reverses(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.click("#topics", offset=(12, 1))
     assert listed(app) == sorted(listed(app))
     await pilot.click("#topics", offset=(12, 1))
@@ -120,7 +118,7 @@ async def test_a_click_on_a_heading_sorts_by_it_and_again_turns_round(app: Conso
 
 
 @on_main()
-async def test_a_click_moves_the_cursor_and_another_one_opens(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_click_moves_cursor_and_another_one_opens(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.click("#topics", offset=(12, 3))
     assert selected_topic(app) == "/robot1/map"
     await pilot.click("#topics", offset=(12, 3))
@@ -140,7 +138,7 @@ async def test_filtering_as_it_is_typed(app: ConsoleApp, pilot: Pilot[None]) -> 
 
 
 @on_main()
-async def test_a_filter_that_is_no_regular_expression_is_refused_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_invalid_regular_expression_is_refused_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("slash", *"/scan(")
     await shown(pilot, PatternProblem.NO_REGEX)
     assert listed(app) == ["/robot2/scan", "/robot1/scan"]
@@ -165,7 +163,7 @@ async def test_faults_only_and_from_fault_to_fault(app: ConsoleApp, pilot: Pilot
 
 
 @on_main()
-async def test_a_servers_links_are_counted_and_peers_have_a_column(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_servers_links_are_counted_and_peers_have_column(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.resize_terminal(150, 36)
     other = replace(LINK, name="robot2", state=State.DOWN)
     put(app, *ROUTES, route("/scan", key="2", link="robot2"), links=(LINK, other), role="server")

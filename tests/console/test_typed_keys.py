@@ -93,7 +93,7 @@ def test_a_line_counts_while_the_terminal_answers(terminal: Terminal) -> None:
 
 
 @pytest.mark.parametrize("typed", ["\n", "\n\n\n", "\r"])
-def test_lines_that_a_hung_line_delivers_late_do_not_count(typed: str, terminal: Terminal) -> None:
+def test_late_lines_of_hung_line_do_not_count(typed: str, terminal: Terminal) -> None:
     clock = Time()
     with TypedKeys(terminal.here, {}, clock) as keys:
         keys.wait(0)
@@ -153,7 +153,7 @@ def test_in_the_background_the_terminal_is_left_alone(terminal: Terminal, monkey
         assert terminal.is_silent
 
 
-def test_the_last_answer_is_not_left_to_the_shell(terminal: Terminal) -> None:
+def test_last_answer_is_not_left_to_shell(terminal: Terminal) -> None:
     clock = Time()
     with TypedKeys(terminal.here, {}, clock) as keys:
         keys.wait(0)

@@ -104,7 +104,7 @@ async def test_nothing_to_undo(app: ConsoleApp, engine: ChangingEngine, pilot: P
 
 
 @on_scan(*long(WIDE), NARROW)
-async def test_a_removed_topic_comes_back_with_all_its_fields(
+async def test_removed_topic_comes_back_with_all_its_fields(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     await removed(pilot, "/scan")
@@ -170,7 +170,7 @@ async def test_a_safety_demand_is_not_dropped_unnamed(
 
 
 @on_scan()
-async def test_an_edit_that_drops_the_demand_is_asked_about_with_the_focus_on_no(
+async def test_edit_that_drops_demand_asks_preselecting_no(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     engine.put("/scan", msgspec.structs.replace(SCAN, arm=True))
@@ -190,7 +190,7 @@ async def test_an_edit_that_drops_the_demand_is_asked_about_with_the_focus_on_no
 
 
 @on_scan()
-async def test_an_added_topic_is_removed_again_after_a_question(
+async def test_added_topic_is_removed_again_after_question(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     await pilot.press("a")
@@ -234,7 +234,7 @@ async def paused_and_resumed(engine: ChangingEngine, pilot: Pilot[None]) -> None
 
 
 @on_scan()
-async def test_what_somebody_else_has_changed_since_is_left_alone(
+async def test_change_by_others_since_is_left_alone(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     await paused_and_resumed(engine, pilot)
@@ -246,9 +246,7 @@ async def test_what_somebody_else_has_changed_since_is_left_alone(
 
 
 @on_scan()
-async def test_a_pause_that_somebody_else_has_ended_and_begun_again_is_theirs(
-    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
-) -> None:
+async def test_pause_renewed_by_others_is_theirs(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
     await paused_and_resumed(engine, pilot)
     engine.happened.append(other(7, EventCode.OPERATOR_PAUSED))
     await refused(app, pilot, "anna on pts/3")
@@ -256,9 +254,7 @@ async def test_a_pause_that_somebody_else_has_ended_and_begun_again_is_theirs(
 
 
 @on_scan()
-async def test_an_undo_with_another_effect_by_then_is_asked_about_again(
-    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
-) -> None:
+async def test_undo_with_changed_effect_asks_again(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
     engine.now = with_pattern(engine, Topic("/s*", "transmit"))
     await removed(pilot, "/scan")
     first = await question(app, pilot)
@@ -271,7 +267,7 @@ async def test_an_undo_with_another_effect_by_then_is_asked_about_again(
 
 
 @on_scan()
-async def test_what_somebody_changes_while_the_question_stands_is_left_alone(
+async def test_change_during_question_is_left_alone(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     await slowed(app, pilot, engine)
@@ -284,9 +280,7 @@ async def test_what_somebody_changes_while_the_question_stands_is_left_alone(
 
 
 @on_scan()
-async def test_a_form_that_stood_open_takes_back_nothing_of_somebody_elses(
-    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
-) -> None:
+async def test_open_form_undoes_nothing_of_others(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
     await pilot.press("e")
     await fill(pilot, max_rate="2.5")
     engine.put("/scan", msgspec.structs.replace(SCAN, paused=True))
@@ -296,7 +290,7 @@ async def test_a_form_that_stood_open_takes_back_nothing_of_somebody_elses(
 
 
 @on_scan()
-async def test_an_edit_ends_though_its_form_is_left_and_can_be_undone(
+async def test_edit_ends_without_its_form_and_undoes(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     under_way: Future[str] = Future()

@@ -62,7 +62,7 @@ def test_events_are_followed(machine: Machine) -> None:
     assert [event.number for event in remote.wait_for_events(1997, 1.0)] == [1998, 1999]
 
 
-def test_commands_go_to_the_engine_and_their_results_come_back(machine: Machine) -> None:
+def test_commands_reach_engine_and_results_return(machine: Machine) -> None:
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)
     topic = Topic("/scan", "transmit", qos={"depth": 3}, max_rate=2.5)
@@ -112,7 +112,7 @@ class Failing(ScriptedEngine):
         return failed
 
 
-def test_an_internal_error_of_a_command_ends_no_attachment(machine: Machine) -> None:
+def test_internal_error_of_command_ends_no_attachment(machine: Machine) -> None:
     engine = Failing()
     remote = machine.attach_to(engine)
     with pytest.raises(EngineError, match="internal error, please report it: a mistake"):
@@ -127,7 +127,7 @@ def test_a_refusal_comes_back_in_words(machine: Machine) -> None:
         machine.attach().add_topic(Topic("/x", "transmit")).result(60)
 
 
-def test_a_command_that_is_no_unicode_is_refused_and_the_next_one_is_not(machine: Machine) -> None:
+def test_command_without_unicode_is_refused_next_is_not(machine: Machine) -> None:
     remote = machine.attach_to(ScriptedEngine())
     with pytest.raises(InvalidRequestError, match=pattern(protocol.RequestProblem.NOT_UNICODE)):
         remote.call("/text", "data: \udcff").result(30)
@@ -190,7 +190,7 @@ def test_requests_that_wait_are_limited(machine: Machine) -> None:
         request.result(60)
 
 
-def test_the_engine_finishes_what_a_console_that_has_gone_began(machine: Machine) -> None:
+def test_engine_finishes_what_console_that_has_gone_began(machine: Machine) -> None:
     engine = Slow()
     remote = machine.attach_to(engine)
     request = remote.retry()
@@ -202,9 +202,7 @@ def test_the_engine_finishes_what_a_console_that_has_gone_began(machine: Machine
     assert not engine.waiting[0].cancelled()
 
 
-def test_a_command_that_fails_once_its_console_has_gone_is_no_internal_error(
-    machine: Machine, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_failed_command_of_departed_console_is_no_error(machine: Machine, caplog: pytest.LogCaptureFixture) -> None:
     engine = Slow()
     remote = machine.attach_to(engine)
     remote.retry()
@@ -221,7 +219,7 @@ def consoles(machine: Machine) -> int:
     return len(attached_to(machine.served[-1]))
 
 
-def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Machine) -> None:
+def test_end_of_bridge_is_told_next_is_attached(machine: Machine) -> None:
     first = machine.serve()
     remote = machine.attach()
     eventually(remote.events)
@@ -245,7 +243,7 @@ def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Mac
     assert numbers == list(range(1, len(EVENTS) * 2 + 3)), "its own count goes on with any server"
 
 
-def test_a_step_that_raises_is_reported_and_the_console_attaches_again(machine: Machine) -> None:
+def test_step_that_raises_is_reported_then_attaches_again(machine: Machine) -> None:
     def fail(_: str) -> None:
         raise ValueError("a mistake")
 
@@ -305,9 +303,7 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
     eventually(lambda: State.OK in {each.state for each in remote.snapshot().routes})
 
 
-def test_a_bridge_whose_state_takes_long_is_not_called_silent(
-    machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bridge_with_slow_state_is_not_silent(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """Over a thin line, parts of it come all the time."""
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)
@@ -322,7 +318,7 @@ def test_a_bridge_whose_state_takes_long_is_not_called_silent(
     eventually(lambda: remote.snapshot().running and not remote.unreachable)
 
 
-def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:
+def test_many_attach_until_limit_is_told(machine: Machine) -> None:
     machine.serve()
     remotes = [machine.attach() for _ in range(protocol.CONSOLES)]
     with pytest.raises(EngineError, match=pattern(AttachProblem.OTHER_CONSOLES, count=32)):
@@ -392,7 +388,7 @@ class Busy(ScriptedEngine):
         return self.now
 
 
-def test_a_stalled_console_skips_states_and_holds_up_nobody(machine: Machine) -> None:
+def test_stalled_console_skips_states_and_holds_up_nobody(machine: Machine) -> None:
     engine = Busy()
     machine.serve(engine)
     stalled = Stalled(machine)
@@ -409,7 +405,7 @@ def test_a_stalled_console_skips_states_and_holds_up_nobody(machine: Machine) ->
     stalled.connection.close()
 
 
-def test_a_console_that_takes_nothing_for_long_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_console_that_takes_nothing_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     machine.serve(Busy())
     with Stalled(machine).connection:
         eventually(lambda: consoles(machine) == 1)
@@ -427,7 +423,7 @@ def test_nothing_is_left_behind(machine: Machine) -> None:
     eventually(lambda: all(not each.name.startswith("rsb-") for each in threading.enumerate()), what="no thread")
 
 
-def test_a_connection_that_comes_while_the_server_closes_is_closed(machine: Machine) -> None:
+def test_connection_that_comes_while_server_closes_is_closed(machine: Machine) -> None:
     """Python warns of an open socket when its memory is collected, which makes a test fail."""
     for _ in range(20):
         served = machine.serve()
@@ -437,13 +433,13 @@ def test_a_connection_that_comes_while_the_server_closes_is_closed(machine: Mach
     gc.collect(1)
 
 
-def test_a_bridge_that_is_not_there_is_said_in_words(machine: Machine) -> None:
+def test_absent_bridge_is_told_in_words(machine: Machine) -> None:
     with pytest.raises(EngineError, match="no bridge serves"):
         RemoteEngine(machine.folder / "nobody.sock").start()
     assert bridges.running_bridges(machine.environ) == []
 
 
-def test_an_attachment_that_is_cancelled_leaves_no_socket_open(machine: Machine) -> None:
+def test_attachment_that_is_cancelled_leaves_no_socket_open(machine: Machine) -> None:
     """At any turn of the event loop; Python warns of an open socket, which makes a test fail."""
     machine.serve()
 
@@ -471,7 +467,7 @@ def test_a_bridge_that_accepts_nobody_does_not_answer(machine: Machine, monkeypa
             RemoteEngine(machine.folder / "robot1.sock").start()
 
 
-def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine) -> None:
+def test_stop_ends_start_that_waits_for_hung_bridge(machine: Machine) -> None:
     machine.folder.mkdir(mode=0o700)
     with socket.socket(socket.AF_UNIX) as hangs:
         hangs.bind(str(machine.folder / "robot1.sock"))
@@ -495,9 +491,7 @@ def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine
 
 @pytest.mark.parametrize("leaves", [True, False], ids=["leaves", "gives up"])
 @pytest.mark.parametrize("command", [Peek("/scan"), Call("/text", "data: x"), AskHolder("/scan")])
-def test_who_leaves_or_gives_up_looking_calling_or_asking_does_so_no_more(
-    machine: Machine, command: Command[Any], leaves: bool
-) -> None:
+def test_leaving_console_ends_all_it_asked_for(machine: Machine, command: Command[Any], leaves: bool) -> None:
     class Quiet(ScriptedEngine):
         asked: list[Future[Any]]
 

@@ -70,7 +70,7 @@ class LookedAt(ServerEngine):
         self.descriptions[-1].set_result(DESCRIPTION)
 
 
-def test_a_battery_is_read_and_looked_at_again_later() -> None:
+def test_battery_is_read_and_looked_at_again_later() -> None:
     engine, one = LookedAt(), topic_of("robot1")
     assert engine.tick(one) == {}
     engine.waiting[one.key].set_result(battery(0.75))
@@ -159,7 +159,7 @@ def test_a_battery_that_is_gone_has_no_figure() -> None:
     assert engine.tick(replace(one, state=State.DOWN)) == {}
 
 
-def test_a_clock_that_is_set_back_delays_no_look() -> None:
+def test_clock_that_is_set_back_delays_no_look() -> None:
     engine, one = LookedAt(), topic_of("robot1")
     engine.tick(one)
     engine.waiting[one.key].set_result(None)

@@ -97,7 +97,7 @@ KINDS: tuple[type, ...] = get_args(ToConsole)
 
 @pytest.mark.parametrize("figure", [math.nan, math.inf, -math.inf, 1e308])
 @pytest.mark.parametrize("kind", [*KINDS, RouteSnapshot], ids=lambda kind: kind.__name__)
-def test_every_text_and_figure_of_every_message_is_cleaned(kind: type, figure: float) -> None:
+def test_every_text_and_figure_is_cleaned(kind: type, figure: float) -> None:
     said = msgspec.msgpack.encode(nasty(msgspec.inspect.type_info(kind), ESCAPES, figure))
     made: Any = msgspec.msgpack.decode(said, type=kind)
     dirty = [each for each in all_in(made) if isinstance(each, str) and not is_clean(each)]
@@ -115,11 +115,11 @@ def test_every_text_and_figure_of_every_message_is_cleaned(kind: type, figure: f
 @pytest.mark.parametrize(
     "value", [ROUTES, CALL_ROUTES, LINK, SESSION, EVENTS, BRIDGE], ids=lambda value: type(value).__name__
 )
-def test_what_an_honest_engine_says_is_as_it_was(value: object) -> None:
+def test_what_honest_engine_says_is_as_it_was(value: object) -> None:
     assert clean(value) == value
 
 
-def test_answers_keep_their_lines_and_other_texts_have_one() -> None:
+def test_answers_keep_lines_other_texts_have_one() -> None:
     assert clean(protocol.Reply(1, "a:\n\tb\x1b[m")).value == "a:\n\tb\ufffd[m"
     assert clean(protocol.CommandFailed(1, "no\nsuch\x9b")).reason == "no\nsuch\ufffd"
     (event,) = clean(protocol.Events((Event(1, 0.0, Level.INFO, "a\nb", "t"),))).events
@@ -178,13 +178,13 @@ def some_routes(first: int) -> protocol.StateChange:
 
 
 @pytest.mark.parametrize("keys", [(ROUTES[0].key,) * 2, None])
-def test_routes_that_are_not_those_of_the_list_are_refused(keys: tuple[str, ...] | None) -> None:
+def test_routes_missing_in_list_are_refused(keys: tuple[str, ...] | None) -> None:
     state = protocol.StateChange(routes=(protocol.encode_route(ROUTES[0]),), keys=keys, links=(LINK,), session=SESSION)
     with pytest.raises(ControlProtocolError, match=pattern(UnexpectedMessage.ROUTES_NOT_AS_LISTED)):
         StateReceiver(BRIDGE, trusted=False).receive(state)
 
 
-def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(reachable: Reachable) -> None:
+def test_captured_robot_does_nothing_to_attached_console(reachable: Reachable) -> None:
     reachable.engine.now = replace(
         reachable.engine.now,
         address=ESCAPES,
@@ -214,9 +214,7 @@ def test_an_answer_of_another_kind_is_no_answer(reachable: Reachable) -> None:
     remote.retry().result(60)
 
 
-def test_a_rogue_operator_asks_for_what_never_was_and_looks_all_the_time(
-    reachable: Reachable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rogue_operator_asks_nonsense_and_looks_forever(reachable: Reachable, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.CONSOLE_ANSWERED_WITHIN.set(monkeypatch, 600.0)  # then an old state is sent again
     with Stranger(reachable.port, "bob", BOB) as rogue:
         rogue.attach()

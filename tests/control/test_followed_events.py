@@ -92,7 +92,7 @@ def test_fast_connection_has_all_events_at_once() -> None:
         fast.console.gone()
 
 
-def test_console_that_takes_no_events_gets_few_until_the_end() -> None:
+def test_console_without_events_gets_few_until_end() -> None:
     with virtual_loop() as loop:
         deaf = loop.run_until_complete(follow(40e6, 60.0, answers=False))
         assert 0 < len(deaf.numbers) < 100

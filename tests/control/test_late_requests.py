@@ -99,7 +99,7 @@ def slow_line(remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, seconds: fl
 
 @pytest.mark.parametrize("command", MOVING, ids=lambda each: type(each).__name__)
 @pytest.mark.parametrize("age", [0.0, TICKET_LIFE + 0.5, -60.0])
-def test_an_old_ticket_costs_a_round_trip_and_the_command_is_done_once(
+def test_old_ticket_costs_round_trip_command_runs_once(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, command: Command[Any], age: float
 ) -> None:
     engine = ScriptedEngine()
@@ -112,7 +112,7 @@ def test_an_old_ticket_costs_a_round_trip_and_the_command_is_done_once(
 
 
 @pytest.mark.parametrize("command", MOVING, ids=lambda each: type(each).__name__)
-def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command: Command[Any]) -> None:
+def test_old_command_is_not_sent(machine: Machine, command: Command[Any]) -> None:
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)
     remote.given_at = Clock.steady() - OLD_AFTER - 0.1
@@ -122,7 +122,7 @@ def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command
     assert [each[0] for each in engine.commands] == ["pause"]
 
 
-def test_a_refused_command_that_is_given_up_is_not_repeated(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_abandoned_refused_command_is_not_repeated(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)
     each_again(monkeypatch, lambda waiting: waiting.future.cancel())
@@ -132,9 +132,7 @@ def test_a_refused_command_that_is_given_up_is_not_repeated(machine: Machine, mo
     assert [each[0] for each in engine.commands] == ["pause"]
 
 
-def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
-    machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refused_command_is_repeated_only_while_wanted(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """The console, or its connection to the bridge, hangs between the command and its refusal."""
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)

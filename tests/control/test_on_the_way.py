@@ -89,7 +89,7 @@ def test_who_forwards_sees_no_word_of_it(reachable: Reachable, between: Between)
         assert word not in between.seen
 
 
-def test_what_is_changed_is_noticed_and_the_console_attaches_again(reachable: Reachable, between: Between) -> None:
+def test_changed_bytes_are_noticed_then_attached_again(reachable: Reachable, between: Between) -> None:
     remote = reachable.attach(port=between.port)
     between.change = lambda data: data[:-1] + bytes((data[-1] ^ 1,))
     eventually(lambda: remote.snapshot() and [each for each in remote.events() if each.code == EventCode.ATTACH_LOST])
@@ -98,14 +98,14 @@ def test_what_is_changed_is_noticed_and_the_console_attaches_again(reachable: Re
     eventually(lambda: not remote.unreachable)
 
 
-def test_a_connection_that_is_cut_is_said_on_both_sides(reachable: Reachable, between: Between) -> None:
+def test_cut_connection_is_told_on_both_sides(reachable: Reachable, between: Between) -> None:
     remote = reachable.attach(port=between.port)
     between.cut()
     eventually(lambda: remote.unreachable)
     eventually(lambda: reachable.events(EventCode.ATTACH_OPERATOR_LEFT))
 
 
-def test_what_ends_a_connection_before_the_answer_is_said() -> None:
+def test_what_ends_connection_before_answer_is_said() -> None:
     """And not only that nobody answered."""
 
     async def connect(protocol: asyncio.Protocol) -> None:

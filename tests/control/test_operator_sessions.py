@@ -66,7 +66,7 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
     made.engine.stop()
 
 
-def test_whom_the_file_names_gets_in_until_it_does_not(machine: Machine, robot: Robot) -> None:
+def test_named_operators_attach_until_they_are_removed(machine: Machine, robot: Robot) -> None:
     reachable = robot.start(machine)
     anna, bob = reachable.attach("anna", robot.anna), reachable.attach("bob", robot.bob)
     assert (anna.read_only, bob.read_only) == (False, True)
@@ -92,7 +92,7 @@ def test_a_dry_run_only_says_what_would_change(machine: Machine, robot: Robot) -
     anna.retry().result(60)
 
 
-def test_a_key_that_is_replaced_detaches_and_the_new_one_attaches(machine: Machine, robot: Robot) -> None:
+def test_replaced_key_detaches_new_one_attaches(machine: Machine, robot: Robot) -> None:
     reachable = robot.start(machine)
     anna = reachable.attach("anna", robot.anna)
     new = write_key(robot.path.with_name("anna.key"), force=True)
@@ -101,7 +101,7 @@ def test_a_key_that_is_replaced_detaches_and_the_new_one_attaches(machine: Machi
     reachable.attach("anna", new)
 
 
-def test_a_reload_with_a_key_of_somebody_else_changes_nothing(machine: Machine, robot: Robot) -> None:
+def test_reload_with_key_of_somebody_else_changes_nothing(machine: Machine, robot: Robot) -> None:
     reachable = robot.start(machine)
     anna = reachable.attach("anna", robot.anna)
     copy_key(read_key(robot.path.with_name("key.txt")), robot.path.with_name("bob.key"), force=True)
@@ -112,13 +112,13 @@ def test_a_reload_with_a_key_of_somebody_else_changes_nothing(machine: Machine, 
 
 
 @pytest.mark.parametrize("other", ["key.txt", "anna.key"])
-def test_an_engine_does_not_start_where_an_operator_has_another_s_key(robot: Robot, other: str) -> None:
+def test_engine_refuses_operator_with_anothers_key(robot: Robot, other: str) -> None:
     copy_key(read_key(robot.path.with_name(other)), robot.path.with_name("bob.key"), force=True)
     with pytest.raises(EngineError, match="bob"):
         robot.engine.start()
 
 
-def test_a_client_with_an_operator_s_key_is_not_let_in(robot: Robot) -> None:
+def test_client_with_operators_key_is_refused(robot: Robot) -> None:
     robot.engine.start()
     with pytest.raises(EngineError, match="anna"):
         robot.engine.add_client(Client("robot2", key_file="anna.key")).result(60)
@@ -127,7 +127,7 @@ def test_a_client_with_an_operator_s_key_is_not_let_in(robot: Robot) -> None:
     robot.engine.add_client(Client("robot2", key_file="robot2.key")).result(60)
 
 
-def test_a_file_that_others_may_read_is_warned_of(robot: Robot) -> None:
+def test_file_that_others_may_read_is_warned_of(robot: Robot) -> None:
     robot.path.with_name("anna.key").chmod(0o644)
     robot.engine.start()
     assert any(event.code == EventCode.KEY_WARNING and "anna.key" in event.text for event in robot.engine.events())

@@ -96,7 +96,7 @@ def test_a_long_message_goes_record_by_record(machine: Machine, monkeypatch: pyt
     assert max(lengths) < 2 * RECORD_CONTENT < sum(lengths)
 
 
-def test_only_who_may_take_takes_an_arming_without_asking(reachable: Reachable) -> None:
+def test_only_who_may_take_takes_arming_without_asking(reachable: Reachable) -> None:
     """Others ask its holder."""
     anna = reachable.attach()
     anna.ask_holder("/cmd_vel").result(60)
@@ -123,7 +123,7 @@ def test_only_who_may_take_takes_an_arming_without_asking(reachable: Reachable) 
         ("anna", ANNA, "robot2", EventCode.ATTACH_UNKNOWN_NAME),
     ],
 )
-def test_who_may_not_is_told_so_on_both_sides(
+def test_missing_right_is_told_on_both_sides(
     reachable: Reachable, name: str, key: Key, engine: str, code: EventCode
 ) -> None:
     with pytest.raises(EngineError) as refused:
@@ -134,7 +134,7 @@ def test_who_may_not_is_told_so_on_both_sides(
     assert reachable.server.attached() == 0
 
 
-def test_a_file_of_another_machine_is_not_taken_for_one_of_this(machine: Machine, tmp_path: Path) -> None:
+def test_file_of_other_machine_is_told_apart(machine: Machine, tmp_path: Path) -> None:
     here = tmp_path / "robot1.yaml"
     save(ScriptedEngine().session, here)
     robot = Reachable(machine, file=here)

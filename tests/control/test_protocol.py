@@ -54,7 +54,7 @@ def test_every_command_comes_through_whole(at_once: int) -> None:
     ("make", "limit"),
     [(protocol.frames_to_bridge, protocol.TO_BRIDGE_LIMIT), (protocol.frames_to_console, protocol.TO_CONSOLE_LIMIT)],
 )
-def test_a_frame_that_is_too_large_is_refused_before_it_is_kept(make: Any, limit: int) -> None:
+def test_frame_beyond_limit_is_refused_before_storing(make: Any, limit: int) -> None:
     with pytest.raises(ControlProtocolError, match=pattern(Broken.FRAME_TOO_LONG)):
         list(make().feed((limit + 1).to_bytes(4, "big")))
 
@@ -75,7 +75,7 @@ def test_text_that_is_not_utf_8_is_refused(to_bridge: bool) -> None:
 
 @settings(max_examples=settings().max_examples // 2, deadline=None)
 @given(data=st.data())
-def test_a_console_has_the_routes_that_the_engine_has(data: st.DataObject) -> None:
+def test_console_has_routes_that_engine_has(data: st.DataObject) -> None:
     """After routes are added, changed, removed and moved between two polls."""
     engine, sender, encoded = ScriptedEngine(), Sender(), EncodedRoutes()
     info = protocol.BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")

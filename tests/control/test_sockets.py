@@ -119,7 +119,7 @@ def answer_to(uid: int, path: Path) -> str:
 
 @as_root
 @pytest.mark.parametrize("of", [0, SOMEBODY])
-def test_another_user_is_refused_even_where_the_files_let_them_in(of: int) -> None:
+def test_other_user_is_refused_whatever_files_allow(of: int) -> None:
     """The kernel says who connects; root's bridge serves root, and a user's serves that user and root."""
     with served_by(of) as path:
         assert answer_to(NOBODY, path) == "HelloRefused"
@@ -144,7 +144,7 @@ def test_roots_console_does_not_trust_another_users_process(monkeypatch: pytest.
 
 
 @as_root
-def test_root_does_not_look_into_a_folder_that_another_user_has_made(machine: Machine) -> None:
+def test_root_avoids_folder_of_other_user(machine: Machine) -> None:
     """Anybody can make /tmp/rsb-console-0 before root does."""
     machine.serve()
     assert control_sockets.find_sockets(machine.environ)
@@ -173,7 +173,7 @@ def test_a_folder_of_another_users_is_refused(machine: Machine) -> None:
         machine.serve()
 
 
-def test_a_folder_that_others_may_write_to_is_refused(machine: Machine) -> None:
+def test_folder_that_others_may_write_to_is_refused(machine: Machine) -> None:
     machine.folder.mkdir()
     machine.folder.chmod(0o777)
     with pytest.raises(ControlError, match=pattern(SocketProblem.FOLDER_WRITABLE)):
@@ -218,7 +218,7 @@ def test_a_living_processs_is_never_replaced(machine: Machine, monkeypatch: pyte
     machine.serve()
 
 
-def test_a_file_that_is_no_socket_is_left_alone(machine: Machine, tmp_path: Path) -> None:
+def test_file_that_is_no_socket_is_left_alone(machine: Machine, tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
     path.write_text("mine")
     with pytest.raises(ControlError, match=pattern(SocketProblem.NOT_A_SOCKET)):
@@ -255,7 +255,7 @@ def test_a_session_is_served_once(machine: Machine, tmp_path: Path) -> None:
         machine.serve(file=tmp_path / "a-copy.yaml")
 
 
-def test_both_sides_of_a_bridge_on_one_machine_have_one_each(machine: Machine) -> None:
+def test_both_sides_on_one_machine_have_sockets(machine: Machine) -> None:
     machine.serve()
     machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, role="server")))
     assert [(each.name, each.info and each.info.role) for each in bridges.running_bridges(machine.environ)] == [

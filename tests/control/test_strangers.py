@@ -70,9 +70,7 @@ CHANGES: tuple[AnyCommand, ...] = (
 
 
 @pytest.mark.parametrize("read_only", [True, False])
-def test_who_may_look_is_refused_every_change_whatever_their_console_says(
-    reachable: Reachable, machine: Machine, read_only: bool
-) -> None:
+def test_read_only_operator_is_refused_every_change(reachable: Reachable, machine: Machine, read_only: bool) -> None:
     of_core = [each for each in get_args(AnyCommand) if each.__module__ == commands.__name__]
     assert {type(each) for each in CHANGES} == {each for each in of_core if each.right in (Right.CHANGE, Right.TAKE)}
     with Stranger(reachable.port, "bob", BOB) as bob:
@@ -86,7 +84,7 @@ def test_who_may_look_is_refused_every_change_whatever_their_console_says(
     assert machine.stopped == 0
 
 
-def test_a_thousand_attempts_leave_a_short_log_and_keep_nobody_out(reachable: Reachable) -> None:
+def test_thousand_attempts_leave_short_log_and_room(reachable: Reachable) -> None:
     remote = reachable.attach()
     for number in range(1000):
         with Stranger(reachable.port, f"guess{number}", Key(number.to_bytes(32, "big"))) as stranger:
@@ -155,7 +153,7 @@ def test_a_first_message_that_was_recorded_is_refused(reachable: Reachable) -> N
     assert "anna" in refused.text
 
 
-def test_a_link_s_key_and_first_message_are_of_no_use(reachable: Reachable) -> None:
+def test_links_key_and_first_message_are_useless(reachable: Reachable) -> None:
     with Stranger(reachable.port) as link:
         link.send(make_client(key=ANNA.secret).start())
         assert link.is_closed()
@@ -164,9 +162,7 @@ def test_a_link_s_key_and_first_message_are_of_no_use(reachable: Reachable) -> N
 
 
 @pytest.mark.parametrize("damage", [lambda record: record[:-1] + bytes(1), lambda record: record + record])
-def test_what_was_changed_on_the_way_ends_the_connection(
-    reachable: Reachable, damage: Callable[[bytes], bytes]
-) -> None:
+def test_what_was_changed_on_way_ends_connection(reachable: Reachable, damage: Callable[[bytes], bytes]) -> None:
     with Stranger(reachable.port) as anna:
         anna.attach()
         record = anna.console.send(b"\0\0\0\1")
@@ -176,7 +172,7 @@ def test_what_was_changed_on_the_way_ends_the_connection(
     assert reachable.events(EventCode.ATTACH_REJECTED)
 
 
-def test_an_operator_who_does_not_speak_the_protocol_is_closed(reachable: Reachable) -> None:
+def test_operator_who_does_not_speak_protocol_is_closed(reachable: Reachable) -> None:
     with Stranger(reachable.port) as anna:
         anna.attach()
         anna.send(anna.console.send(b"\xff\xff\xff\xff"))
@@ -205,7 +201,7 @@ def test_operators_leave_places_to_this_machine_s_consoles(reachable: Reachable,
             machine.attach()
 
 
-def test_first_messages_that_are_played_again_leave_room_for_others(reachable: Reachable) -> None:
+def test_replayed_first_messages_leave_room_for_others(reachable: Reachable) -> None:
     """A restarted engine has forgotten the recorded ones, and accepts each once."""
     with contextlib.ExitStack() as played:
         first = played.enter_context(Stranger(reachable.port))
@@ -298,7 +294,7 @@ def test_a_reload_detaches_whom_it_is_about(reachable: Reachable, now: dict[str,
     eventually(lambda: reachable.server.attached() == 0)
 
 
-def test_who_comes_when_the_bridge_has_ended_is_closed(reachable: Reachable) -> None:
+def test_who_comes_when_bridge_has_ended_is_closed(reachable: Reachable) -> None:
     remote = reachable.attach()
     reachable.close()
     reachable.server.close("the bridge was stopped")
@@ -308,9 +304,7 @@ def test_who_comes_when_the_bridge_has_ended_is_closed(reachable: Reachable) -> 
 
 
 @pytest.mark.usefixtures("no_collector")
-def test_a_refused_console_is_freed_at_once_and_counts_no_more(
-    machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refused_console_is_freed_at_once(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     connection_made, made = sealed.SealedConsole.connection_made, list[weakref.ref[object]]()
 
     def record(self: sealed.SealedConsole, transport: asyncio.BaseTransport) -> None:
@@ -338,7 +332,7 @@ def test_an_attached_operator_is_no_stranger(reachable: Reachable) -> None:
         del silent
 
 
-def test_a_spent_budget_of_strangers_keeps_no_operator_out(reachable: Reachable) -> None:
+def test_spent_budget_of_strangers_keeps_no_operator_out(reachable: Reachable) -> None:
     reachable.acceptor.pending.strangers = Strangers(3 * CONNECTION)
     with contextlib.ExitStack() as silent:
         first = silent.enter_context(Stranger(reachable.port))

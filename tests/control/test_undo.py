@@ -84,7 +84,7 @@ def test_a_removed_topic_is_as_it_was(bridge: Bridge) -> None:
     assert not arming.armed
 
 
-def test_a_pattern_takes_in_again_what_it_has_left_out(bridge: Bridge, robot: Domain) -> None:
+def test_pattern_takes_in_again_what_it_excluded(bridge: Bridge, robot: Domain) -> None:
     robot.publisher("/camera/a")
     engine = bridge.client(Topic("/camera/*", "transmit"))
     bridge.server()
@@ -100,7 +100,7 @@ def test_a_pattern_takes_in_again_what_it_has_left_out(bridge: Bridge, robot: Do
     assert tuple((row.key, row.spec) for row in patterns_of(now(engine), "robot1")) == patterns
 
 
-def test_an_added_topic_that_a_pattern_matches_is_the_patterns_again(bridge: Bridge, robot: Domain) -> None:
+def test_added_topic_that_pattern_matches_is_patterns_again(bridge: Bridge, robot: Domain) -> None:
     robot.publisher("/camera/a")
     engine = bridge.client(Topic("/camera/*", "transmit"))
     bridge.server()

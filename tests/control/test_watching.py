@@ -70,12 +70,12 @@ def told(summarize: Callable[[float], bytes], seconds: float, *, stalls: bool = 
     return [each.content for each in summaries if isinstance(each, Summary)]
 
 
-def test_what_changes_all_the_time_comes_once_a_second() -> None:
+def test_what_changes_all_time_comes_once_second() -> None:
     contents = told(lambda now: str(now).encode(), 10.1)
     assert len(contents) == len(set(contents)) == 11
 
 
-def test_what_does_not_change_comes_as_a_sign_of_life() -> None:
+def test_unchanged_state_comes_as_sign_of_life() -> None:
     assert told(lambda _: b"same", 10.1) == [b"same"] * 3
 
 
@@ -111,7 +111,7 @@ def test_figures_come_by_every_way(machine: Machine, monkeypatch: pytest.MonkeyP
     assert seen(way, 3) == [b"0", b"1", b"2"]
 
 
-def test_a_bridge_that_makes_no_figures_does_not_answer(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bridge_that_makes_no_figures_does_not_answer(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.SUMMARY_SILENT_FOR.set(monkeypatch, 0.2)
     robot = Reachable(machine)
     with pytest.raises(ControlError, match=pattern(AttachProblem.SILENT)):

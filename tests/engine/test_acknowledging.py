@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
 
 
-def test_a_fault_that_one_console_acknowledges_is_known_in_all_until_it_changes(
-    bridge: Bridge, machine: Machine
-) -> None:
+def test_acknowledged_fault_is_known_in_all_consoles(bridge: Bridge, machine: Machine) -> None:
     client = bridge.client(Topic("/chat", "transmit"))
     eventually(lambda: client.snapshot().links[0].state is State.DOWN, what="a link that is down")
     machine.serve(client)

@@ -136,9 +136,7 @@ def test_a_server_that_is_started_again_serves_again(bridge: Bridge, client: Fib
         assert client.send(2).ask().result() == ("succeeded", fibonacci(2))
 
 
-def test_a_server_that_was_killed_and_started_again_serves_at_once(
-    bridge: Bridge, client: FibonacciClient, robot: Domain
-) -> None:
+def test_server_killed_and_restarted_serves_at_once(bridge: Bridge, client: FibonacciClient, robot: Domain) -> None:
     """zenoh-plugin-ros2dds #367, #413: it was dead for good. DDS still sees the old one."""
     _, robot_engine = bridge.both(FIBONACCI)
     with FibonacciProcess(robot.id) as server:

@@ -124,7 +124,7 @@ def test_what_is_armed_crosses_unchanged(
         publish_until_heard(joystick, words, motors)
 
 
-def test_what_was_on_its_way_when_it_disarms_reaches_no_robot_after_it_is_armed_again(
+def test_messages_before_disarming_reach_no_robot_later(
     bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The network holds the commands back, and releases them when both sides are armed again."""
@@ -156,7 +156,7 @@ def test_what_was_on_its_way_when_it_disarms_reaches_no_robot_after_it_is_armed_
 
 
 @pytest.mark.usefixtures("long_lease")
-def test_the_history_of_a_latched_topic_does_not_cross_on_arming(
+def test_latched_history_does_not_cross_on_arming(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
     motors, planner = robot.listener("/cmd"), pc.publisher("/cmd", qos=LATCHED)
@@ -184,9 +184,7 @@ def both_armed(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles
 
 
 @pytest.mark.parametrize("what", ["pause", "remove"])
-def test_a_command_that_disarms_ends_once_nothing_is_published_any_more(
-    what: str, both_armed: tuple[Engine, Engine], relay: Relay
-) -> None:
+def test_disarming_ends_once_nothing_is_published(what: str, both_armed: tuple[Engine, Engine], relay: Relay) -> None:
     """The network holds back the sent messages and the disarming."""
     server, _ = both_armed
     key = route(server, "/cmd").key
@@ -200,7 +198,7 @@ def test_a_command_that_disarms_ends_once_nothing_is_published_any_more(
     assert not half.settling.under_way
 
 
-def test_what_is_armed_over_udp_does_not_wait_for_tcp(
+def test_armed_udp_does_not_wait_for_tcp(
     bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
     """A link that loses packets may hold a stream up for seconds; lease and disarm cross as datagrams, too."""
@@ -236,7 +234,7 @@ def test_a_restart_and_a_reload_disarm(both_armed: tuple[Engine, Engine], bridge
     eventually(lambda: is_set_up(server, client))
 
 
-def test_the_robot_publishes_nothing_of_its_own_marked_topic_that_its_peer_sends_unarmed(
+def test_robot_publishes_no_unarmed_message_of_peer(
     bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The control PC's bridge is made to hold everything for armed."""
@@ -252,7 +250,7 @@ def test_the_robot_publishes_nothing_of_its_own_marked_topic_that_its_peer_sends
     assert not motors.payloads
 
 
-def test_the_first_type_that_is_loaded_does_not_end_the_lease(
+def test_first_loaded_type_does_not_end_lease(
     bridge: Bridge, robot: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A type is loaded for the first time in a process: NumPy comes with it, from a slow disk."""

@@ -76,7 +76,7 @@ def sizes(limit: int) -> list[int]:
         *long_cases(("tf2_msgs/msg/TFMessage", "tcp", 8 * MEGABYTE), ("made_up_msgs/msg/Blob", "udp", MEGABYTE)),
     ],
 )
-def test_a_type_that_neither_side_has_in_every_size(
+def test_type_that_neither_side_has_in_every_size(
     type_name: str, protocol: Any, limit: int, bridge: Bridge, unknown: tuple[KnownNode, KnownNode]
 ) -> None:
     robot, pc = unknown
@@ -214,7 +214,7 @@ def test_compressed(bridge: Bridge, robot: Domain, pc: Domain) -> None:
         assert route(client, name).bytes_total < 30_000
 
 
-def test_a_message_that_udp_does_not_carry_is_counted_and_said(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_message_too_large_for_udp_is_counted(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     out, there = robot.publisher("/big"), pc.listener("/big")
     server, client = bridge.both(Topic("/big", "transmit", protocol="udp", qos="default"))
     carries([out], server, ["/big"])
@@ -227,7 +227,7 @@ def test_a_message_that_udp_does_not_carry_is_counted_and_said(bridge: Bridge, r
     assert USE_TCP in route(client, "/big").last_error
 
 
-def test_a_latched_message_that_is_too_large_is_down_on_both_sides(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_oversized_latched_message_is_down_on_both_sides(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """It is published once, and so no share of the topic's messages."""
     out = robot.publisher("/map", qos=LATCHED)
     out.publish(text("x" * (9 * MEGABYTE)))

@@ -65,7 +65,7 @@ def test_a_client_comes_and_goes_while_another_stays(
     assert linked(first)
 
 
-def test_a_retry_of_a_link_that_does_not_exist_is_refused(bridge: Bridge) -> None:
+def test_retry_of_unknown_link_is_refused(bridge: Bridge) -> None:
     server, client = bridge.both()
     for side in server, client:
         with pytest.raises(EngineError, match=pattern(Denied.WHICH_CLIENT, clients="robot1")):
@@ -89,7 +89,7 @@ def test_the_same_file_with_another_key_counts(bridge: Bridge) -> None:
     eventually(lambda: not linked(client))
 
 
-def test_what_cannot_be_done_is_refused_and_changes_nothing(bridge: Bridge) -> None:
+def test_impossible_change_is_refused_and_changes_nothing(bridge: Bridge) -> None:
     server, client = bridge.both()
     session = server.session
     unknown = pattern(ClientProblem.MISSPELT, name="robot2", near="robot1")
@@ -112,7 +112,7 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(bridge: Bridge) -> N
     assert linked(server)
 
 
-def test_clients_that_share_a_key_are_refused_unless_it_is_meant(bridge: Bridge) -> None:
+def test_clients_share_key_only_on_purpose(bridge: Bridge) -> None:
     """Each could take the other's name and rights: at the start, when one is added, and when the file is read again."""
     bridge.make_key("robot2")
     (bridge.folder / "copy.key").write_bytes((bridge.folder / bridge.key_file).read_bytes())
@@ -138,7 +138,7 @@ def test_clients_that_share_a_key_are_refused_unless_it_is_meant(bridge: Bridge)
     bridge.server(clients=both, shared_keys=True)
 
 
-def test_the_log_says_who_came_and_went_and_nothing_else_is_kept_of_them(bridge: Bridge) -> None:
+def test_log_tells_arrivals_and_departures_only(bridge: Bridge) -> None:
     server = bridge.server()
     bridge.make_key("robot2")
     server.add_client(ROBOT2).result(60)
@@ -149,7 +149,7 @@ def test_the_log_says_who_came_and_went_and_nothing_else_is_kept_of_them(bridge:
     assert happened(server, EventCode.OPERATOR_CLIENTS, "client robot2: removed")
 
 
-def test_a_server_begins_without_clients_and_loses_its_last_one(bridge: Bridge, pc: Domain) -> None:
+def test_server_begins_and_ends_without_clients(bridge: Bridge, pc: Domain) -> None:
     server = bridge.server(clients=())
     assert now(server).links == ()
     assert now(server).running

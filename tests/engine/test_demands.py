@@ -134,7 +134,7 @@ CHANGES = (edited, removed, removed_there)
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda each: each.__name__)
-def test_a_change_that_does_not_name_the_demand_keeps_it(
+def test_change_that_does_not_name_demand_keeps_it(
     change: Callable[[Engine, Engine], None], bridge: Bridge, yard: Yard
 ) -> None:
     server, client = by_server(bridge, yard, COMMANDS)
@@ -147,7 +147,7 @@ def test_a_change_that_does_not_name_the_demand_keeps_it(
     assert all(not isinstance(each, ArmedName) or each.deadman == 0.0 for each in kept)
 
 
-def test_a_pattern_that_goes_or_matches_less_leaves_its_demand(bridge: Bridge, yard: Yard) -> None:
+def test_narrowed_or_removed_pattern_leaves_demand(bridge: Bridge, yard: Yard) -> None:
     pattern = Topic("/cmd*", "transmit", arm=True)
     server, client = by_server(bridge, yard, pattern)
     (shown,) = [each for link in now(server).links for each in link.patterns]
@@ -161,7 +161,7 @@ def test_a_pattern_that_goes_or_matches_less_leaves_its_demand(bridge: Bridge, y
     assert any("/cmd*" in str(each) for each in server.session.armed)
 
 
-def test_a_demand_is_dropped_only_by_an_edit_that_names_it_and_is_agreed_to(bridge: Bridge, yard: Yard) -> None:
+def test_demand_is_dropped_only_by_agreed_edit(bridge: Bridge, yard: Yard) -> None:
     server, client = by_server(bridge, yard, COMMANDS)
     key = route(server, "/cmd_vel").key
     plain = Topic("/cmd_vel", "receive")
@@ -174,7 +174,7 @@ def test_a_demand_is_dropped_only_by_an_edit_that_names_it_and_is_agreed_to(brid
     assert (here.topic, here.from_peer, there.topic, there.from_peer) == ("/cmd_vel", False, "/cmd_vel", True)
 
 
-def test_an_edit_that_names_the_demand_is_refused_until_it_is_agreed_to(bridge: Bridge, yard: Yard) -> None:
+def test_edit_that_names_demand_needs_agreement(bridge: Bridge, yard: Yard) -> None:
     yard.add("/cmd_vel")
     server, client = bridge.both(COMMANDS)
     eventually(lambda: set_up((server, client), "/cmd_vel"))
@@ -194,7 +194,7 @@ def test_an_edit_that_names_the_demand_is_refused_until_it_is_agreed_to(bridge: 
     yard.publish_until({"/cmd_vel"})
 
 
-def test_an_edit_that_is_refused_drops_nothing_and_tells_nobody(bridge: Bridge, yard: Yard) -> None:
+def test_refused_edit_drops_nothing_and_tells_nobody(bridge: Bridge, yard: Yard) -> None:
     """The other side read that the demand was dropped, though the edit had failed."""
     pattern, other = Topic("/arm*", "receive", arm=True), Topic("/leg*", "receive")
     yard.add("/cmd_vel")
@@ -218,7 +218,7 @@ def test_an_edit_that_is_refused_drops_nothing_and_tells_nobody(bridge: Bridge, 
     assert [each.topic for each in client.session.topics if each.arm] == ["/cmd_vel", "/arm*"]
 
 
-def test_a_line_that_only_limits_the_age_has_no_demand_to_drop(bridge: Bridge, yard: Yard) -> None:
+def test_line_that_limits_age_has_no_demand(bridge: Bridge, yard: Yard) -> None:
     yard.add("/cmd_vel")
     limited = Topic("/cmd_vel", "receive", max_age=5.0)
     server, client = bridge.server(armed=("/cmd_vel",)), bridge.client(limited)
@@ -228,7 +228,7 @@ def test_a_line_that_only_limits_the_age_has_no_demand_to_drop(bridge: Bridge, y
     assert required(client, "/cmd_vel")
 
 
-def test_a_demand_that_another_line_makes_too_is_not_dropped(bridge: Bridge, yard: Yard) -> None:
+def test_demand_of_another_line_is_not_dropped(bridge: Bridge, yard: Yard) -> None:
     server, client = by_server(bridge, yard, COMMANDS, Topic("/cmd*", "transmit", arm=True))
     with pytest.raises(EngineError, match=r"/cmd\*"):
         server.edit_topic(route(server, "/cmd_vel").key, Topic("/cmd_vel", "receive"), drop_arm=True).result(60)
@@ -250,7 +250,7 @@ def test_adding_a_demand_closes_what_is_open(bridge: Bridge, yard: Yard) -> None
     ("side", "way"),
     [("client", "by name"), ("server", "pattern"), ("server", "armed"), *long_cases(("client", "armed"))],
 )
-def test_a_reload_drops_a_demand_only_if_an_operator_agrees(side: str, way: str, bridge: Bridge, yard: Yard) -> None:
+def test_reload_drops_demand_only_if_operator_agrees(side: str, way: str, bridge: Bridge, yard: Yard) -> None:
     """The file demands nothing any more, and neither it nor a restart of the links ends a demand."""
     yard.add("/cmd_vel")
     yard.add("/free")
@@ -286,7 +286,7 @@ def test_a_reload_drops_a_demand_only_if_an_operator_agrees(side: str, way: str,
     assert engine.reload(dry_run=True).result(30) == Reloaded()
 
 
-def test_a_saved_session_demands_what_its_removed_entry_did(bridge: Bridge, yard: Yard) -> None:
+def test_saved_session_demands_what_its_removed_entry_did(bridge: Bridge, yard: Yard) -> None:
     server, client = by_server(bridge, yard, COMMANDS)
     server.remove_topic(route(server, "/cmd_vel").key).result(60)
     path = bridge.folder / "saved.yaml"
@@ -300,7 +300,7 @@ def test_a_saved_session_demands_what_its_removed_entry_did(bridge: Bridge, yard
     stays_demanded(yard, again, client)
 
 
-def test_a_server_removes_a_client_and_keeps_what_it_demands(bridge: Bridge, yard: Yard) -> None:
+def test_server_removes_client_and_keeps_what_it_demands(bridge: Bridge, yard: Yard) -> None:
     bridge.make_key("robot2")
     clients = (Client("robot1"), Client("robot2", key_file="robot2.key", topics=(COMMANDS,)))
     yard.add("/cmd_vel")
@@ -328,7 +328,7 @@ def test_the_lines_are_named_on_both_sides(bridge: Bridge, yard: Yard) -> None:
     assert lines(client) == (PEER_DEMANDS,)
 
 
-def test_a_pattern_whose_name_the_other_side_bridges_keeps_no_further_demand(bridge: Bridge, yard: Yard) -> None:
+def test_pattern_bridged_by_peer_keeps_no_demand(bridge: Bridge, yard: Yard) -> None:
     """A kept name would stay demanded once an operator drops the pattern's demand, though nobody has asked for that."""
     server = bridge.server(clients=(Client("robot1", topics=(Topic("/cmd*", "receive", arm=True),)),))
     client = bridge.client(Topic("/motor", "receive", remote_topic="/cmd_vel"))
@@ -339,7 +339,7 @@ def test_a_pattern_whose_name_the_other_side_bridges_keeps_no_further_demand(bri
     holds(lambda: server.session.armed == (), 2.0)
 
 
-def test_a_second_route_of_a_name_has_to_be_armed_too(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_second_route_of_name_has_demand_too(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """The server lists what the robot publishes under the name."""
     motors, other = robot.listener("/cmd_vel"), pc.listener("/other")
     out = [pc.publisher("/cmd_vel"), robot.publisher("/cmd_vel")]
@@ -363,7 +363,7 @@ def test_a_second_route_of_a_name_has_to_be_armed_too(bridge: Bridge, robot: Dom
     holds(nothing, 1.0)
 
 
-def test_what_is_called_has_to_be_armed_by_its_name(bridge: Bridge) -> None:
+def test_called_entries_are_armed_by_name(bridge: Bridge) -> None:
     kinds: tuple[Kind, ...] = ("service", "action", "parameters")
     server = bridge.server(armed=("/arm/**",))
     client = bridge.client(
@@ -376,7 +376,7 @@ def test_what_is_called_has_to_be_armed_by_its_name(bridge: Bridge) -> None:
         assert not required(client, names[1])
 
 
-def test_a_removal_that_drops_the_demand_is_told_on_both_sides(bridge: Bridge, yard: Yard) -> None:
+def test_removal_that_drops_demand_is_told_twice(bridge: Bridge, yard: Yard) -> None:
     server, client = by_server(bridge, yard, COMMANDS)
     server.remove_topic(route(server, "/cmd_vel").key, drop_arm=True).result(60)
     for engine in (server, client):

@@ -150,9 +150,7 @@ def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) 
         eventually(lambda: linked(newcomer, "robot2"))
 
 
-def test_one_client_that_takes_all_it_can_leaves_enough_for_the_next(
-    bridge: Bridge, programs: Programs, robot: Domain, pc: Domain
-) -> None:
+def test_greedy_client_leaves_enough_for_next(bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
     """The limit cannot be raised. Strangers connect meanwhile; another client and an operator still get in."""
     bridge.make_key("other")
     clients = (Client("robot1", key_file=bridge.key_file), Client("robot2", key_file="other.key"))
@@ -214,9 +212,7 @@ def test_half_a_pair_of_streams_holds_no_descriptor(
     eventually(lambda: carriers() == [1, 1])
 
 
-def test_topics_that_begin_at_one_moment_share_what_descriptors_there_are(
-    bridge: Bridge, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_simultaneous_topics_share_descriptors(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pairs that all take their first one before any takes its second never have both, however often they try."""
     ports = {free_port() for _ in range(8)} - {bridge.port}
     topics = [Topic(f"/topic{port}", "transmit", type="std_msgs/msg/String", qos=1, port=port) for port in ports]
@@ -251,7 +247,7 @@ def test_topics_that_begin_at_one_moment_share_what_descriptors_there_are(
     assert in_vain == [], "the first to begin gets both"
 
 
-def test_a_client_opens_no_socket_for_datagrams_from_the_reserve(
+def test_client_opens_no_socket_for_datagrams_from_reserve(
     bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A server may ask for many ports, and each takes one. It goes on once there are enough again."""

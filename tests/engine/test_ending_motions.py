@@ -57,7 +57,7 @@ class Moving(Feature):
 
 
 @pytest.mark.parametrize("topics", [{TOPIC}, None])
-def test_no_motion_begins_while_another_part_stops_its_own(
+def test_no_motion_begins_while_another_part_stops(
     topics: set[str] | None, loop: VirtualLoop, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     feature = Moving()
@@ -89,9 +89,7 @@ def test_no_motion_begins_while_another_part_stops_its_own(
     assert EventCode.ENGINE_ERROR in [event.code for event in context.events.after(0)]
 
 
-def test_only_the_topics_that_are_disarmed_are_kept_still(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_only_disarmed_topics_are_kept_still(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     bridge = Bridge(make_context(), {"robot1": ()}, SNAPSHOTS)
 
     async def disarm() -> None:

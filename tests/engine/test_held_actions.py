@@ -33,7 +33,7 @@ ARMED = msgspec.structs.replace(FIBONACCI, arm=True, deadman=0.0)
 
 @pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize(("how", "who"), [("paused", 0), ("disarmed", 1), *long_cases(("paused", 1), ("disarmed", 0))])
-def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
+def test_goals_end_while_no_new_one_begins(
     who: int, how: str, bridge: Bridge, server: FibonacciServer, client: FibonacciClient, consoles: Consoles
 ) -> None:
     engines = bridge.both(ARMED if how == "disarmed" else FIBONACCI)
@@ -74,7 +74,7 @@ def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
 @pytest.mark.parametrize(
     ("how", "shared"), [("paused", False), ("disarmed", True), *long_cases(("paused", True), ("disarmed", False))]
 )
-def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_one(
+def test_running_goal_is_cancelled_by_hand_without_rights(
     how: str, shared: bool, bridge: Bridge, server: FibonacciServer, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The goal is another client's, in the robot's domain; the operator sits at the other end.
@@ -109,7 +109,7 @@ def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_on
 
 @pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("how", ["paused", "disarmed"])
-def test_a_goal_that_waits_for_its_server_is_accepted(
+def test_goal_that_waits_for_its_server_is_accepted(
     how: str, bridge: Bridge, client: FibonacciClient, robot: Domain, consoles: Consoles
 ) -> None:
     server = FibonacciServer(robot.id, hesitates=True)
@@ -132,7 +132,7 @@ def test_a_goal_that_waits_for_its_server_is_accepted(
     server.close()
 
 
-def test_a_cancel_while_the_link_is_down_is_delivered_though_it_is_paused(
+def test_cancel_during_outage_is_delivered_despite_pause(
     bridge: Bridge, relay: Relay, server: FibonacciServer, client: FibonacciClient
 ) -> None:
     engines = bridge.both(FIBONACCI)

@@ -37,7 +37,7 @@ def never_down(server: Engine, client: Engine) -> bool:
     return all(each.state is not State.DOWN for engine in (server, client) for each in now(engine).routes)
 
 
-def test_an_idle_latched_topic_is_not_down_after_an_outage(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_idle_latched_topic_is_not_down_after_outage(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     out = robot.publisher("/map", qos=LATCHED)
     listener = pc.listener("/map", qos=LATCHED)
     server, client = bridge.both(Topic("/map", "transmit"))
@@ -48,7 +48,7 @@ def test_an_idle_latched_topic_is_not_down_after_an_outage(bridge: Bridge, robot
     holds(lambda: never_down(server, client), 3)
 
 
-def test_a_service_that_nobody_calls_is_not_down_after_an_outage(bridge: Bridge, pc: Domain) -> None:
+def test_uncalled_service_is_not_down_after_outage(bridge: Bridge, pc: Domain) -> None:
     pc.serve("/lamp", SetBool)
     server, client = bridge.both(Topic("/lamp", "transmit", kind="service"))
     eventually(lambda: route(client, "/lamp").cause == "no_call")

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["loop", "make_context"]
 
 
-def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks_often(
+def test_snapshots_come_four_times_a_second_when_watched(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     clock = make_context().clock
@@ -68,7 +68,7 @@ def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks_often(
     loop.run_until_complete(main())
 
 
-def test_a_regular_task_that_fails_is_reported_and_goes_on(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failing_task_is_reported_and_goes_on(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     server, client = bridge.both()
     role, failures = role_of(client), list[int]()
 
@@ -83,7 +83,7 @@ def test_a_regular_task_that_fails_is_reported_and_goes_on(bridge: Bridge, monke
     bridge.expected.add(client)  # the error is what this test is about
 
 
-def test_the_engine_stops_when_its_ros_side_has_failed(
+def test_engine_stops_when_its_ros_side_has_failed(
     bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = RosNode(robot.id, "robot1")

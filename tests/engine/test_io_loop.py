@@ -68,7 +68,7 @@ def test_what_is_used_of_asyncios_own_is_there() -> None:
     assert {"_callback", "_args"} <= set(asyncio.Handle.__slots__)
 
 
-def test_a_visitor_works_on_its_own_thread_as_if_on_the_loops(loop: IoLoop) -> None:
+def test_visitor_works_as_if_on_loops_thread(loop: IoLoop) -> None:
     seen: list[object] = []
     visit(loop, lambda: seen.append((asyncio.get_running_loop(), threading.get_ident())))
     assert seen == [(loop, threading.get_ident())]
@@ -76,7 +76,7 @@ def test_a_visitor_works_on_its_own_thread_as_if_on_the_loops(loop: IoLoop) -> N
         asyncio.get_running_loop()
 
 
-def test_a_visitor_may_have_a_loop_of_its_own(loop: IoLoop) -> None:
+def test_visitor_may_have_loop_of_its_own(loop: IoLoop) -> None:
     async def main() -> None:
         visit(loop, lambda: None)
         assert asyncio.get_running_loop() is not loop
@@ -99,7 +99,7 @@ def test_a_visitor_overtakes_no_callback(loop: IoLoop) -> None:
     assert order == list(range(2001))
 
 
-def test_a_callback_does_not_visit_its_own_loop_nor_a_visitor_while_it_is_there(loop: IoLoop) -> None:
+def test_callback_visits_neither_loop_nor_visitor(loop: IoLoop) -> None:
     nested: list[bool] = []
 
     def work() -> None:
@@ -132,7 +132,7 @@ def test_the_loop_waits_for_a_visitor(loop: IoLoop) -> None:
         lambda loop, done: loop.create_future().add_done_callback(lambda _: done.set()) or loop.call_soon(done.set),
     ],
 )
-def test_the_loop_wakes_for_what_a_visitor_leaves_behind(
+def test_loop_wakes_for_what_visitor_leaves_behind(
     loop: IoLoop, leave: Callable[[IoLoop, threading.Event], object]
 ) -> None:
     done = threading.Event()
@@ -145,7 +145,7 @@ async def _set(done: threading.Event) -> None:
     done.set()
 
 
-def test_the_loop_hears_a_socket_that_a_visitor_registers_while_it_waits(loop: IoLoop) -> None:
+def test_loop_hears_socket_registered_by_visitor(loop: IoLoop) -> None:
     near, far = socket.socketpair()
     with near, far:
         near.setblocking(False)
@@ -173,7 +173,7 @@ def always_ready() -> Iterator[socket.socket]:
         lambda loop, done: loop.create_task(_set(done)),
     ],
 )
-def test_a_reader_that_always_has_something_holds_nothing_up(
+def test_reader_that_always_has_something_holds_nothing_up(
     loop: IoLoop, always_ready: socket.socket, leave: Callable[[IoLoop, threading.Event], object]
 ) -> None:
     """Neither what it leaves for later itself, nor others' callbacks, timers, sockets and visits."""
@@ -203,7 +203,7 @@ def test_a_reader_that_always_has_something_holds_nothing_up(
         holds(lambda: not reads, 0.05)
 
 
-def test_a_reader_may_fail_stop_reading_and_stop_the_loop(always_ready: socket.socket) -> None:
+def test_reader_may_fail_stop_reading_and_stop_loop(always_ready: socket.socket) -> None:
     loop, errors = IoLoop(), list[dict[str, Any]]()
     loop.set_exception_handler(lambda _, details: errors.append(details))
 
@@ -219,7 +219,7 @@ def test_a_reader_may_fail_stop_reading_and_stop_the_loop(always_ready: socket.s
     loop.close()
 
 
-def test_what_a_visitor_has_closed_is_not_heard_nor_a_new_socket_of_its_number_left_out(loop: IoLoop) -> None:
+def test_socket_closed_by_visitor_is_not_heard(loop: IoLoop) -> None:
     with contextlib.ExitStack() as sockets:
         near, far, other, beyond = (
             sockets.enter_context(each) for pair in (socket.socketpair(), socket.socketpair()) for each in pair
@@ -243,7 +243,7 @@ def test_what_a_visitor_has_closed_is_not_heard_nor_a_new_socket_of_its_number_l
         visit(loop, lambda: loop.remove_reader(number))
 
 
-def test_what_a_visitors_work_raises_goes_to_the_exception_handler(loop: IoLoop) -> None:
+def test_what_visitors_work_raises_goes_to_exception_handler(loop: IoLoop) -> None:
     errors: list[dict[str, Any]] = []
     loop.set_exception_handler(lambda _, details: errors.append(details))
     visit(loop, lambda: 1 / 0)
@@ -264,7 +264,7 @@ def test_a_visitor_may_stop_the_loop() -> None:
     assert not loop.do_now(pytest.fail)
 
 
-def test_nobody_visits_in_debug_mode_where_asyncio_forbids_it(loop: IoLoop) -> None:
+def test_nobody_visits_in_asyncios_debug_mode(loop: IoLoop) -> None:
     loop.call_soon_threadsafe(loop.set_debug, True)
     eventually(loop.get_debug)
     queue, received = RosToLoopQueue(loop, loop.do_now), Numbers()
@@ -272,7 +272,7 @@ def test_nobody_visits_in_debug_mode_where_asyncio_forbids_it(loop: IoLoop) -> N
     eventually(lambda: received.numbers == [1])
 
 
-def test_a_visitor_that_comes_again_at_once_does_not_keep_the_loop_waiting(loop: IoLoop) -> None:
+def test_returning_visitor_does_not_keep_loop_waiting(loop: IoLoop) -> None:
     done = threading.Event()
     visit(loop, lambda: loop.call_later(0.01, done.set))
     deadline = time.monotonic() + 60.0
@@ -297,7 +297,7 @@ class Numbers:
 
 
 @pytest.mark.usefixtures("threads_change_often")
-def test_numbers_stay_in_order_and_alone_while_threads_change_all_the_time(loop: IoLoop) -> None:
+def test_numbers_stay_in_order_while_threads_change(loop: IoLoop) -> None:
     errors: list[dict[str, Any]] = []
     loop.set_exception_handler(lambda _, details: errors.append(details))
     queue, receivers = RosToLoopQueue(loop, loop.do_now), (Numbers(), Numbers())
@@ -332,7 +332,7 @@ class Fails:
         raise KeyError(batch)
 
 
-def test_a_receiver_that_fails_does_not_keep_from_the_others_what_came_with_its_own(loop: IoLoop) -> None:
+def test_failing_receiver_keeps_nothing_from_others(loop: IoLoop) -> None:
     errors: list[dict[str, Any]] = []
     loop.set_exception_handler(lambda _, details: errors.append(details))
     queue, received = RosToLoopQueue(loop, loop.do_now), Numbers()
@@ -346,7 +346,7 @@ def test_a_receiver_that_fails_does_not_keep_from_the_others_what_came_with_its_
 
 @pytest.mark.usefixtures("threads_change_often")
 @pytest.mark.parametrize("topic", ["/tcp", "/udp"])
-def test_a_bridge_keeps_the_order_while_threads_change_all_the_time(
+def test_bridge_keeps_order_while_threads_change_all_time(
     topic: str, bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there, out = pc.listener(topic), robot.publisher(topic)

@@ -22,7 +22,7 @@ from rsb_bridge.model.verdict import Cause
 CHAT = Topic("/chat", "transmit")
 
 
-def test_it_comes_back_when_either_side_is_started_again(
+def test_kept_topic_returns_when_either_side_restarts(
     bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
 ) -> None:
     """Saved to a file that listed no clients, and loaded from it."""
@@ -59,7 +59,7 @@ def test_it_comes_back_when_either_side_is_started_again(
     assert server.session.clients == (Client("robot1", topics=(CHAT,)),)
 
 
-def test_each_client_has_its_own_and_the_rest_of_the_session_stays(bridge: Bridge) -> None:
+def test_each_client_has_its_own_kept_topics(bridge: Bridge) -> None:
     clients = (Client("robot1", allow=("/chat",)), Client("robot2", topics=(Topic("/map", "transmit"),)))
     server = bridge.server(clients=clients, shared_keys=True)
     assert server.session.clients == clients
@@ -67,7 +67,7 @@ def test_each_client_has_its_own_and_the_rest_of_the_session_stays(bridge: Bridg
     assert server.session.clients == (replace(clients[0], topics=(CHAT,)), clients[1])
 
 
-def test_two_entries_that_differ_are_refused_with_both_lines(bridge: Bridge, robot: Domain, tmp_path: Path) -> None:
+def test_two_different_entries_are_refused_with_lines(bridge: Bridge, robot: Domain, tmp_path: Path) -> None:
     robot.publisher("/chat")
     clients = (Client("robot1", topics=(replace(CHAT, protocol="udp"),)),)
     server, client = bridge.server(clients=clients), bridge.client(Topic("/map", "transmit"), CHAT)
@@ -89,7 +89,7 @@ def test_two_entries_that_differ_are_refused_with_both_lines(bridge: Bridge, rob
     assert server.session.clients == (Client("robot1"),), "removed by an operator"
 
 
-def test_what_the_client_refuses_is_said_on_both_sides(bridge: Bridge) -> None:
+def test_what_client_refuses_is_said_on_both_sides(bridge: Bridge) -> None:
     halt = Topic("/halt", "receive")
     server = bridge.server(clients=(Client("robot1", topics=(halt,)),), shutdown_topic=None)
     client = bridge.client(shutdown_topic="/halt", allow=("/halt",))
@@ -101,7 +101,7 @@ def test_what_the_client_refuses_is_said_on_both_sides(bridge: Bridge) -> None:
     assert server.session.clients == (Client("robot1", topics=(halt,)),)
 
 
-def test_a_topic_has_the_name_that_the_servers_screen_shows(bridge: Bridge) -> None:
+def test_topic_has_name_that_servers_screen_shows(bridge: Bridge) -> None:
     """With `use_name`, in every command; the client's own name does as well."""
     bridge.make_key("other")
     server = bridge.server(clients=(Client("robot1", use_name=True), Client("robot2", key_file="other.key")))

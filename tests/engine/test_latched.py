@@ -181,7 +181,7 @@ def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, 
 
 
 @pytest.mark.parametrize("depth", [1, 5])
-def test_a_late_joiner_hears_no_more_of_a_burst(depth: int, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_late_joiner_hears_no_more_of_burst(depth: int, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     out = robot.publisher("/path", qos=latched(depth))
     bridge.both(Topic("/path", "transmit"))
     steady = pc.listener("/path", qos=latched(1000))
@@ -197,7 +197,7 @@ def is_fine(shown: RouteSnapshot) -> bool:
     return (shown.state, shown.cause, shown.reason) == (State.OK, Cause.NONE, "") and passed and _carries(shown)
 
 
-def test_a_second_bridge_has_what_the_first_one_brought(
+def test_second_bridge_has_what_first_one_brought(
     bridge: Bridge, robot: Domain, pc: Domain, third: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Either route is opened again, and nothing new is published."""
@@ -222,7 +222,7 @@ def test_a_second_bridge_has_what_the_first_one_brought(
     assert len(steady.payloads) == 1
 
 
-def test_a_message_that_comes_together_with_the_proof_of_its_datagrams_address(
+def test_message_arrives_together_with_proof_of_address(
     bridge: Bridge, relay: Relay, robot: Domain, pc: Domain
 ) -> None:
     """The server let it fall, as its route took datagrams only in the loop's next turn; nothing else was published."""
@@ -245,7 +245,7 @@ def test_a_message_that_comes_together_with_the_proof_of_its_datagrams_address(
 @pytest.mark.parametrize(
     "how", ["client restarts", "server's process", *long("cut", "server restarts", "client's process")]
 )
-def test_a_newest_message_that_the_far_side_has_is_fine_after_a_reconnect(
+def test_newest_message_known_there_is_fine_after_reconnect(
     how: str, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its publisher has published nothing new, so nothing crosses in the new opening."""

@@ -125,7 +125,7 @@ def counts(domains: dict[str, Domain], publishers: dict[str, Publisher], message
     return found
 
 
-def test_a_ring_carries_what_can_arrive_and_nothing_round(
+def test_ring_carries_what_can_arrive_and_nothing_round(
     bridge: Bridge, robot: Domain, pc: Domain, third: Domain
 ) -> None:
     """The route that would close the ring is refused on both sides, which name the bridges, while it would bring

@@ -155,7 +155,7 @@ def calls_raw(caller: RosNode, service: str, kind: str, *payloads: bytes, waits:
     return answers
 
 
-def test_eight_bytes_of_a_request_do_not_reach_a_node(bridge: Bridge, victim: Victim, caller: RosNode) -> None:
+def test_eight_bytes_of_request_do_not_reach_node(bridge: Bridge, victim: Victim, caller: RosNode) -> None:
     server, client = bridge.both(Topic(SET, "transmit", kind="service", timeout=20.0))
     right = EIGHT[:4] + bytes(4)
     answers = calls_raw(caller, SET, PARAMETERS, FEWER, EIGHT, right)
@@ -227,7 +227,7 @@ def test_latched_and_compressed_messages_are_checked_too(
     assert linked(server)
 
 
-def test_eight_bytes_of_a_response_do_not_reach_a_caller(
+def test_eight_bytes_of_response_do_not_reach_caller(
     bridge: Bridge, caller: RosNode, pc: Domain, request: pytest.FixtureRequest
 ) -> None:
     far = KnownNode(pc.id, "server")

@@ -112,9 +112,7 @@ def test_a_command_about_one_route_renews_no_other(loop: VirtualLoop, make_conte
     assert len(snapshots.latest.routes) == 4 * LINKS
 
 
-def test_a_snapshot_of_many_links_is_made_a_slice_at_a_time(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_snapshot_of_many_links_is_made_in_slices(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     """Also the first one, in which each route is new."""
     turns = Turns(loop)
 
@@ -127,9 +125,7 @@ def test_a_snapshot_of_many_links_is_made_a_slice_at_a_time(
     assert turns.most_in_one_go <= 2 * SLICE
 
 
-def test_a_link_that_goes_while_a_snapshot_is_made_is_not_in_it_and_one_that_comes_is_in_the_next(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_snapshot_has_links_present_at_its_end(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     turns = Turns(loop)
     links = [Link(turns, routes=1) for _ in range(LINKS)]
 
@@ -161,7 +157,7 @@ def test_a_link_that_goes_while_a_snapshot_is_made_is_not_in_it_and_one_that_com
 @pytest.mark.parametrize(
     ("looks", "least", "most"), [(1.0, 0, 0), (4.0, 4 * LINKS, 16 * LINKS)], ids=["log", "console"]
 )
-def test_routes_that_rest_are_shown_anew_while_somebody_looks_often(
+def test_resting_routes_are_shown_anew_while_watched(
     looks: float, least: int, most: int, loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     resting, awake = Turns(loop), Turns(loop)
@@ -191,7 +187,7 @@ def test_routes_that_rest_are_shown_anew_while_somebody_looks_often(
     assert least <= resting.calls <= most
 
 
-def test_what_is_left_is_known_without_a_list_of_all_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_free_descriptors_are_known_without_listing_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each stream of a route asks."""
     if not Path("/proc/self/fd").stat().st_size:
         return  # Linux before 6.2 gives no number

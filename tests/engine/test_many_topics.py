@@ -91,7 +91,7 @@ def test_what_is_an_address_already_needs_no_thread(address: str, monkeypatch: p
     assert found[:2] == (address.partition("%")[0], 49152)
 
 
-def test_a_stranger_has_no_more_connections_because_of_a_client(bridge: Bridge) -> None:
+def test_stranger_has_no_more_connections_because_of_client(bridge: Bridge) -> None:
     """As many as its routes wait for may come from its address, however many routes, and no more from another."""
     server = bridge.server()
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue, contextlib.ExitStack() as crowd:
@@ -133,7 +133,7 @@ def pending(server: Engine) -> int:
     return len(role._server._pending.present)
 
 
-def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
+def test_burst_of_messages_leaves_loop_to_others(bridge: Bridge) -> None:
     """A few are acted on at a time, in their order; each may make a DDS endpoint."""
     server = bridge.server()
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:

@@ -86,7 +86,7 @@ def clocks_known(*engines: Engine) -> bool:
 @pytest.mark.parametrize(
     ("side", "protocol"), [("sender", "udp"), ("receiver", "tcp"), *long_cases(("sender", "tcp"), ("receiver", "udp"))]
 )
-def test_nothing_old_comes_out_of_a_network_that_held_everything(
+def test_network_that_held_everything_yields_nothing_old(
     protocol: Protocol,
     side: str,
     bridge: Bridge,
@@ -135,7 +135,7 @@ def _shown(engine: Engine, topic: str) -> tuple[State, str]:
     return found.state, found.cause
 
 
-def test_a_latched_message_is_too_old_for_whoever_joins_late(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_latched_message_is_too_old_for_late_joiner(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     out = Noting(robot.publisher("/mode", qos=latched(1)))
     out.publish()
     began = time.monotonic()
@@ -156,7 +156,7 @@ def test_a_latched_message_is_too_old_for_whoever_joins_late(bridge: Bridge, rob
     assert max(ages(heard, out)) <= MAX_AGE + TOLERANCE
 
 
-def test_a_request_that_is_too_old_reaches_no_server(
+def test_request_that_is_too_old_reaches_no_server(
     bridge: Bridge, holding: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     constants.DEAD_AFTER.set(monkeypatch, 60.0)

@@ -36,7 +36,7 @@ def stock(robot: Domain) -> Iterator[Spun]:
 
 @pytest.mark.usefixtures("stock")
 @pytest.mark.parametrize("method", ["create_server", "create_client"])
-def test_it_is_said_on_both_sides_and_tried_again(method: str, bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_offer_is_told_twice_and_repeated(method: str, bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """rcl has no room, say: the real thing cannot be had at will."""
     refuses, attempts = [True], []
     make = getattr(Participant, method)

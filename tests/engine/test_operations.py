@@ -93,7 +93,7 @@ def test_the_other_sides_topics(bridge: Bridge, robot: Domain, pc: Domain) -> No
         server.topics("robot1").result(60)
 
 
-def test_a_topic_that_is_edited_keeps_its_place_in_the_session(bridge: Bridge) -> None:
+def test_edited_topic_keeps_its_place(bridge: Bridge) -> None:
     """A save finds the topic's lines in the file, even if its name has changed."""
     _, client = bridge.both(*(Topic(name, "transmit") for name in ("/a", "/b", "/c")))
     client.edit_topic(route(client, "/b").key, Topic("/b2", "receive")).result(60)
@@ -103,9 +103,7 @@ def test_a_topic_that_is_edited_keeps_its_place_in_the_session(bridge: Bridge) -
     assert [topic.topic for topic in client.session.topics] == ["/a", "/b2", "/c"]
 
 
-def test_a_prefix_that_makes_a_name_too_long_is_refused_in_words_and_the_link_stays(
-    bridge: Bridge, robot: Domain, pc: Domain
-) -> None:
+def test_prefix_beyond_name_length_is_refused(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """For topics of both sides, and `use_name` in either side's file."""
     long = "/" + "a" * 245
     server, client = bridge.server(use_name=True), bridge.client(Topic(long, "transmit"), Topic("/b", "transmit"))
@@ -135,7 +133,7 @@ def shut_down_there(client: Engine, server: Engine) -> None:
 
 
 @pytest.mark.parametrize("restarts", [True, False])
-def test_a_link_that_is_shut_down_before_its_client_came(restarts: bool, bridge: Bridge) -> None:
+def test_link_shut_down_before_its_client_came(restarts: bool, bridge: Bridge) -> None:
     server = bridge.server()
     with acting("anna on pts/3"):
         server.shut_down().result(60)

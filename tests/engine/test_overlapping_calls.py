@@ -51,7 +51,7 @@ def test_nor_by_an_edit(bridge: Bridge) -> None:
     eventually(lambda: {each.topic for each in server.snapshot().routes} == {NODE.topic, other.topic})
 
 
-def test_both_sides_say_so_where_each_has_its_own_entry(bridge: Bridge) -> None:
+def test_both_sides_tell_of_two_entries(bridge: Bridge) -> None:
     """Neither knew of the other's when it took its own."""
     server = bridge.server()
     server.add_topic(SETTER, link="robot1").result(30)

@@ -70,7 +70,7 @@ def counts() -> Counter[str]:
     return Counter(kind.__qualname__ for kind in kinds if str(kind.__module__).startswith("rsb_bridge."))
 
 
-def test_topics_that_come_and_go_by_a_pattern_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_topics_of_patterns_leave_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.NAMES_GONE_AFTER.set(monkeypatch, 0.05)
     write_key(tmp_path / "k.key")
     common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": free_port(), "shutdown_topic": None}

@@ -186,7 +186,7 @@ def pair(bridge: Bridge, topic: Topic, *, client_lacks: bool = False, server_lac
 
 
 @pytest.mark.parametrize("direction", ["transmit", "receive"])
-def test_the_other_side_describes_a_type_that_is_not_installed_here(
+def test_other_side_describes_type_missing_here(
     direction: Any, bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, far = (robot, pc) if direction == "transmit" else (pc, robot)
@@ -224,7 +224,7 @@ def spinning(robot: Domain) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("spinning")
-def test_a_node_describes_a_type_that_is_installed_on_neither_side(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_node_describes_type_installed_nowhere(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     robot.publisher("/odom", Odometry)
     server, client = pair(bridge, Topic("/odom", "transmit"), client_lacks=True, server_lacks=True)
     for engine in (server, client):

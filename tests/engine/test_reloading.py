@@ -98,7 +98,7 @@ def test_only_the_topics_that_differ_change(
     assert codes(client, EventCode.OPERATOR_RELOADED)[-1] == same
 
 
-def test_another_rate_limit_keeps_the_counts_and_the_link(
+def test_another_rate_limit_keeps_counts_and_link(
     bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     constants.DEAD_AFTER.set(monkeypatch, 60.0)  # a busy machine that stands still loses no link
@@ -122,7 +122,7 @@ def test_another_rate_limit_keeps_the_counts_and_the_link(
     assert [len(codes(side, EventCode.ROUTE_CONNECTED)) for side in (client, server)] == [1, 1]
 
 
-def test_what_operators_changed_and_did_not_save_becomes_what_the_file_says(bridge: Bridge, tmp_path: Path) -> None:
+def test_unsaved_changes_become_what_file_says(bridge: Bridge, tmp_path: Path) -> None:
     _, client = bridge.both(Topic("/chat", "transmit"))
     file = Edited(client, tmp_path / "robot1.yaml")
     with acting("anna (uid 1000, pid 1)"):
@@ -167,7 +167,7 @@ def test_a_bad_file_changes_nothing(bridge: Bridge, tmp_path: Path) -> None:
     assert link(client).state == "ok"
 
 
-def test_what_cannot_change_while_it_runs_is_said_and_the_rest_is_done(bridge: Bridge, tmp_path: Path) -> None:
+def test_fixed_keys_are_told_the_rest_changes(bridge: Bridge, tmp_path: Path) -> None:
     _, client = bridge.both(Topic("/chat", "transmit"))
     file = Edited(client, tmp_path / "robot1.yaml")
     port, domain = client.session.server_port, client.session.domain_id
@@ -187,7 +187,7 @@ def test_what_cannot_change_while_it_runs_is_said_and_the_rest_is_done(bridge: B
     assert file.reload().left == reloaded.left, "it is shown as long as it lasts"
 
 
-def test_ports_and_shared_keys_are_shown_before_they_count(bridge: Bridge, tmp_path: Path) -> None:
+def test_ports_and_shared_keys_are_shown_first(bridge: Bridge, tmp_path: Path) -> None:
     """A console that shows no difference reloads nothing."""
     server, _ = bridge.both()
     file = Edited(server, tmp_path / "pc.yaml")
@@ -198,7 +198,7 @@ def test_ports_and_shared_keys_are_shown_before_they_count(bridge: Bridge, tmp_p
         assert getattr(server.session, key) == value
 
 
-def test_clients_are_added_changed_and_removed_without_the_others_noticing(
+def test_clients_change_without_others_noticing(
     bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     constants.DEAD_AFTER.set(monkeypatch, 60.0)  # a busy machine that stands still loses no link
@@ -310,7 +310,7 @@ def test_other_changes_wait_for_a_reload_that_runs(
     assert file.session.topics != client.session.topics
 
 
-def test_a_disk_that_hangs_holds_up_other_changes_for_a_while_only(
+def test_hung_disk_holds_up_changes_for_a_while(
     bridge: Bridge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A late answer resumes nothing."""
@@ -335,7 +335,7 @@ def test_a_disk_that_hangs_holds_up_other_changes_for_a_while_only(
     assert all(topic.paused for topic in client.session.topics)
 
 
-def test_a_reload_that_an_operator_has_seen_does_nothing_else(bridge: Bridge, tmp_path: Path) -> None:
+def test_reload_that_operator_has_seen_does_nothing_else(bridge: Bridge, tmp_path: Path) -> None:
     client = bridge.client(Topic("/a", "transmit"))
     file = Edited(client, tmp_path / "robot1.yaml")
     would = file.reload(dry_run=True, topics=(Topic("/a", "transmit", max_rate=5.0),))
@@ -367,7 +367,7 @@ def assert_told(engine: Engine, whose: str, expected: list[tuple[str, str, str]]
     assert all(each.from_peer for each in engine.events() if each.who == whose)
 
 
-def test_what_an_operator_does_is_recorded_with_the_old_and_the_new_value(bridge: Bridge) -> None:
+def test_operators_changes_are_recorded_with_both_values(bridge: Bridge) -> None:
     server, client = bridge.both()
     who = "anna (uid 1000, pid 7)"
     with acting(who):

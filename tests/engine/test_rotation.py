@@ -131,7 +131,7 @@ def test_a_key_is_replaced_while_the_link_stays(
     [("old.key", BOTH, NEW), ("new.key", BOTH, OLD), ("old.key", OLD, NEW)],
     ids=["the old one is given up", "the next one is withdrawn", "replaced at once"],
 )
-def test_a_link_whose_key_is_no_longer_valid_ends_at_once(
+def test_link_with_invalid_key_ends_at_once(
     used: str, before: Client, after: Client, bridge: Bridge, marks: tuple[str, str]
 ) -> None:
     copy(bridge, used)
@@ -216,7 +216,7 @@ def test_the_next_key_is_one_clients_only(bridge: Bridge, marks: tuple[str, str]
         server.change_client(BOTH).result(60)
 
 
-def test_a_session_of_one_client_has_two_keys_for_it(bridge: Bridge, marks: tuple[str, str]) -> None:
+def test_session_of_one_client_has_two_keys(bridge: Bridge, marks: tuple[str, str]) -> None:
     copy(bridge, "new.key")
     server = bridge.server(key_file="old.key", next_key_file="new.key")
     client = bridge.client(key_file="robot.key")

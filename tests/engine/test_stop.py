@@ -224,7 +224,7 @@ def test_a_stop_while_it_starts_wins(bridge: Bridge, robot: Domain) -> None:
         engine.start()
 
 
-def test_a_stop_does_not_wait_for_a_start_that_hangs(bridge: Bridge, robot: Domain) -> None:
+def test_stop_does_not_wait_for_start_that_hangs(bridge: Bridge, robot: Domain) -> None:
     """The start cleans up when it returns."""
     ros = Waiting(robot.id)
     engine = Engine(bridge.client_session(), base=bridge.folder, ros=ros)

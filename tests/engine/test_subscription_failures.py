@@ -61,7 +61,7 @@ def look_down(*engines: Engine) -> None:
         eventually(lambda engine=engine: happened(engine, EventCode.ROUTE_SUBSCRIBE_FAILED, FAILURE))
 
 
-def test_both_sides_say_so_until_it_is_there_again(
+def test_both_sides_tell_until_it_is_there(
     bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     constants.SUBSCRIBED_AGAIN_WITHIN.set(monkeypatch, 0.5)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
 
-def test_a_topic_that_is_published_on_now_and_then_is_not_stale(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_occasional_topic_is_not_stale(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Nobody knows when the next message is due, and all that were sent have arrived."""
     listener, goal = pc.listener("/goal_pose"), robot.publisher("/goal_pose")
     server, client = bridge.both(Topic("/goal_pose", "transmit"), stale_after=0.5)

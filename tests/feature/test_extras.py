@@ -27,7 +27,7 @@ def imported_features(folder: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("name", sorted(FOLDERS))
-def test_a_feature_of_this_tree_is_installed_under_its_folders_name(name: str) -> None:
+def test_feature_is_installed_by_its_folders_name(name: str) -> None:
     feature = importlib.import_module(f"rsb_extras.{name}").FEATURE
     assert feature.name == name
     assert feature in installed()
@@ -62,7 +62,7 @@ def test_the_core_knows_which_feature_brings_which_action() -> None:
     assert brought == BRINGS_ACTIONS
 
 
-def test_an_action_of_a_feature_that_is_not_installed_names_it(tmp_path: Path) -> None:
+def test_action_of_missing_feature_names_it(tmp_path: Path) -> None:
     keys = tmp_path / "keys.yaml"
     keys.write_text("pause: P\ndrive: X\n")
     asked = WITHOUT + (
@@ -93,7 +93,7 @@ def test_the_core_knows_which_feature_brings_which_transport() -> None:
          "topics[0].protocol"),
     ],
 )  # fmt: skip
-def test_a_transport_of_a_feature_that_is_not_installed_names_it(session: str, key: str) -> None:
+def test_transport_of_missing_feature_names_it(session: str, key: str) -> None:
     asked = WITHOUT + (
         "from rsb_bridge.config.validation import build\n"
         "common = dict(name='a', role='client', server_port=7060, use_encryption=False)\n"
@@ -105,7 +105,7 @@ def test_a_transport_of_a_feature_that_is_not_installed_names_it(session: str, k
     assert ran.stdout.count("\n") == 1
 
 
-def test_a_key_of_a_feature_that_is_not_installed_names_it() -> None:
+def test_key_of_missing_feature_names_it() -> None:
     asked = WITHOUT + (
         "from rsb_bridge.config.validation import build\n"
         "session = dict(name='a', role='client', server_ip='10.0.0.1', server_port=7060, use_encryption=False)\n"

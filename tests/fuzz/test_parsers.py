@@ -38,7 +38,7 @@ def test_anything_is_read_or_refused(name: str, data: st.DataObject, random: Ran
     parser.read(content[:LONGEST])
 
 
-def test_every_corpus_belongs_to_a_parser_and_is_small() -> None:
+def test_every_corpus_belongs_to_parser_and_is_small() -> None:
     folders = {path.name for path in CORPUS.iterdir()}
     assert folders <= set(PARSERS)
     for parser in PARSERS.values():

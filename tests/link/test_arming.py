@@ -133,7 +133,7 @@ def why(side: Side) -> str:
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
-def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair) -> None:
+def test_message_from_before_arming_is_not_published(at: int, pair: Pair) -> None:
     """The lease goes on from one arming to the next, and a number of the first may still be young."""
     arm(pair[at]).result()
     receiving = pair[0]
@@ -181,7 +181,7 @@ def command(
 
 @pytest.mark.parametrize("take", [False, True], ids=["arm", "take"])
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
-def test_a_topic_that_was_just_disarmed_is_armed_once_the_link_moves_again(at: int, take: bool, pair: Pair) -> None:
+def test_disarmed_topic_is_armed_once_link_moves(at: int, take: bool, pair: Pair) -> None:
     """The link holds the messages about its new opening for a while."""
     side = pair[at]
     arm(side).result()
@@ -195,7 +195,7 @@ def test_a_topic_that_was_just_disarmed_is_armed_once_the_link_moves_again(at: i
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
-def test_a_topic_that_does_not_open_again_is_not_waited_for_forever(at: int, pair: Pair) -> None:
+def test_topic_that_never_reopens_is_not_awaited(at: int, pair: Pair) -> None:
     side = pair[at]
     arm(side).result()
     side.table.arming.disarm(route(side), Disarmed.OPERATOR)
@@ -206,7 +206,7 @@ def test_a_topic_that_does_not_open_again_is_not_waited_for_forever(at: int, pai
     assert stands(*pair) == [False, False]
 
 
-def test_a_console_that_is_gone_before_the_topic_opens_arms_nothing(pair: Pair) -> None:
+def test_console_gone_before_opening_arms_nothing(pair: Pair) -> None:
     pc = pair[1]
     arm(pc).result()
     pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
@@ -220,7 +220,7 @@ def test_a_console_that_is_gone_before_the_topic_opens_arms_nothing(pair: Pair) 
 @pytest.mark.parametrize(
     ("by", "own", "arms"), [(CONSOLE, True, False), ("ben's", False, False), ("ben's", True, True)]
 )
-def test_what_is_disarmed_before_it_opens_is_not_armed_then(by: str, own: bool, arms: bool, pair: Pair) -> None:
+def test_topic_disarmed_before_opening_stays_disarmed(by: str, own: bool, arms: bool, pair: Pair) -> None:
     """An operator leaves the screen on which they have armed it, or another one disarms it."""
     pc = pair[1]
     arm(pc).result()
@@ -232,9 +232,7 @@ def test_what_is_disarmed_before_it_opens_is_not_armed_then(by: str, own: bool, 
     assert stands(*pair) == [arms, arms]
 
 
-def test_a_console_that_is_gone_before_the_type_is_loaded_arms_nothing(
-    pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_console_gone_before_type_arms_nothing(pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch) -> None:
     pc, loaded = pair[1], loop.create_future()
     monkeypatch.setattr(type(pc.context), "load_type", lambda *_: loaded)
     task = command(pc)
@@ -245,7 +243,7 @@ def test_a_console_that_is_gone_before_the_type_is_loaded_arms_nothing(
     assert stands(*pair) == [False, False]
 
 
-def test_a_console_that_is_gone_before_the_robot_stands_arms_nothing(pair: Pair) -> None:
+def test_console_gone_before_robot_stands_arms_nothing(pair: Pair) -> None:
     """The taken topic is disarmed all the same."""
     pc = pair[1]
     arm(pc, console="ben's").result()
@@ -257,7 +255,7 @@ def test_a_console_that_is_gone_before_the_robot_stands_arms_nothing(pair: Pair)
     assert stands(*pair) == [False, False]
 
 
-def test_a_console_that_is_gone_before_the_holder_answers_leaves_it_to_the_holder(pair: Pair) -> None:
+def test_console_gone_before_answer_leaves_holder(pair: Pair) -> None:
     pc = pair[1]
     arm(pc, console="ben's").result()
     task = command(pc, ask=True)
@@ -301,7 +299,7 @@ def test_nothing_passes_before_both_sides_agree(pair: Pair) -> None:
     assert passes(robot, pc) == [True, True]
 
 
-def test_a_side_that_does_not_answer_leaves_it_disarmed(pair: Pair) -> None:
+def test_side_that_does_not_answer_leaves_it_disarmed(pair: Pair) -> None:
     robot, pc = pair
     task = arm(pc, answered=False)
     robot.inbox.clear()
@@ -314,7 +312,7 @@ def test_a_side_that_does_not_answer_leaves_it_disarmed(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["armed on the robot", "armed on the control PC"])
-def test_it_disarms_when_no_key_is_pressed_in_time(at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_topic_disarms_without_key_in_time(at: int, pair: Pair, loop: VirtualLoop) -> None:
     side, other = pair[at], pair[1 - at]
     arm(side).result()
     for _ in range(int(DEADMAN) - 1):
@@ -331,7 +329,7 @@ def test_it_disarms_when_no_key_is_pressed_in_time(at: int, pair: Pair, loop: Vi
     assert why(side) == why(other) == Disarmed.DEADMAN
 
 
-def test_a_key_begins_the_time_anew_on_both_sides(pair: Pair) -> None:
+def test_key_begins_time_anew_on_both_sides(pair: Pair) -> None:
     robot, pc = pair
     arm(pc).result()
     for second in range(200):
@@ -343,7 +341,7 @@ def test_a_key_begins_the_time_anew_on_both_sides(pair: Pair) -> None:
     assert len(events(robot, EventCode.OPERATOR_ARMED)) == 1
 
 
-def test_the_other_side_disarms_by_its_own_clock_where_keys_are_no_longer_told(pair: Pair, loop: VirtualLoop) -> None:
+def test_other_side_disarms_by_own_clock_without_keys(pair: Pair, loop: VirtualLoop) -> None:
     robot, pc = pair
     arm(pc).result()
     loop.jump(DEADMAN + PEER_GRACE)
@@ -352,7 +350,7 @@ def test_the_other_side_disarms_by_its_own_clock_where_keys_are_no_longer_told(p
     assert why(robot) == Disarmed.DEADMAN
 
 
-def test_without_a_deadman_only_the_console_has_to_be_there(make_armable: Callable[..., Pair]) -> None:
+def test_without_deadman_only_console_has_to_be_there(make_armable: Callable[..., Pair]) -> None:
     pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", arm=True, deadman=0.0))
     arm(pc).result()
     for _ in range(100):
@@ -367,7 +365,7 @@ def test_without_a_deadman_only_the_console_has_to_be_there(make_armable: Callab
     assert why(robot) == Disarmed.CONSOLE_GONE
 
 
-def test_a_console_that_gives_no_sign_of_life_is_gone(pair: Pair) -> None:
+def test_console_without_sign_of_life_is_gone(pair: Pair) -> None:
     robot, pc = pair
     arm(robot).result()
     let_time_pass(pair, CONSOLE_SILENT_AFTER - 0.5)
@@ -378,7 +376,7 @@ def test_a_console_that_gives_no_sign_of_life_is_gone(pair: Pair) -> None:
     assert why(robot) == why(pc) == Disarmed.CONSOLE_GONE
 
 
-def test_a_console_that_goes_because_its_time_is_over_leaves_that_as_the_cause(pair: Pair, loop: VirtualLoop) -> None:
+def test_console_that_expires_leaves_that_as_cause(pair: Pair, loop: VirtualLoop) -> None:
     _, pc = pair
     arm(pc).result()
     loop.jump(DEADMAN)
@@ -387,7 +385,7 @@ def test_a_console_that_goes_because_its_time_is_over_leaves_that_as_the_cause(p
     assert [why(side) for side in pair] == [Disarmed.DEADMAN, Disarmed.DEADMAN]
 
 
-def test_a_lost_link_disarms_both_sides_and_a_new_one_is_disarmed(pair: Pair) -> None:
+def test_lost_link_disarms_and_new_one_stays_disarmed(pair: Pair) -> None:
     robot, pc = pair
     arm(pc).result()
     for side in pair:
@@ -407,7 +405,7 @@ def test_a_lost_link_disarms_both_sides_and_a_new_one_is_disarmed(pair: Pair) ->
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["the robot", "the control PC"])
-def test_an_operator_of_either_side_disarms_what_the_other_armed(at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_operator_of_either_side_disarms_what_other_armed(at: int, pair: Pair, loop: VirtualLoop) -> None:
     arm(pair[1 - at]).result()
     side = pair[at]
     before = route(side).id
@@ -428,7 +426,7 @@ def test_an_operator_of_either_side_disarms_what_the_other_armed(at: int, pair: 
     assert passes(*pair) == [True, True]
 
 
-def test_the_data_connection_of_a_disarmed_opening_may_end_before_the_next_one_is_proposed(pair: Pair) -> None:
+def test_data_connection_may_end_before_next_proposal(pair: Pair) -> None:
     robot, pc = pair
     for _ in range(3):
         arm(robot).result()
@@ -441,7 +439,7 @@ def test_the_data_connection_of_a_disarmed_opening_may_end_before_the_next_one_i
     assert not route(pc).losses.repeated
 
 
-def test_an_opening_is_armed_once_whatever_the_peer_says(pair: Pair) -> None:
+def test_opening_is_armed_once_whatever_peer_says(pair: Pair) -> None:
     """The control PC's own bridge is made to lie: it never opens the route again, and arms it at once."""
     robot, pc = pair
     arm(pc).result()
@@ -463,7 +461,7 @@ def test_who_only_answers_arms_nothing(pair: Pair) -> None:
     assert not events(robot, EventCode.OPERATOR_ARMED, EventCode.OPERATOR_DISARMED, EventCode.ROUTE_DISARMED)
 
 
-def test_a_side_marks_its_own_topic_whatever_the_peer_proposes(pair: Pair) -> None:
+def test_side_marks_its_own_topic_whatever_peer_proposes(pair: Pair) -> None:
     """The control PC removes the robot's topic, and proposes it without a mark, from a topic of another name."""
     robot, pc = pair
     pc.table.handle(Close(route(pc).id, "removed", code=EndCode.REMOVED))
@@ -487,7 +485,7 @@ def test_the_shorter_deadman_of_both_sides_counts(make_armable: Callable[..., Pa
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_of_two_operators_at_once_the_client_s_arms(first: int, pair: Pair) -> None:
+def test_of_two_operators_at_once_client_s_arms(first: int, pair: Pair) -> None:
     robot, pc = pair
     tasks = [arm(pair[at], console=f"console {at}", answered=False) for at in (first, 1 - first)]
     hear_all(pair)
@@ -497,7 +495,7 @@ def test_of_two_operators_at_once_the_client_s_arms(first: int, pair: Pair) -> N
     assert [task.exception() is None for task in tasks] == [first == 0, first == 1]
 
 
-def test_who_pauses_an_armed_topic_is_told_that_it_disarms_until_nothing_is_published_any_more(pair: Pair) -> None:
+def test_pause_reports_disarming_until_nothing_is_published(pair: Pair) -> None:
     _, pc = pair
     arm(pc).result()
     pc.table.pause(route(pc), paused=True)
@@ -507,7 +505,7 @@ def test_who_pauses_an_armed_topic_is_told_that_it_disarms_until_nothing_is_publ
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
-def test_who_pauses_an_armed_topic_is_named_on_both_sides(at: int, pair: Pair) -> None:
+def test_who_pauses_armed_topic_is_named_twice(at: int, pair: Pair) -> None:
     here, there = pair[at], pair[1 - at]
     arm(there).result()
     with acting("berta"):
@@ -525,7 +523,7 @@ def test_who_pauses_an_armed_topic_is_named_on_both_sides(at: int, pair: Pair) -
     assert passes(*pair) == [False, False]
 
 
-def test_a_peer_that_pauses_and_resumes_without_disarming_has_disarmed(pair: Pair) -> None:
+def test_peer_that_pauses_without_disarming_has_disarmed(pair: Pair) -> None:
     robot, pc = pair
     arm(pc).result()
     opening = route(robot).id
@@ -535,7 +533,7 @@ def test_a_peer_that_pauses_and_resumes_without_disarming_has_disarmed(pair: Pai
     assert why(robot) == Disarmed.PAUSED
 
 
-def test_a_side_that_marks_a_topic_late_is_heeded_where_the_peer_has_taken_it_over(
+def test_late_mark_counts_on_topic_taken_over(
     make_armable: Callable[..., Pair],
 ) -> None:
     """The control PC removes the robot's topic and proposes it itself; then the robot's session file gets the mark."""
@@ -555,7 +553,7 @@ def test_a_side_that_marks_a_topic_late_is_heeded_where_the_peer_has_taken_it_ov
     assert passes(*pair) == [True, True]
 
 
-def test_a_peer_that_arms_more_often_than_people_do_is_refused(pair: Pair) -> None:
+def test_peer_that_arms_too_often_is_refused(pair: Pair) -> None:
     robot, pc = pair
     outcomes: list[Any] = []
     for _ in range(40):
@@ -593,7 +591,7 @@ def test_what_cannot_be_armed_says_why(topic: Topic, prepare: str | None, make_a
         arm(pc, console="another").result()
 
 
-def test_the_budget_of_armings_bounds_the_events_of_attempts(pair: Pair) -> None:
+def test_budget_of_armings_bounds_events_of_attempts(pair: Pair) -> None:
     robot, _ = pair
     robot.table.pause(route(robot), paused=True)
     for _ in range(100):
@@ -603,7 +601,7 @@ def test_the_budget_of_armings_bounds_the_events_of_attempts(pair: Pair) -> None
     assert 1 < len(found) < 30
 
 
-def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
+def test_unarmable_topic_says_so_in_advance(pair: Pair) -> None:
     _, pc = pair
     pc.linked = True
     assert route(pc).status().can_be_armed
@@ -615,7 +613,7 @@ def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
     assert (verdict.state, verdict.cause, verdict.text) == (State.DISARMED, Cause.DISARMED, status.disarmed)
 
 
-def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair) -> None:
+def test_link_with_long_round_trip_cannot_be_armed(pair: Pair) -> None:
     robot, pc = pair
     task = arm(pc, answered=False)
     for side in (robot, pc):
@@ -630,7 +628,7 @@ def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair) -> None
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["the robot", "the control PC"])
-def test_a_side_that_stood_still_disarms_although_answers_come_first(at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_stalled_side_disarms_despite_first_answers(at: int, pair: Pair, loop: VirtualLoop) -> None:
     robot, pc = pair
     arm(pc).result()
     let_time_pass(pair, 2.0)
@@ -655,7 +653,7 @@ def test_the_lease_costs_nothing_while_nothing_is_armed(pair: Pair) -> None:
     assert [side.table.arming.lease.state.number for side in pair] == numbers
 
 
-def test_the_sending_side_shows_that_it_is_disarmed_once_the_other_one_has_answered(pair: Pair) -> None:
+def test_sender_shows_disarmed_once_peer_has_answered(pair: Pair) -> None:
     _, pc = pair
     arm(pc).result()
     with acting("anna"):
@@ -667,7 +665,7 @@ def test_the_sending_side_shows_that_it_is_disarmed_once_the_other_one_has_answe
     assert [event.who for event in events(pc, EventCode.OPERATOR_DISARMED)] == ["anna"]
 
 
-def test_the_sending_side_shows_that_it_is_disarmed_within_a_second_without_an_answer(pair: Pair) -> None:
+def test_sender_shows_disarmed_in_second_without_answer(pair: Pair) -> None:
     _, pc = pair
     arm(pc).result()
     pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
@@ -685,7 +683,7 @@ def test_the_receiving_side_is_disarmed_at_once(pair: Pair) -> None:
     assert events(robot, EventCode.OPERATOR_DISARMED)
 
 
-def test_the_answer_to_a_dropped_demand_is_none_to_a_disarm(pair: Pair) -> None:
+def test_answer_to_dropped_demand_is_none_to_disarm(pair: Pair) -> None:
     """The peer has not heard of the disarm yet, and goes on publishing earlier messages."""
     robot, pc = pair
     arm(pc).result()
@@ -700,7 +698,7 @@ def test_the_answer_to_a_dropped_demand_is_none_to_a_disarm(pair: Pair) -> None:
     assert not route(pc).settling.under_way
 
 
-def test_a_max_age_that_the_other_side_edits_holds_on_both(make_armable: Callable[..., Pair]) -> None:
+def test_max_age_edited_there_holds_on_both(make_armable: Callable[..., Pair]) -> None:
     pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", max_age=0.5))
     robot.context.demands.apply()
     for seconds in (0.2, 2.0, 0.3):
@@ -712,7 +710,7 @@ def test_a_max_age_that_the_other_side_edits_holds_on_both(make_armable: Callabl
         assert [route(side).age.max_age for side in pair] == [seconds, seconds]
 
 
-def test_an_edit_of_another_limit_there_leaves_the_entry_without_a_max_age(make_armable: Callable[..., Pair]) -> None:
+def test_edit_of_other_limit_adds_no_max_age(make_armable: Callable[..., Pair]) -> None:
     pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", arm=True))
     robot.context.demands.apply()
     pc.change(route(pc), max_rate=5.0)
@@ -721,9 +719,7 @@ def test_an_edit_of_another_limit_there_leaves_the_entry_without_a_max_age(make_
     assert [route(side).age.max_age for side in pair] == [1.0, 1.0]
 
 
-def test_a_peer_that_proposes_and_removes_has_no_demands_counted_again(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_repeated_proposals_have_demands_counted_once(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     """Counting takes a server of many clients much longer than a peer takes to cause it."""
     robot, _ = pair
     turn(pair[0])
@@ -745,7 +741,7 @@ def test_a_peer_that_proposes_and_removes_has_no_demands_counted_again(
 
 
 @pytest.mark.parametrize("sent", ["geometry_msgs/msg/Twist", "std_msgs/msg/String"])
-def test_what_is_sent_has_the_type_by_which_demands_were_found(sent: str, make_context: Callable[..., Context]) -> None:
+def test_sent_entry_keeps_type_of_its_demands(sent: str, make_context: Callable[..., Context]) -> None:
     """The robot demands that commands are armed, and the control PC claims to send texts."""
     armed = (ArmedEntry("/cmd*", type="Twist"),)
     robot, pc = pair_of(make_context(ros=OnePublisher(), armed=armed), make_context(role="server"))
@@ -759,9 +755,7 @@ def test_what_is_sent_has_the_type_by_which_demands_were_found(sent: str, make_c
 
 
 @pytest.mark.parametrize("provided", ["std_srvs/srv/SetBool", "std_srvs/srv/Trigger"])
-def test_what_is_provided_has_the_type_by_which_demands_were_found(
-    provided: str, make_context: Callable[..., Context]
-) -> None:
+def test_provided_entry_keeps_type_of_its_demands(provided: str, make_context: Callable[..., Context]) -> None:
     demand = ArmedEntry("/set*", kind="service", type="std_srvs/srv/SetBool")
     robot, pc = pair_of(make_context(armed=(demand,)), make_context(role="server"))
     propose(pc, Topic("/set_light", "transmit", kind="service", type="std_srvs/srv/Trigger"))

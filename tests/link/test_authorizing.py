@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 CMD_VEL = Topic("/cmd_vel", "receive", type="std_msgs/msg/String")
 
 
-def test_a_server_publishes_on_a_robot_only_what_its_file_lists(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_server_publishes_only_what_robots_file_lists(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Both sides say what would allow more; the client's operator may list it while the bridge runs."""
     listener, out = robot.listener("/cmd_vel"), pc.publisher("/cmd_vel")
     server, client = bridge.both()
@@ -48,7 +48,7 @@ def test_a_server_publishes_on_a_robot_only_what_its_file_lists(bridge: Bridge, 
     assert heard(listener, 1) == [text("forward")]
 
 
-def test_a_server_reads_a_robot_unless_its_file_says_no(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_server_reads_robot_unless_its_file_says_no(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     robot.publisher("/scan")
     robot.publisher("/secret")
     server, client = bridge.server(), bridge.client(deny=(Grant("/secret", may="read"),))
@@ -91,7 +91,7 @@ def test_what_a_file_lists_the_server_may_edit(bridge: Bridge, pc: Domain) -> No
     eventually(lambda: route(server, "/cmd_vel").cause == "refused")
 
 
-def test_a_reload_ends_what_is_not_allowed_any_more(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
+def test_reload_ends_what_is_not_allowed_any_more(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
     """On a client as on a server; what is allowed again comes back."""
     pc.publisher("/cmd_vel")
     server, client = bridge.server(), bridge.client(allow=(Grant("/cmd_vel", may="publish"),))
@@ -111,7 +111,7 @@ def test_a_reload_ends_what_is_not_allowed_any_more(bridge: Bridge, pc: Domain, 
     eventually(lambda: find(client, "/cmd_vel"))
 
 
-def test_a_file_that_no_longer_lists_a_topic_ends_the_servers(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
+def test_file_that_no_longer_lists_topic_ends_servers(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
     pc.publisher("/cmd_vel")
     server, client = bridge.both(CMD_VEL)
     file = tmp_path / "robot1.yaml"
@@ -145,7 +145,7 @@ def test_a_client_is_held_to_direction_and_transport(bridge: Bridge) -> None:
         assert find(server, name) is None
 
 
-def test_a_server_has_a_client_keep_so_many_topics(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_server_has_client_keep_so_many_topics(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The client's own topics are not counted, and kept ones are proposed again after a reconnect."""
     constants.ROUTES_PROPOSED_BY_SERVER.set(monkeypatch, 2)
     topics = tuple(Topic(f"/t{number}", "transmit") for number in range(3))
@@ -160,7 +160,7 @@ def test_a_server_has_a_client_keep_so_many_topics(bridge: Bridge, monkeypatch: 
 
 
 @pytest.mark.parametrize("direction", ["transmit", "receive"])
-def test_a_side_lets_no_more_cross_than_it_allows(
+def test_side_lets_no_more_cross_than_it_allows(
     direction: Direction, bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
 ) -> None:
     """The sender keeps to the limit, and both screens show it; a reload changes it on the open route."""
@@ -182,9 +182,7 @@ def test_a_side_lets_no_more_cross_than_it_allows(
     assert heard(listener, 2) == [text("0"), text("free")]
 
 
-def test_a_peer_that_sends_faster_all_the_same_is_throttled_here(
-    bridge: Bridge, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_peer_that_sends_too_fast_is_throttled(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.DEAD_AFTER.set(monkeypatch, 600.0)  # the rogue says nothing while it waits
     slow = Client("robot1", allow=(Grant("/chat", may="publish", max_rate=0.01),))
     server = bridge.server(clients=(slow,))

@@ -39,9 +39,7 @@ def entries(engine: Engine, side: str | None = None) -> dict[tuple[str, str], To
     return {(each.kind, each.topic): each for each in engine.topics(side).result(60)}
 
 
-def test_a_client_sees_what_the_server_s_nodes_provide(
-    bridge: Bridge, robot: Domain, pc: Domain, controller: Node
-) -> None:
+def test_client_sees_what_server_s_nodes_provide(bridge: Bridge, robot: Domain, pc: Domain, controller: Node) -> None:
     pc.publisher("/status")
     pc.serve("/reset", Trigger)
     pc.node.create_client(Trigger, "/reset")
@@ -66,7 +64,7 @@ def test_a_client_sees_what_the_server_s_nodes_provide(
     assert (arm.type_name, arm.publishers, arm.subscriptions) == ("", 1, 0)
 
 
-def test_each_side_shows_what_the_other_one_may_do_something_with(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_each_side_shows_what_peer_may_use(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """A server lets a client do all that it does not deny; a client lets its server do what it allows or lists."""
     for name in ("/reset", "/secret"):
         pc.serve(name, Trigger)
@@ -81,7 +79,7 @@ def test_each_side_shows_what_the_other_one_may_do_something_with(bridge: Bridge
     assert entries(server, "robot1").keys() & both == {("service", "/reset")}
 
 
-def test_with_use_name_a_client_sees_what_has_its_name(bridge: Bridge, pc: Domain) -> None:
+def test_client_with_use_name_sees_its_names(bridge: Bridge, pc: Domain) -> None:
     for name in ("/robot1/reset", "/robot2/reset", "/reset"):
         pc.serve(name, Trigger)
     server, client = bridge.both(use_name=True)

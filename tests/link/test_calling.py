@@ -63,7 +63,7 @@ async def run_for(role: ClientRole, seconds: float) -> None:
     await role.stop()
 
 
-def test_a_client_calls_on_while_its_server_is_away(
+def test_client_calls_on_while_its_server_is_away(
     loop: VirtualLoop, make_context: Callable[..., Context], calls: NoServer
 ) -> None:
     loop.run_until_complete(run_for(client(make_context, calls), AWAY))
@@ -73,7 +73,7 @@ def test_a_client_calls_on_while_its_server_is_away(
     assert max(gaps) < 1.6
 
 
-def test_clients_that_lose_their_server_together_do_not_come_back_together(
+def test_clients_do_not_return_all_at_once(
     loop: VirtualLoop, make_context: Callable[..., Context], calls: NoServer
 ) -> None:
     count = 200
@@ -93,7 +93,7 @@ def test_clients_that_lose_their_server_together_do_not_come_back_together(
     assert max(number for tenth, number in in_tenths.items() if tenth > 40) < 0.2 * count
 
 
-def test_a_calling_task_that_fails_is_reported_and_started_again(
+def test_failing_call_task_is_reported_and_restarted(
     loop: VirtualLoop, make_context: Callable[..., Context], calls: NoServer
 ) -> None:
     calls.error = RuntimeError("a mistake of ours")
@@ -104,7 +104,7 @@ def test_a_calling_task_that_fails_is_reported_and_started_again(
     assert str(loop.errors[0]["exception"]) == "a mistake of ours"
 
 
-def test_a_calling_task_that_is_cancelled_by_mistake_is_started_again(
+def test_cancelled_call_task_is_restarted(
     loop: VirtualLoop, make_context: Callable[..., Context], calls: NoServer
 ) -> None:
     calls.error = asyncio.CancelledError()  # type: ignore[assignment]
@@ -123,7 +123,7 @@ def test_nothing_runs_on_after_a_client_was_stopped(
     assert loop.errors == []
 
 
-def test_a_task_of_a_link_that_fails_ends_the_connection(loop: VirtualLoop, context: Context) -> None:
+def test_task_of_link_that_fails_ends_connection(loop: VirtualLoop, context: Context) -> None:
     role = ClientRole(context, {"robot1": ()})
     link: Link = role.links()[0]
     aborted: list[str] = []
@@ -190,7 +190,7 @@ class AnswersAtTheLastMoment(Tcp):
         return None  # type: ignore[return-value]
 
 
-def test_a_server_that_answers_at_the_last_moment_is_not_called_again(
+def test_server_answering_last_moment_is_not_called_again(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     """It would take the second connection for a newer one, and end the first: for minutes, one after the other."""
@@ -221,7 +221,7 @@ class Control:
 @pytest.mark.parametrize(
     ("retry_after", "soonest", "latest"), [(0.0, 0.25, 0.75), (40.0, 40.0, 40.0), (1e9, 60.0, 60.0), (None, 24.0, 36.0)]
 )
-def test_a_server_cannot_keep_a_client_away_for_years(
+def test_server_cannot_keep_client_away_for_years(
     loop: VirtualLoop, make_context: Callable[..., Context], retry_after: float | None, soonest: float, latest: float
 ) -> None:
     """For all its reasons to end a link, also if it reports that an operator has shut the link down."""
@@ -236,7 +236,7 @@ def test_a_server_cannot_keep_a_client_away_for_years(
     assert not network.role.links()[0].shut_down
 
 
-async def test_a_restart_waits_for_the_topics_that_there_are_by_then(
+async def test_restart_waits_for_present_topics(
     loop: VirtualLoop, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each edit meanwhile replaces a route that will never be accepted."""

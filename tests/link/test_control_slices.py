@@ -106,7 +106,7 @@ def entries_of(message: Any, done: Callable[[object], None]) -> Any:
     return entries_in_slices(report_entries(message), done)
 
 
-def test_a_report_of_400_kb_is_worked_off_in_slices_and_in_order() -> None:
+def test_report_of_400_kb_is_read_in_slices() -> None:
     data = encode(long_report())
     assert 380_000 < len(data) < 420_000
     ping = Ping(1, 0)
@@ -133,7 +133,7 @@ def test_short_entries_are_worked_off_by_number(message: Any) -> None:
     assert peer.most <= 2 * ENTRIES  # a message's first slice, and those before it
 
 
-def test_messages_that_are_long_or_make_many_publishers_take_a_turn_each() -> None:
+def test_long_messages_take_one_turn_each() -> None:
     sources = tuple(Source((f"rsb_a/{number}",)) for number in range(16))
     for message in (Describe(1, "a/msg/B", "", Qos(depth=1), sources), Ping(1, 0)):
         peer = Peer([MessageReceived(encode(message))] * 100, entries_of)
@@ -166,7 +166,7 @@ async def flood(channel: ControlChannel, size: int, every: float, seconds: float
 
 
 @pytest.mark.parametrize("entries", [500, 63])
-async def test_entries_come_no_faster_than_a_thousand_routes_report(loop: VirtualLoop, entries: int) -> None:
+async def test_entries_come_no_faster_than_thousand_routes_report(loop: VirtualLoop, entries: int) -> None:
     done: list[object] = []
     report = Report(sent=(SentReport(route=1),) * entries, received=())
     channel, _ = receives([report], lambda each: entries_of(each, done.append))
@@ -188,7 +188,7 @@ async def test_long_messages_are_taken_in_slowly(loop: VirtualLoop) -> None:
     assert len(handled) == first + then
 
 
-async def test_a_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) -> None:
+async def test_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) -> None:
     """More of them came at once than are handled in the time after which a silent peer is given up."""
     handled: list[object] = []
     channel, stream = receives([Ping(1, 0)] * 8000, handled.append)
@@ -201,7 +201,7 @@ async def test_a_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) 
     assert not stream.paused
 
 
-def test_no_more_routes_are_reported_than_a_link_may_have() -> None:
+def test_reported_routes_have_limit_of_link() -> None:
     decode(encode(long_report()))
     with pytest.raises(ProtocolError):
         decode(encode(long_report(ROUTES_PER_LINK + 1)))
@@ -240,7 +240,7 @@ def test_all_other_lists_in_control_messages_are_short() -> None:
     assert found == {"Report.sent", "Report.received", "Report.calls"}
 
 
-def test_a_real_link_takes_the_whole_of_a_long_report(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_real_link_takes_whole_of_long_report(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.DEAD_AFTER.set(monkeypatch, 600.0)  # the rogue may say nothing for a while
     server = bridge.server()
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:

@@ -38,7 +38,7 @@ def test_of_many_a_few_are_kept() -> None:
     assert held_by(clients) == DUPLICATES_KEPT
 
 
-def test_the_one_that_came_last_is_named_and_the_others_are_counted() -> None:
+def test_last_one_is_named_others_counted() -> None:
     clients = DuplicateClients("robot1")
     clients.tried("10.0.0.8", "spare", 0.0, 1000.0)
     clients.tried("10.0.0.9", "spare", 1.0, 1001.0)

@@ -44,7 +44,7 @@ def as_json(engine: Engine, name: str = "robot1") -> tuple[str, str, str]:
 
 
 @pytest.mark.usefixtures("heard_of")
-def test_the_warning_of_a_second_client_ends_soon_after_it_and_the_first_keeps_the_link(bridge: Bridge) -> None:
+def test_warning_of_second_client_ends_soon_after(bridge: Bridge) -> None:
     server, first = bridge.both()
     up_since = link(server).since
     second = bridge.client()
@@ -104,14 +104,14 @@ async def test_only_without_a_goodbye_is_there_a_remedy(
 @pytest.mark.parametrize(
     ("code", "cause"), [(EventCode.LINK_LOST, LinkCause.LOST), (EventCode.LINK_CLOSED, LinkCause.CLOSED)]
 )
-def test_a_link_that_ends_has_the_cause_of_its_code(code: EventCode, cause: LinkCause) -> None:
+def test_link_that_ends_has_cause_of_its_code(code: EventCode, cause: LinkCause) -> None:
     broken = MagicMock(_is_silent=False)
     broken.transport.problem = ""
     Link.lost(broken, "in words", code)
     assert broken.status.down.call_args.args == (cause, "in words")
 
 
-def test_a_client_that_is_shut_down_names_the_remedy_on_both_sides(bridge: Bridge) -> None:
+def test_shut_down_client_names_remedy_on_both_sides(bridge: Bridge) -> None:
     server, client = bridge.server(), bridge.client()
     eventually(lambda: linked(client) and linked(server), what="linked")
     client.shut_down().result(60)
@@ -122,7 +122,7 @@ def test_a_client_that_is_shut_down_names_the_remedy_on_both_sides(bridge: Bridg
         assert "press r " in reason
 
 
-def test_a_link_that_the_server_shut_down_names_key_and_bridge() -> None:
+def test_link_shut_down_by_server_names_key() -> None:
     reason = LinkShutdown("anna", 0.0).reason("control pc", "robot1")
     assert "rsb-console retry 'control pc' --link robot1`" in reason
     assert "press r " in reason

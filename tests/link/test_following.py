@@ -52,7 +52,7 @@ def topics(*names: str) -> Names:
     return {("topic", name): TYPE for name in names}
 
 
-def test_the_first_answer_has_all_there_is_and_the_next_ones_what_changes() -> None:
+def test_first_answer_has_all_next_ones_changes() -> None:
     side = Side()
     assert side.look(topics("/a/x")) == [], "nobody has asked"
     side.ask(NamePattern("/a/*"), NamePattern("/s/*", "service"))
@@ -86,7 +86,7 @@ def test_what_is_no_pattern_asks_for_nothing(pattern: str) -> None:
     assert side.look(topics("/a/x")) == [Followed(1)]
 
 
-def test_what_is_told_has_a_limit_and_what_was_told_stays() -> None:
+def test_answers_have_limit_and_stay_told() -> None:
     side = Side()
     side.ask(NamePattern("/**"))
     told = side.look(topics(*(f"/t{n:04}" for n in range(500, 500 + NAMES_FOLLOWED))))
@@ -97,7 +97,7 @@ def test_what_is_told_has_a_limit_and_what_was_told_stays() -> None:
 
 
 @pytest.mark.parametrize("name", ["/a/x y", "/a/1x", "/a/_x", "/a/", "/b/x", "/a/out", "/a/x/y"])
-def test_a_name_that_was_not_asked_for_is_no_topic(name: str) -> None:
+def test_name_nobody_asked_for_is_no_topic(name: str) -> None:
     """For anything in the peer's list."""
     entry = PatternEntry(Topic("/a/*", "receive", excepts=("/a/out",)), client="robot1", prefixed=False)
     assert entry.match(name, TYPE) is None
@@ -114,7 +114,7 @@ def test_a_name_that_was_not_asked_for_is_no_topic(name: str) -> None:
         ("/robot1/*", False, True, "/robot1/*", "/robot1/x", ("/a/x", "/robot1/x")),
     ],
 )
-def test_the_server_s_names_are_those_that_the_route_will_have(
+def test_servers_names_are_those_of_future_routes(
     remote: str | None, prefixed: bool, always_prefixed: bool, source: str, name: str, made: tuple[str, str | None]
 ) -> None:
     pattern = Topic("/a/*", "receive", remote_topic=remote)

@@ -91,7 +91,7 @@ def test_another_program_at_the_servers_port(bridge: Bridge) -> None:
     eventually(lambda: linked(server))
 
 
-def test_a_web_server_that_waits_for_the_end_of_a_line(bridge: Bridge) -> None:
+def test_web_server_that_waits_for_end_of_line(bridge: Bridge) -> None:
     """It says what it is only when it gets an empty line."""
     with http.server.ThreadingHTTPServer(("127.0.0.1", bridge.port), http.server.SimpleHTTPRequestHandler) as web:
         thread = threading.Thread(target=web.serve_forever)

@@ -43,7 +43,7 @@ def names(engine: Engine, side: str | None) -> set[tuple[str, str]]:
     return {(each.kind, each.topic) for each in engine.topics(side).result(60)}
 
 
-def test_what_only_a_newer_side_can_propose_is_refused_and_the_rest_goes_on(bridge: Bridge) -> None:
+def test_proposal_of_newer_side_is_refused_rest_stays(bridge: Bridge) -> None:
     server = bridge.server()
     with rogue(bridge) as newer:
         ask: dict[str, Any] = {"topic": "/thought", "remote_topic": "/thought", "from_client": True}
@@ -59,7 +59,7 @@ def test_what_only_a_newer_side_can_propose_is_refused_and_the_rest_goes_on(brid
 
 
 @pytest.mark.parametrize("change", [{"timeout": 5.0}, {"kind": "service", "transport": "udp"}])
-def test_what_a_kind_does_not_have_is_refused_in_words(bridge: Bridge, change: dict[str, Any]) -> None:
+def test_fields_of_other_kinds_are_refused(bridge: Bridge, change: dict[str, Any]) -> None:
     bridge.server()
     with rogue(bridge) as client:
         asked = Propose(route=1, topic="/add", remote_topic="/add", from_client=True)
@@ -85,7 +85,7 @@ def test_max_age_holds_for_what_either_side_proposes(bridge: Bridge) -> None:
         eventually(lambda: mine.age.max_age == 0.5)
 
 
-def test_what_has_to_be_armed_has_a_max_age(bridge: Bridge) -> None:
+def test_what_has_to_be_armed_has_max_age(bridge: Bridge) -> None:
     server = bridge.server()
     with rogue(bridge) as client:
         client.say(Propose(route=1, topic="/cmd", remote_topic="/cmd", from_client=True, arm=True))

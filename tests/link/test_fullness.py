@@ -38,7 +38,7 @@ class Bed:
         return self.fullness.out is not None
 
 
-def test_it_is_full_as_long_as_less_arrives_than_is_asked() -> None:
+def test_link_is_full_while_less_arrives() -> None:
     bed = Bed()
     assert not bed.look(25e3, 25e3, 25e3)
     assert bed.look(25e3)
@@ -53,7 +53,7 @@ def test_it_is_full_as_long_as_less_arrives_than_is_asked() -> None:
     assert bed.events == [EventCode.LINK_FULL, EventCode.LINK_ROOM]
 
 
-def test_a_map_each_few_seconds_that_does_not_fit_fills_the_link() -> None:
+def test_map_that_does_not_fit_fills_link() -> None:
     """In each period there is a second in which more arrives than is asked for."""
     bed = Bed()
     for asked in [48e3, 24e3, 12e3, 6e3, 3e3] * 3:
@@ -118,7 +118,7 @@ def test_the_time_without_a_link_does_not_count() -> None:
 
 
 @pytest.mark.parametrize("asked", [15e3, 10.4e3, 1e3, 950.0, 1.04e6])
-def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
+def test_link_that_carries_everything_is_not_full(asked: float) -> None:
     fullness = Bed().fullness
     carried = [0.33 * asked] * 8 + [2.0 * asked] * 2 + [asked] * 4
     seen = []

@@ -78,7 +78,7 @@ def watch(
     assert not any(task.done() for task in tasks)
 
 
-def test_a_change_is_looked_at_at_once_and_again_when_it_has_settled(loop: VirtualLoop, watch: Any) -> None:
+def test_change_is_looked_at_twice(loop: VirtualLoop, watch: Any) -> None:
     links = Links(loop, 1)
     graph, wait = watch(links)
     wait(2.0)
@@ -88,7 +88,7 @@ def test_a_change_is_looked_at_at_once_and_again_when_it_has_settled(loop: Virtu
     assert links.looks == pytest.approx([2.0, 3.0])
 
 
-def test_a_graph_that_changes_all_the_time_is_looked_at_four_times_a_second(loop: VirtualLoop, watch: Any) -> None:
+def test_restless_graph_is_looked_at_every_quarter_second(loop: VirtualLoop, watch: Any) -> None:
     links = Links(loop, 30)
     graph, wait = watch(links)
     for _ in range(10_000):
@@ -108,7 +108,7 @@ def test_routes_look_twenty_at_a_time(loop: VirtualLoop, watch: Any) -> None:
     assert links.most_in_one_go == 20
 
 
-def test_looks_cost_at_most_a_tenth_of_the_time(loop: VirtualLoop, watch: Any) -> None:
+def test_looks_cost_at_most_tenth_of_time(loop: VirtualLoop, watch: Any) -> None:
     """A look of 0.1 s: one a second, however fast the graph changes."""
     links = Links(loop, 500, cost=0.0002)
     graph, wait = watch(links)
@@ -126,7 +126,7 @@ def test_routes_look_now_and_then_although_nothing_changed(loop: VirtualLoop, wa
     assert len(links.looks) == 3
 
 
-def test_a_route_that_is_not_open_does_not_look(loop: VirtualLoop, watch: Any) -> None:
+def test_route_that_is_not_open_does_not_look(loop: VirtualLoop, watch: Any) -> None:
     links = Links(loop, 3)
     for route in links.routes.values():
         route.id = 0

@@ -54,7 +54,7 @@ def wait(loop: VirtualLoop, seconds: float) -> None:
     loop.run_until_complete(asyncio.sleep(seconds))
 
 
-def test_a_peer_is_given_up_five_seconds_after_its_last_byte(loop: VirtualLoop, context: Context) -> None:
+def test_peer_is_given_up_after_five_seconds(loop: VirtualLoop, context: Context) -> None:
     control: Any = Carrier(loop)
     link = Link(context, Carrier(loop), control)
     Keepalive(link, control)
@@ -82,9 +82,7 @@ def test_silent_control_connection_ends_link(loop: VirtualLoop, context: Context
     assert link.ended == [pytest.approx(last + 10.0)]
 
 
-def test_a_peer_is_given_up_with_any_rounding_of_the_clock(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_peer_is_given_up_despite_rounding(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     """The rest of five seconds can be too little to move the clock."""
     for number in range(300):
         wait(loop, 0.1 + number / 7)
@@ -106,7 +104,7 @@ def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, context: Contex
 
 
 @pytest.mark.parametrize("late", [0.0, 0.25, 2.4])
-def test_a_tick_that_comes_late_makes_no_rate_high(late: float, loop: VirtualLoop, context: Context) -> None:
+def test_tick_that_comes_late_makes_no_rate_high(late: float, loop: VirtualLoop, context: Context) -> None:
     carrier = Carrier(loop)
     traffic = LinkTraffic(cast("Any", SimpleNamespace(context=context, carriers=lambda: [carrier])))
     for _ in range(20):

@@ -223,7 +223,7 @@ def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> No
         eventually(lambda engine=engine: route(engine, "/loop").state is State.DOWN)
 
 
-def test_a_client_learns_whether_its_name_stands_before_its_topics(bridge: Bridge) -> None:
+def test_client_learns_of_its_name_before_topics(bridge: Bridge) -> None:
     """The server's session may set it for all its clients, or for each."""
     clients = (Client("robot1", key_file=bridge.key_file), Client("robot2", use_name=False))
     server = bridge.server(use_name=True, clients=clients, shared_keys=True)
@@ -352,9 +352,7 @@ def test_a_key_in_the_home_folder(bridge: Bridge, tmp_path: Path, monkeypatch: p
         bridge.client(key_file="~/lost.key")
 
 
-def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(
-    other: KnownNode, bridge: Bridge, robot: Domain, pc: Domain
-) -> None:
+def test_replaced_type_while_old_publisher_shows(other: KnownNode, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """For example after kill -9.
 
     Both sides name type and node at once, traffic goes on; it recovers when the old one goes.

@@ -95,7 +95,7 @@ class Path:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_lossy_path_has_one_cause_and_a_steady_figure(seed: int) -> None:
+def test_lossy_path_has_one_cause_and_steady_figure(seed: int) -> None:
     path = Path(seed)
     path.pass_(30)
     assert (path.cause, path.watch.loss.share) == (None, 0.0)
@@ -133,14 +133,14 @@ def test_a_gap_is_no_lossy_path() -> None:
     assert set(path.told) == {None}
 
 
-def test_what_a_full_link_loses_is_not_the_path() -> None:
+def test_what_full_link_loses_is_not_path() -> None:
     path = Path()
     path.pass_(10)
     path.pass_(30, loss=0.3, ping=PING + 0.04)
     assert set(path.told) == {None}
 
 
-def test_a_path_that_became_longer_shows_its_losses_again() -> None:
+def test_path_that_became_longer_shows_its_losses_again() -> None:
     path = Path()
     path.pass_(10)
     path.pass_(4200, rate=0, ping=PING + 0.04)
@@ -148,7 +148,7 @@ def test_a_path_that_became_longer_shows_its_losses_again() -> None:
     assert path.cause is LinkCause.LOSSY
 
 
-def test_a_lossy_path_that_fills_up_stays_lossy_for_a_while() -> None:
+def test_lossy_path_that_fills_stays_lossy() -> None:
     path = Path()
     path.pass_(10, loss=0.3)
     path.pass_(10, loss=0.3, ping=PING + 0.04)
@@ -157,7 +157,7 @@ def test_a_lossy_path_that_fills_up_stays_lossy_for_a_while() -> None:
     assert path.cause is None
 
 
-def test_large_packets_are_lost_once_a_new_stream_proves_it() -> None:
+def test_new_stream_proves_loss_of_large_packets() -> None:
     path = Path()
     path.pass_(4, rate=0)
     assert not path.pass_(5, stalled=PACKET)
@@ -167,7 +167,7 @@ def test_large_packets_are_lost_once_a_new_stream_proves_it() -> None:
     assert path.cause is None
 
 
-def test_a_stalled_stream_that_has_carried_large_packets_is_opened_anew() -> None:
+def test_stalled_stream_of_large_packets_opens_anew() -> None:
     path = Path()
     path.pass_(4)
     assert path.pass_(5, stalled=PACKET)[:1] == [path.data]
@@ -226,7 +226,7 @@ def test_both_sides_tell_the_same() -> None:
     assert there.watch.fault.text.startswith(f"{share} from the server")
 
 
-def test_the_next_connection_soon_after_has_the_losses_of_the_last() -> None:
+def test_next_connection_soon_after_has_losses_of_last() -> None:
     path = Path()
     path.pass_(10, loss=0.3)
     path.watch.disconnected()
@@ -243,5 +243,5 @@ def test_the_next_connection_soon_after_has_the_losses_of_the_last() -> None:
     ("shown", "share", "then"),
     [(0.0, 0.31, 0.3), (0.3, 0.22, 0.3), (0.3, 0.5, 0.5), (0.0, 0.06, 0.06), (0.06, 0.07, 0.06)],
 )
-def test_the_shown_share_changes_with_a_clear_difference_only(shown: float, share: float, then: float) -> None:
+def test_shown_share_changes_with_clear_difference_only(shown: float, share: float, then: float) -> None:
     assert steady(shown, share) == pytest.approx(then)

@@ -36,7 +36,7 @@ def pattern(engine: Engine, name: str) -> PatternSnapshot:
     return next(each for each in link(engine).patterns if each.spec.topic == name)
 
 
-def test_what_the_client_publishes_is_bridged_as_it_comes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_what_client_publishes_is_bridged_as_it_comes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     server, client = bridge.both(CAMERA, Topic("/*", "transmit", remote_topic="/robot1/*"))
     assert pattern(client, "/camera/**").state is State.WAITING
     out = robot.publisher("/camera/left/image")
@@ -57,7 +57,7 @@ def test_what_the_client_publishes_is_bridged_as_it_comes(bridge: Bridge, robot:
     assert client.session.topics == (CAMERA, Topic("/*", "transmit", remote_topic="/robot1/*"))
 
 
-def test_what_the_server_publishes_is_followed_by_the_client(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_what_server_publishes_is_followed_by_client(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """The server tells what matches as it comes, under its own names; only what it lets the client read."""
     server = bridge.server(clients=(Client("robot1", use_name=True, key_file=bridge.key_file, deny=("/secret",)),))
     client = bridge.client(Topic("/**", "receive"))
@@ -112,7 +112,7 @@ def test_calls_are_followed_where_somebody_provides_them(bridge: Bridge, robot: 
     }
 
 
-def test_a_type_limits_a_pattern_and_the_first_one_that_matches_wins(bridge: Bridge, robot: Domain) -> None:
+def test_type_limits_pattern_first_match_wins(bridge: Bridge, robot: Domain) -> None:
     listed = Topic("/a/listed", "transmit", max_rate=1.0)
     _, client = bridge.both(
         Topic("/a/*", "transmit", type="std_msgs/msg/Int32", max_rate=2.0), Topic("/**", "transmit"), listed

@@ -36,7 +36,7 @@ def route() -> Route:
 
 
 @pytest.mark.parametrize("forged", ["anna on pts/3", "root on tty1 from 10.0.0.1", "", "says: anna on pts/3"])
-def test_a_peer_cannot_pose_as_an_operator_of_this_side(forged: str, route: Route, context: Context) -> None:
+def test_peer_cannot_pose_as_operator_of_this_side(forged: str, route: Route, context: Context) -> None:
     operators = PeerOperators(context, "robot1")
     operators.paused(route, forged)
     operators.removed(route, forged)
@@ -49,7 +49,7 @@ def test_a_peer_cannot_pose_as_an_operator_of_this_side(forged: str, route: Rout
         assert event.who in event.text
 
 
-def test_a_peer_cannot_fill_the_log_of_what_operators_did(route: Route, context: Context) -> None:
+def test_peer_cannot_fill_log_of_what_operators_did(route: Route, context: Context) -> None:
     operators = PeerOperators(context, "robot1")
     for _ in range(10 * _ROOM):
         operators.removed(route, "anna")

@@ -110,9 +110,7 @@ changes: st.SearchStrategy[dict[str, Any]] = st.lists(
 
 @example(changes={"remote_topic": f"/{'a' * (TOPIC_LENGTH - 2)}"}, prefixed=True, kind="ip")
 @given(changes=changes, prefixed=st.booleans(), kind=st.sampled_from(list(SESSIONS)))
-def test_a_proposal_is_refused_with_the_text_that_its_entry_has_in_a_file(
-    changes: dict[str, Any], prefixed: bool, kind: str
-) -> None:
+def test_refused_proposal_is_quoted_as_in_file(changes: dict[str, Any], prefixed: bool, kind: str) -> None:
     """First under the peer's names, because a prefix can make a valid name of an invalid one, and then under ours."""
     asked = {"message": "propose", "route": 1, "topic": "/a", "remote_topic": "/a", "from_client": True}
     try:
@@ -143,7 +141,7 @@ VALUES: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("key", sorted(TOPIC_KEYS.keys() & set(Propose.__struct_fields__)))
-def test_the_peer_is_told_each_key_that_a_proposal_has(key: str) -> None:
+def test_peer_is_told_each_key_that_proposal_has(key: str) -> None:
     """A key that is added to the session and to the message needs a line in `proposal_of` and in `topic_of`."""
     value = VALUES.get(key, True if TOPIC_KEYS[key].value == "switch" else 7)
     topic = Topic(**{"topic": "/a", "direction": "transmit", "arm": True, key: value})
@@ -152,7 +150,7 @@ def test_the_peer_is_told_each_key_that_a_proposal_has(key: str) -> None:
 
 
 @pytest.mark.parametrize("key", sorted(name for name, key in TOPIC_KEYS.items() if key.live))
-def test_a_live_key_changes_while_the_route_is_open(key: str) -> None:
+def test_live_key_changes_while_route_is_open(key: str) -> None:
     before = Topic("/a", "transmit")
     after = msgspec.structs.replace(before, **{key: VALUES.get(key, 7)})
     assert same_route(proposed(before), proposed(after))
@@ -161,7 +159,7 @@ def test_a_live_key_changes_while_the_route_is_open(key: str) -> None:
     assert amended_topic(before, proposed(after)) == after
 
 
-def test_a_newer_side_s_ranks_count_as_the_nearest_word() -> None:
+def test_newer_side_s_ranks_count_as_nearest_word() -> None:
     """Else each of them would keep a part of the link, until nothing is left for the highest."""
     normal = proposed(Topic("/scan", "transmit"))
     weights = [route_weight(msgspec.structs.replace(normal, priority=rank), armed=False) for rank in range(-100, 101)]

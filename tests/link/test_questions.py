@@ -77,7 +77,7 @@ async def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop)
     assert await later == []
 
 
-async def test_a_list_that_takes_long_serves_those_who_ask_meanwhile(loop: VirtualLoop) -> None:
+async def test_slow_list_serves_later_askers_too(loop: VirtualLoop) -> None:
     """On a thin link, each further list would come after the one that is under way."""
     sent: list[Any] = []
     lists = TopicLists(link_for(sent.append, loop.create_task))
@@ -92,7 +92,7 @@ async def test_a_list_that_takes_long_serves_those_who_ask_meanwhile(loop: Virtu
     assert await later == []
 
 
-async def test_an_earlier_asker_s_timeout_harms_no_later_one(loop: VirtualLoop, side: Side) -> None:
+async def test_earlier_asker_s_timeout_harms_no_later_one(loop: VirtualLoop, side: Side) -> None:
     first = asyncio.ensure_future(side.ask())
     await asyncio.sleep(3.0)
     second = asyncio.ensure_future(side.ask())
@@ -144,7 +144,7 @@ async def test_a_peer_cannot_make_the_questions_many(side: Side) -> None:
     assert side.sent[-1] == TypeText(route=1000)
 
 
-async def test_the_next_connection_gets_no_answers_of_the_last(side: Side) -> None:
+async def test_next_connection_gets_no_answers_of_last(side: Side) -> None:
     side.asked(1)
     side.asked(2)
     asking = asyncio.ensure_future(side.ask())

@@ -49,9 +49,7 @@ def test_it_is_listed_until_it_tries_no_more(loop: VirtualLoop, context: Context
     assert not refused.shown()
 
 
-def test_who_is_refused_hides_for_a_while_only_why_the_robot_is_missing(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_refused_client_hides_reason_only_briefly(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     """Anybody who knows its name may have tried."""
     link = ServerRole(make_context(role="server"), {"robot1": ()}).links()[0]
     assert isinstance(link, ServerLink)
@@ -69,9 +67,7 @@ def test_who_is_refused_hides_for_a_while_only_why_the_robot_is_missing(
     assert (now.cause, now.reason, now.since) == (LinkCause.SILENT, "the peer is silent", missing_since)
 
 
-def test_the_time_of_a_link_follows_a_clock_that_is_set(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_time_of_link_follows_clock_that_is_set(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     context = make_context()
     assert isinstance(context.clock, VirtualClock)
     link = ClientRole(context, {"robot1": ()}).links()[0]

@@ -247,7 +247,7 @@ def by_the_consoles_end(driven: Driven, at: int) -> None:
         by_the_consoles_end,
     ],
 )
-def test_the_robot_rests_at_once_however_it_is_disarmed(
+def test_robot_rests_at_once_however_it_is_disarmed(
     ends: Callable[[Driven, int], None], at: int, driven: Driven, loop: VirtualLoop
 ) -> None:
     began, half = loop.time(), driven.half
@@ -268,7 +268,7 @@ def test_the_robot_rests_at_once_however_it_is_disarmed(
     assert not loop.errors
 
 
-def test_the_robot_rests_once_the_sides_no_longer_hear_each_other(driven: Driven, loop: VirtualLoop) -> None:
+def test_robot_rests_once_sides_are_apart(driven: Driven, loop: VirtualLoop) -> None:
     """Nothing is disarmed yet: the two may hear each other again, and then it goes on."""
     began = loop.time()
     driven.wait(LASTS + 0.1)
@@ -282,7 +282,7 @@ def test_the_robot_rests_once_the_sides_no_longer_hear_each_other(driven: Driven
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
-def test_the_robot_rests_when_a_time_of_the_arming_is_over(
+def test_robot_rests_when_time_of_arming_is_over(
     at: int, loop: VirtualLoop, make_driven: Callable[..., Driven]
 ) -> None:
     """To the moment, and not at the next tick: here the console is silent, before the deadman's time is over."""
@@ -303,7 +303,7 @@ def test_the_robot_rests_when_a_time_of_the_arming_is_over(
     assert driven.robot.heard[-1].payload == RESTS
 
 
-def test_a_velocity_holds_for_a_second_without_a_further_message(driven: Driven, loop: VirtualLoop) -> None:
+def test_velocity_holds_for_second_without_further_message(driven: Driven, loop: VirtualLoop) -> None:
     """The message that would have stopped the robot may have been lost, though both sides hear each other."""
     for _ in range(2):
         let_time_pass(driven.pair, 0.9 * HOLDS)
@@ -321,21 +321,21 @@ def test_a_velocity_holds_for_a_second_without_a_further_message(driven: Driven,
     assert driven.payloads[-2:] == [MOVES, RESTS], "no rest follows a rest"
 
 
-def test_a_message_of_a_type_that_moves_nothing_holds_for_good(make_driven: Callable[..., Driven]) -> None:
+def test_message_that_moves_nothing_holds_for_good(make_driven: Callable[..., Driven]) -> None:
     driven = make_driven(POSE, on_end={"x": 0.1, "header": "auto"})
     driven.drive()
     let_time_pass(driven.pair, 3 * HOLDS)
     assert driven.payloads == [MOVES]
 
 
-def test_a_robot_that_was_told_to_rest_hears_no_more(driven: Driven) -> None:
+def test_resting_robot_hears_no_more(driven: Driven) -> None:
     driven.drive(RESTS)
     by_an_operator(driven, 0)
     driven.wait(1.0)
     assert driven.payloads == [MOVES, RESTS]
 
 
-def test_a_robot_rests_though_the_other_side_s_publishers_have_changed_since_it_moved(driven: Driven) -> None:
+def test_robot_rests_despite_changed_publishers(driven: Driven) -> None:
     """A node there, or an operator, publishes with another QoS, and so has the robot's own topic from then on."""
     driven.describe(Qos(depth=3, deadline=1.0))
     let_time_pass(driven.pair, 0.5)
@@ -348,7 +348,7 @@ def move_by_hand(driven: Driven, qos: Qos) -> None:
     driven.half.rest.moved_by_hand(MOVES, driven.robot.voices[-1])
 
 
-def test_a_robot_that_a_hand_beside_it_has_moved_rests_though_a_node_came_on_the_other_side(
+def test_robot_moved_by_hand_rests_despite_node(
     make_driven: Callable[..., Driven],
 ) -> None:
     driven = make_driven()
@@ -365,7 +365,7 @@ def test_nothing_is_published_where_nothing_has_moved(make_driven: Callable[...,
     assert driven.payloads == []
 
 
-def test_the_next_arming_s_first_message_ends_the_rest(driven: Driven) -> None:
+def test_next_arming_s_first_message_ends_rest(driven: Driven) -> None:
     """Not the arming itself: the first rest may have come before a subscription had found its publisher."""
     by_an_operator(driven, 0)
     hear_all(driven.pair)
@@ -380,7 +380,7 @@ def test_the_next_arming_s_first_message_ends_the_rest(driven: Driven) -> None:
     assert len(driven.payloads) == count
 
 
-def test_a_hand_and_nodes_with_other_depths_share_the_rest_s_publisher(driven: Driven) -> None:
+def test_hand_and_nodes_share_rests_publisher(driven: Driven) -> None:
     """Subscriptions take some time to find a publisher, which a rest has not."""
     before = len(driven.robot.voices)
     for qos in (Qos(depth=3), Qos(depth=7, reliability="best_effort")):
@@ -523,7 +523,7 @@ def test_zero_of_another_type_has_its_defaults(make_driven: Callable[..., Driven
 
 
 @pytest.mark.parametrize(("kind", "on_end"), [(TWIST, {"y": 0.1}), ("a_msgs/msg/Speed", "zero")])
-def test_a_message_that_does_not_fit_is_refused_before_anything_moves(
+def test_unfitting_message_is_refused_before_motion(
     kind: str, on_end: str | dict[str, Any], make_driven: Callable[..., Driven]
 ) -> None:
     driven = make_driven(kind, on_end)
@@ -609,7 +609,7 @@ def padded(payload: bytes, to: int) -> bytes:
         ),
     ],
 )
-def test_a_rest_has_the_header_and_the_lengths_of_the_message(type_name: str, message: bytes, rest: bytes) -> None:
+def test_rest_has_header_and_lengths_of_message(type_name: str, message: bytes, rest: bytes) -> None:
     assert resting(type_name, message) == rest
     assert resting(type_name, rest) == rest
     fresh = stamped(type_name, rest, 7_000_000_008)

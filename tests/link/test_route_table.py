@@ -233,7 +233,7 @@ steps = st.lists(st.tuples(st.booleans(), st.sampled_from(OPERATIONS)), max_size
 
 @given(steps, st.sampled_from(["client", "server", "nobody"]), st.booleans())
 @settings(max_examples=settings().max_examples * 3, deadline=None, suppress_health_check=_ANY_MACHINE)
-def test_both_sides_end_up_with_the_same_routes_in_the_same_state(
+def test_both_sides_reach_same_routes_and_states(
     make_pair: Callable[[], Pair], loop: VirtualLoop, taken: list[tuple[bool, str]], adds: str, linked_first: bool
 ) -> None:
     client, server = pair = make_pair()
@@ -265,7 +265,7 @@ def test_both_sides_end_up_with_the_same_routes_in_the_same_state(
 @pytest.mark.parametrize("remover", ["client", "server"])
 @pytest.mark.parametrize("loser", ["client", "server"])
 @pytest.mark.parametrize("heard", range(6))
-def test_a_route_that_is_removed_while_its_connection_breaks_stays_removed(
+def test_route_removed_during_outage_stays_removed(
     proposer: str, remover: str, loser: str, heard: int, make_pair: Callable[[], Pair], loop: VirtualLoop
 ) -> None:
     """However much of it each side hears before the other's next step."""
@@ -303,9 +303,7 @@ def test_ids_of_closed_incarnations_are_remembered_within_bounds(
     assert remembered(client.ids) == remembered(server.ids) == []
 
 
-def test_what_the_other_sides_operators_do_is_recorded_within_bounds(
-    make_pair: Callable[[], Pair], loop: VirtualLoop
-) -> None:
+def test_other_sides_actions_are_recorded_within_bounds(make_pair: Callable[[], Pair], loop: VirtualLoop) -> None:
     client, server = pair = make_pair()
     client.add()
     settle(pair, loop)
@@ -325,7 +323,7 @@ def test_what_the_other_sides_operators_do_is_recorded_within_bounds(
 
 
 @pytest.mark.parametrize("operator", [0, 1], ids=["client", "server"])
-def test_a_change_of_a_limit_goes_on_with_the_same_opening(
+def test_change_of_limit_goes_on_with_same_opening(
     operator: int, make_pair: Callable[[], Pair], loop: VirtualLoop
 ) -> None:
     pair = make_pair()
@@ -347,7 +345,7 @@ either_apart = pytest.mark.parametrize("apart", [0, 1], ids=["client", "server"]
 
 
 @either_apart
-def test_a_limit_that_changed_while_apart_keeps_the_route(
+def test_limit_that_changed_while_apart_keeps_route(
     apart: int, make_pair: Callable[[], Pair], loop: VirtualLoop
 ) -> None:
     """The proposer's route has another limit when the two sides meet again; what the other side counted stays."""
@@ -367,9 +365,7 @@ def test_a_limit_that_changed_while_apart_keeps_the_route(
 
 
 @either_apart
-def test_a_pause_while_apart_holds_on_both_sides_and_the_other_one_records_whose_it_is(
-    apart: int, make_pair: Callable[[], Pair], loop: VirtualLoop
-) -> None:
+def test_pause_while_apart_holds_on_both_sides(apart: int, make_pair: Callable[[], Pair], loop: VirtualLoop) -> None:
     pair = make_pair()
     pair[0].add()
     settle(pair, loop)
@@ -387,7 +383,7 @@ def test_a_pause_while_apart_holds_on_both_sides_and_the_other_one_records_whose
     assert " says: " in paused.who
 
 
-def test_at_the_limit_of_topics_one_may_take_the_place_of_another(
+def test_topic_at_limit_may_replace_another(
     make_pair: Callable[[], Pair], loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     constants.ROUTES_PROPOSED_BY_SERVER.set(monkeypatch, 1)
@@ -406,7 +402,7 @@ def test_at_the_limit_of_topics_one_may_take_the_place_of_another(
 
 
 @pytest.mark.skipif("view" not in purposes(), reason="the core alone")
-def test_a_peer_cannot_have_a_session_list_what_is_the_links_own(make_pair: Callable[[], Pair]) -> None:
+def test_peer_cannot_list_links_own_names(make_pair: Callable[[], Pair]) -> None:
     client, _ = make_pair()
     topic, views = Topic("view/1", "transmit"), purposes()["view"]
     route = client.table.add(topic, proposal_for(topic, client.context, views), proposed_here=True)

@@ -94,7 +94,7 @@ def test_a_refused_connection_is_freed_at_once(bridge: Bridge, arrived: list[wea
     assert strangers_of(server).used == 0
 
 
-def test_little_is_read_at_a_time_until_the_other_end_is_trusted() -> None:
+def test_untrusted_end_is_read_little_by_little() -> None:
     read: list[int] = []
 
     class Handler(StreamHandler):
@@ -124,7 +124,7 @@ def test_little_is_read_at_a_time_until_the_other_end_is_trusted() -> None:
     assert max(read[3:]) > 4096
 
 
-def test_a_connection_that_is_reset_before_it_is_served_still_has_an_address() -> None:
+def test_connection_reset_early_still_has_address() -> None:
     hosts: list[str] = []
     connected = asyncio.Event()
 
@@ -147,9 +147,7 @@ def test_a_connection_that_is_reset_before_it_is_served_still_has_an_address() -
     assert hosts == ["127.0.3.1"]
 
 
-def test_a_spent_budget_closes_the_oldest_and_keeps_no_client_out(
-    bridge: Bridge, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_spent_budget_closes_oldest_connection(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     replaced.STRANGERS.set(monkeypatch, functools.partial(Strangers, 5 * CONNECTION))
     constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 600.0)  # none goes by itself meanwhile
     server = bridge.server()

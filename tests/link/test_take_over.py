@@ -75,7 +75,7 @@ both = pytest.mark.parametrize("at", [0, 1], ids=["from the other side", "beside
 
 
 @both
-def test_the_holder_sees_who_asks_and_how_long_it_takes(at: int, pair: Pair) -> None:
+def test_holder_sees_asker_and_remaining_time(at: int, pair: Pair) -> None:
     """Both sides do so; the topic stays armed meanwhile."""
     task = ask(pair[at])
     for side in pair:
@@ -88,7 +88,7 @@ def test_the_holder_sees_who_asks_and_how_long_it_takes(at: int, pair: Pair) -> 
 
 
 @both
-def test_a_holder_who_gives_it_ends_the_wait_at_once(at: int, pair: Pair) -> None:
+def test_holder_who_gives_it_ends_wait_at_once(at: int, pair: Pair) -> None:
     task = ask(pair[at])
     pair[1].table.questions.answer(route(pair[1]), CONSOLE, gives=True)
     hear_all(pair)
@@ -122,7 +122,7 @@ def test_without_an_answer_it_goes_over(at: int, pair: Pair, loop: VirtualLoop) 
 
 @both
 @pytest.mark.parametrize("alive_for", [0.0, 8.5])
-def test_a_console_that_asked_and_is_silent_gets_nothing(
+def test_console_that_asked_and_is_silent_gets_nothing(
     at: int, alive_for: float, pair: Pair, loop: VirtualLoop
 ) -> None:
     """It stood still: nobody is there who would drive. The question is gone, and the holder goes on."""
@@ -139,7 +139,7 @@ def test_a_console_that_asked_and_is_silent_gets_nothing(
 
 
 @both
-def test_a_silent_console_does_not_get_what_was_disarmed_meanwhile(at: int, pair: Pair) -> None:
+def test_silent_console_gets_nothing_disarmed_meanwhile(at: int, pair: Pair) -> None:
     """The machine may have slept: its operator asked before that."""
     task = ask(pair[at])
     now = pair[at].context.now
@@ -160,7 +160,7 @@ ENDS = {
 
 @both
 @pytest.mark.parametrize("end", ENDS)
-def test_both_sides_record_who_asked_and_how_it_ended(end: str, at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_both_sides_record_question_and_outcome(end: str, at: int, pair: Pair, loop: VirtualLoop) -> None:
     task = ask(pair[at])
     if end in ("kept", "given"):
         pair[1].table.questions.answer(route(pair[1]), CONSOLE, gives=end == "given")
@@ -190,7 +190,7 @@ def test_an_answer_is_no_answer_to_another_question(pair: Pair) -> None:
     assert not task.done()
 
 
-def test_an_answer_is_none_to_the_question_that_follows(pair: Pair) -> None:
+def test_answer_is_none_to_question_that_follows(pair: Pair) -> None:
     """The holder, who did not know yet that the first is withdrawn, has not seen the second."""
     ask(pair[0]).cancel()
     turn(pair[0])
@@ -200,7 +200,7 @@ def test_an_answer_is_none_to_the_question_that_follows(pair: Pair) -> None:
     assert shown(pair[1]).asked_by
 
 
-def test_the_holder_sees_the_time_in_which_an_answer_still_comes(pair: Pair) -> None:
+def test_holder_sees_time_in_which_answer_still_comes(pair: Pair) -> None:
     lease = route(pair[1]).arming.lease
     assert lease is not None
     lease.round_trip = 0.5
@@ -228,9 +228,7 @@ def test_only_the_holders_side_answers(pair: Pair) -> None:
         (Disarmed.RELOADED, False),
     ],
 )
-def test_it_goes_over_without_an_answer_only_if_the_holder_is_gone(
-    why: Disarmed, goes_over: bool, at: int, pair: Pair
-) -> None:
+def test_unanswered_question_succeeds_only_without_holder(why: Disarmed, goes_over: bool, at: int, pair: Pair) -> None:
     task = ask(pair[at])
     pair[1].table.arming.disarm(route(pair[1]), why)
     hear_all(pair)
@@ -274,7 +272,7 @@ def test_one_asks_at_a_time_and_nobody_oneself(pair: Pair) -> None:
     assert says(problem(ask(pair[0])), TakeOverText.ASKED_ALREADY)
 
 
-def test_of_two_questions_from_both_sides_the_holders_side_has_the_first(pair: Pair, loop: VirtualLoop) -> None:
+def test_holders_side_asks_first_of_two(pair: Pair, loop: VirtualLoop) -> None:
     """The other one is kept, though both were asked before either side heard of the other's."""
 
     async def both() -> None:
@@ -294,7 +292,7 @@ def test_of_two_questions_from_both_sides_the_holders_side_has_the_first(pair: P
     loop.run_until_complete(both())
 
 
-def test_a_side_that_asks_again_and_again_is_not_heard(pair: Pair) -> None:
+def test_side_that_asks_repeatedly_is_ignored(pair: Pair) -> None:
     """The driver watches the robot, not questions."""
     for _ in range(int(_AT_ONCE)):
         ask(pair[0]).cancel()

@@ -137,7 +137,7 @@ def test_kinds_that_only_a_newer_side_knows() -> None:
 
 
 @pytest.mark.parametrize("length", [20, 240])
-def test_a_list_fits_into_one_message_and_has_some_of_everything(length: int) -> None:
+def test_list_fits_one_message_with_all_kinds(length: int) -> None:
     topics = {f"/topic_{number:05}".ljust(length, "x"): "a/msg/" + "B" * length for number in range(3 * MOST_ENTRIES)}
     services = {f"/service_{number:05}": "example/srv/Add" for number in range(MOST_ENTRIES)}
     pair = Pair(Graph(topics, {**services, **FIBONACCI}))

@@ -39,7 +39,7 @@ def answer_of(rogue: Rogue) -> Accept | Refuse:
 
 
 @pytest.mark.parametrize("protocol", ["udp", "tcp"])
-def test_a_port_of_the_servers_domain_is_refused_on_both_sides(protocol: Any, bridge: Bridge) -> None:
+def test_discovery_port_of_domain_is_refused_twice(protocol: Any, bridge: Bridge) -> None:
     """ROS nodes of the server's machine would no longer find each other."""
     port = 7400 + 250 * bridge.pc.id + 249
     server, client = bridge.both(Topic("/scan", "transmit", protocol=protocol, port=port))
@@ -79,12 +79,12 @@ def test_a_discovery_port_of_any_domain_is_refused(domain: int, offset: int) -> 
 
 
 @pytest.mark.parametrize("port", [DEFAULT_PORT, 7061, 7399, 12001, 12012, 49152, 49153, 65535])
-def test_ports_of_samples_and_of_the_thesis_are_no_discovery_ports(port: int) -> None:
+def test_ports_of_samples_are_no_discovery_ports(port: int) -> None:
     assert discovery_domain(port) is None
     check_topic_port(0, UDP, port)
 
 
-def test_a_peer_gets_no_discovery_port_of_another_domain(bridge: Bridge) -> None:
+def test_peer_gets_no_discovery_port_of_another_domain(bridge: Bridge) -> None:
     bridge.server(ports=tuple(range(7400, 7700)))  # a list does not allow it either
     other = 1 if bridge.pc.id != 1 else 2
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:

@@ -131,7 +131,7 @@ async def test_any_other_is_as_none(answer: bytes) -> None:
         await Side().ask(answer)
 
 
-async def test_a_peer_that_cannot_answer_is_not_taken_for_one_that_lacks_the_type() -> None:
+async def test_peer_that_cannot_answer_may_have_type() -> None:
     with pytest.raises(LinkError, match="the link was lost"):
         await Side().ask(None)
     side = Side()
@@ -151,7 +151,7 @@ async def test_answers_are_given_one_at_a_time() -> None:
     assert side.ros.asked == ["/node"]
 
 
-async def test_nodes_that_know_nothing_are_asked_again_after_a_while() -> None:
+async def test_ignorant_nodes_are_asked_again_later() -> None:
     side = Side()
     side.ros.nodes = {f"/node{number}": TEXT.replace("x", "y") if number else None for number in range(9)}
     for moment in (0.0, 9.0, 11.0, 30.0, 32.0, 43.0):
@@ -204,7 +204,7 @@ def versions(*texts: str) -> tuple[TypeVersion, ...]:
 REQUEST, RESPONSE = described("a_msgs/srv/A_Request", "x"), described("a_msgs/srv/A_Response", "y")
 
 
-async def test_while_a_node_is_asked_nobody_waits_who_needs_none() -> None:
+async def test_question_to_node_holds_up_nobody_else() -> None:
     """A type that is installed, and one that nobody has described lately."""
     asked, answered = threading.Event(), threading.Event()
 
@@ -240,7 +240,7 @@ async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize("most", [DESCRIPTION_LIMIT, len(REQUEST), 0])
-def test_one_answer_has_all_types_of_a_service_that_fit(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_answer_has_all_fitting_types(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.DESCRIPTION_LIMIT.set(monkeypatch, max(most, 1))
     monkeypatch.setattr(Route, "message_types", versions(REQUEST, RESPONSE, REQUEST))
     answering = Side(Installed(REQUEST, RESPONSE))

@@ -103,7 +103,7 @@ def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
     )
 
 
-def test_a_refused_client_that_is_added_is_shown_no_more(friend: Any, bridge: Bridge) -> None:
+def test_refused_client_that_is_added_disappears(friend: Any, bridge: Bridge) -> None:
     server, *_ = friend
     unknown = bridge.client(name="robot9", key_file=bridge.make_key("nine"))
     eventually(lambda: [each.name for each in now(server).refused] == ["robot9"])
@@ -183,7 +183,7 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge, monkeypa
     assert happened(server, EventCode.LINK_REJECTED, Rejected.NO_HANDSHAKE, seconds=5)
 
 
-def test_a_client_links_during_a_flood_of_connections_from_its_own_address(friend: Any, bridge: Bridge) -> None:
+def test_client_links_during_flood_from_its_address(friend: Any, bridge: Bridge) -> None:
     """Behind one NAT with a stranger who connects 500 times a second, silently or under a random name, the client is
     served.
     """
@@ -198,7 +198,7 @@ def test_a_client_links_during_a_flood_of_connections_from_its_own_address(frien
 
 
 @pytest.mark.parametrize("sent", [b"", frame(b"rsb\x01\x01")[:5]], ids=["silent", "half a handshake"])
-def test_a_client_is_read_among_many_that_arrive_at_once(sent: bytes, friend: Any, bridge: Bridge) -> None:
+def test_client_is_read_among_many_arrivals(sent: bytes, friend: Any, bridge: Bridge) -> None:
     """All of them wait to be accepted; none may push out another that has spoken, and has not been read yet."""
     server, known, out, _ = friend
     started, go_on = threading.Event(), threading.Event()
@@ -334,7 +334,7 @@ def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: 
     assert heard(there, 2) == [text("once"), text("twice")]
 
 
-def test_streams_arrive_in_any_order_and_each_number_counts_once(bridge: Bridge) -> None:
+def test_streams_arrive_in_any_order_once_each(bridge: Bridge) -> None:
     """A client opens the streams of several ports at once. One that came late was refused, and its topics ended."""
     bridge.server()
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as client:
@@ -345,7 +345,7 @@ def test_streams_arrive_in_any_order_and_each_number_counts_once(bridge: Bridge)
         assert client.open_stream(large=False, number=1999)
 
 
-def test_a_client_opens_a_stream_again_that_the_server_takes_for_open(bridge: Bridge) -> None:
+def test_client_reopens_stream_that_server_thinks_open(bridge: Bridge) -> None:
     """A NAT may have forgotten it: the server's kernel finds that out half a minute later."""
     bridge.server()
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as client:

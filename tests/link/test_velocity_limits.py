@@ -41,7 +41,7 @@ def pair_with(make_context: Callable[..., Context], robots: VelocityLimits | Non
         (VelocityLimits(0.5), VelocityLimits(0.5), VelocityLimits(0.5), (HERE, PEER_DEMANDS), None),
     ],
 )
-def test_either_session_may_set_them_and_both_sides_know_whose_they_are(
+def test_either_session_sets_limits_known_to_both(
     robots: VelocityLimits | None,
     pcs: VelocityLimits | None,
     whole: VelocityLimits | None,

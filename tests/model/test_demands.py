@@ -72,9 +72,7 @@ def test_every_line_that_matches_counts(demands: Demands, name: str, expected: b
         (Topic("/arm", "receive", kind="action", arm=True), "/arm/_action/send_goal", True),
     ],
 )
-def test_a_client_that_bridges_a_name_to_another_one_ends_no_demand(
-    entry: Topic, client_name: str, expected: bool
-) -> None:
+def test_renaming_client_ends_no_demand(entry: Topic, client_name: str, expected: bool) -> None:
     demands = server(entry, use_name=True)
     kind: Kind = "service" if entry.kind == "action" else "topic"
     assert (demands.of(kind, "/far", client="robot1", client_name=client_name) is not None) is expected
@@ -93,13 +91,13 @@ def test_a_client_that_bridges_a_name_to_another_one_ends_no_demand(
         ("topic", "topic", "/arm", True),
     ],
 )
-def test_a_service_has_the_demands_of_what_it_belongs_to(listed: Kind, kind: Kind, name: str, expected: bool) -> None:
+def test_service_has_demands_of_what_it_belongs_to(listed: Kind, kind: Kind, name: str, expected: bool) -> None:
     demands = client(Topic("/arm", "receive", kind=listed, arm=True))
     assert (demands.of(kind, name) is not None) is expected
     assert client(armed=("/arm",)).of(listed, "/arm") is not None, "of every kind"
 
 
-def test_a_pattern_of_a_type_counts_unless_the_name_is_known_to_have_another() -> None:
+def test_pattern_of_type_counts_for_unknown_types() -> None:
     demands = client(Topic("/**", "receive", type="Twist", arm=True))
     assert demands.of("topic", "/cmd") is not None
     assert demands.of("topic", "/cmd", "geometry_msgs/msg/Twist") is not None
@@ -232,7 +230,7 @@ def test_armed_has_the_lines_of_all_entries() -> None:
     assert running.armed == ("/line", GO, ArmedName("/other", "topic", deadman=7.0))
 
 
-def test_a_line_of_the_session_stays_as_it_is_written() -> None:
+def test_line_of_session_stays_as_written() -> None:
     """A file may list the same name twice, in an entry and under `armed`."""
     running = Running(CMD, armed=(GO,))
     assert (running.armed, running.demands.written) == ((GO,), (GO,))
@@ -242,7 +240,7 @@ def test_a_line_of_the_session_stays_as_it_is_written() -> None:
 
 
 @pytest.mark.parametrize("entry", [CMD, PATTERN])
-def test_a_server_s_removed_entry_still_counts_under_its_client_s_name(entry: Topic) -> None:
+def test_servers_removed_entry_counts_under_clients_name(entry: Topic) -> None:
     """A client that bridged the name to another one of the server was free of it once the entry was removed."""
     running = Running(entry, client="robot1")
     running.edit()
@@ -252,7 +250,7 @@ def test_a_server_s_removed_entry_still_counts_under_its_client_s_name(entry: To
     assert find("topic", "/robot1/cmd") is not None
 
 
-def test_exceptions_that_come_one_by_one_leave_one_line() -> None:
+def test_exceptions_one_by_one_leave_one_line() -> None:
     running = Running(PATTERN)
     names = tuple(f"/cmd_{number}" for number in range(20))
     for number in range(1, len(names)):
@@ -261,7 +259,7 @@ def test_exceptions_that_come_one_by_one_leave_one_line() -> None:
     assert running.demands.written == (GO_ALL,)
 
 
-def test_a_stricter_line_is_kept_with_a_wider_one() -> None:
+def test_stricter_line_is_kept_beside_wider() -> None:
     """The other side removed a pattern's topic, and its deadman became longer."""
     running = Running(PATTERN)
     for excepts, deadman in (("/cmd_a",), None), (("/cmd_a",), 5.0), (("/cmd_a", "/cmd_b"), 5.0):
@@ -279,7 +277,7 @@ def test_another_session_takes_no_line_out() -> None:
     assert running.demanded("/cmd") == DEADMAN
 
 
-def test_a_deadman_that_has_been_kept_is_not_made_longer_by_a_new_entry() -> None:
+def test_kept_deadman_is_not_made_longer() -> None:
     running = Running(Topic("/cmd", "receive", arm=True, deadman=5.0))
     running.edit()
     assert running.demanded("/cmd") == 5.0
@@ -287,7 +285,7 @@ def test_a_deadman_that_has_been_kept_is_not_made_longer_by_a_new_entry() -> Non
     assert running.demanded("/cmd") == 5.0
 
 
-def test_only_a_drop_ends_a_demand_and_at_the_end_of_the_change() -> None:
+def test_only_drop_ends_demand_after_change() -> None:
     running = Running(CMD, armed=("/other",))
     with running.demands.changing("anna"):
         running.drop("/cmd")
@@ -320,7 +318,7 @@ def test_a_change_that_fails_drops_nothing() -> None:
     assert None not in map(running.demanded, ("/cmd", "/cmd_a", "/cmd_b", "/other")), "nor does the next change"
 
 
-def test_what_comes_and_goes_during_a_change_was_demanded() -> None:
+def test_what_comes_and_goes_during_change_was_demanded() -> None:
     """A reload adds an entry, and before it is through, the other side opens its route and removes it."""
     running = Running()
     with running.demands.changing("anna"):
@@ -331,7 +329,7 @@ def test_what_comes_and_goes_during_a_change_was_demanded() -> None:
     assert running.armed == (GO,)
 
 
-def test_a_drop_of_an_entry_that_stays_leaves_its_demand() -> None:
+def test_drop_of_entry_that_stays_leaves_its_demand() -> None:
     running = Running(CMD)
     with running.demands.changing("anna"):
         running.drop("/cmd")
@@ -339,7 +337,7 @@ def test_a_drop_of_an_entry_that_stays_leaves_its_demand() -> None:
     assert running.dropped == []
 
 
-def test_what_stays_beyond_another_session_s_lines_is_named_in_advance() -> None:
+def test_demands_beyond_other_sessions_lines_are_named() -> None:
     """An entry, a line of `armed`, and a name that a pattern leaves out; one with another deadman is edited."""
     edited = Topic("/edit", "receive", arm=True, deadman=5.0)
     running = Running(CMD, PATTERN, edited, armed=("/other", "/same"))
@@ -366,7 +364,7 @@ def test_the_line_is_named() -> None:
     assert client(CMD).of("topic", "/cmd") == Demand(DEADMAN, 1.0, (one,))
 
 
-def test_who_added_an_entry_is_forgotten_with_its_demand() -> None:
+def test_who_added_entry_is_forgotten_with_its_demand() -> None:
     running = Running()
     with running.demands.changing("anna"):
         running.edit(CMD)
@@ -381,7 +379,7 @@ def test_who_added_an_entry_is_forgotten_with_its_demand() -> None:
     assert running.demands.origin(added) == OriginText.THIS_SESSION()
 
 
-def test_a_change_costs_a_server_of_many_robots_little() -> None:
+def test_change_costs_server_of_many_robots_little() -> None:
     """A server of 60 robots stood still for 0.9 s whenever a route went."""
     demands = Running().demands
     patterns = tuple(Topic(f"/cmd{number}*", "receive", arm=True) for number in range(20))

@@ -48,7 +48,7 @@ def kinds(changes: list[FaultChange]) -> list[tuple[Any, ...]]:
 SCAN = ("route", "/scan")
 
 
-def test_a_fault_is_reported_when_it_has_lasted_and_when_it_is_over() -> None:
+def test_lasting_fault_is_reported_and_its_end() -> None:
     watched = Watched()
     assert watched.sees(FINE, seconds=5) == []
     assert watched.sees(SLOW, seconds=int(LASTS)) == []
@@ -59,21 +59,21 @@ def test_a_fault_is_reported_when_it_has_lasted_and_when_it_is_over() -> None:
     assert watched.watch.ongoing == 0
 
 
-def test_a_fault_that_flaps_is_reported_once_and_one_that_comes_seldom_is_not() -> None:
+def test_flapping_fault_is_reported_once_rare_never() -> None:
     watched = Watched()
     assert kinds([change for _ in range(20) for change in watched.sees(SLOW) + watched.sees(FINE, seconds=3)]) == []
     flaps = [change for _ in range(20) for change in watched.sees(SLOW) + watched.sees(FINE)]
     assert kinds(flaps) == [(ChangeKind.BEGUN, SCAN, State.SLOW, ("ok", ""))]
 
 
-def test_a_fault_that_was_reported_and_flaps_is_not_over() -> None:
+def test_reported_fault_that_flaps_is_not_over() -> None:
     watched = Watched()
     assert len(watched.sees(SLOW, seconds=4)) == 1
     assert [watched.sees(FINE) + watched.sees(SLOW) for _ in range(20)] == [[]] * 20
     assert watched.watch.ongoing == 1
 
 
-def test_a_fault_whose_cause_flaps_lasts_all_the_same() -> None:
+def test_fault_whose_cause_flaps_lasts_all_same() -> None:
     watched = Watched()
     changes = [change for _ in range(10) for change in watched.sees(SLOW) + watched.sees(STOPPED)]
     assert [change.kind for change in changes] == [ChangeKind.BEGUN]
@@ -87,7 +87,7 @@ def test_another_cause_is_reported_with_the_one_before() -> None:
     assert watched.watch.ongoing == 1
 
 
-def test_what_an_operator_wants_or_waits_is_no_fault() -> None:
+def test_what_operator_wants_or_waits_is_no_fault() -> None:
     watched = Watched()
     for state in (State.PAUSED, State.DISARMED, State.WAITING):
         assert watched.sees(route("/scan", state), seconds=5) == []
@@ -105,7 +105,7 @@ def test_a_link_that_is_down_explains_its_routes() -> None:
     assert watched.watch.ongoing == 0
 
 
-def test_a_lossy_link_explains_the_routes_that_suffer_from_it() -> None:
+def test_lossy_link_explains_routes_that_suffer_from_it() -> None:
     watched = Watched()
     lossy = replace(LINK, cause=LinkCause.LOSSY, warning="30 % of packets are lost")
     late, stopped = route("/late", State.LATE, cause=Cause.LOSSY), route("/odom", State.STOPPED)
@@ -139,7 +139,7 @@ def _through_an_outage(before: RouteSnapshot, *after: RouteSnapshot) -> list[tup
         route("/scan", State.DOWN, cause=Cause.LOSSY),
     ],
 )
-def test_a_topic_that_is_still_silent_after_a_reconnection_has_not_recovered(before: RouteSnapshot) -> None:
+def test_silent_topic_after_reconnection_is_not_over(before: RouteSnapshot) -> None:
     told = (str(before.state), before.cause)
     nothing_yet = route("/scan", State.WAITING, cause=Cause.NO_MESSAGE)
     assert _through_an_outage(before, nothing_yet, nothing_yet) == []
@@ -149,12 +149,12 @@ def test_a_topic_that_is_still_silent_after_a_reconnection_has_not_recovered(bef
     ]
 
 
-def test_a_publisher_that_is_as_silent_as_before_the_outage_is_no_news() -> None:
+def test_publisher_silent_before_outage_is_no_news() -> None:
     assert _through_an_outage(STOPPED, WAITING, WAITING) == []
 
 
 @pytest.mark.parametrize("state", [State.PAUSED, State.DISARMED, State.OK])
-def test_a_silent_topic_that_is_paused_or_carries_again_is_over(state: State) -> None:
+def test_silent_topic_is_over_when_paused_or_carrying(state: State) -> None:
     change = (ChangeKind.OVER, SCAN, state, ("stopped", "publisher_silent"))
     assert _through_an_outage(STOPPED, WAITING, route("/scan", state)) == [change]
 
@@ -169,13 +169,13 @@ def test_a_silent_topic_that_is_removed_is_over() -> None:
 
 
 @pytest.mark.parametrize("cause", [Cause.NO_PATH, Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT, Cause.REFUSED])
-def test_what_kept_messages_from_crossing_is_over_though_none_has_come(cause: Cause) -> None:
+def test_obstacle_is_over_without_new_message(cause: Cause) -> None:
     """An idle topic whose firewall or QoS was mended owes no message."""
     change = (ChangeKind.OVER, SCAN, State.WAITING, ("down", cause))
     assert _through_an_outage(route("/scan", State.DOWN, cause=cause), WAITING) == [change]
 
 
-def test_a_service_is_over_when_it_can_be_called_again() -> None:
+def test_callable_service_is_over() -> None:
     gone = route("/scan", State.DOWN, cause=Cause.SERVER_GONE)
     nobody, ready = (route("/scan", State.WAITING, cause=each) for each in (Cause.NO_SERVER, Cause.NO_CALL))
     assert _through_an_outage(gone, nobody, ready) == [
@@ -184,7 +184,7 @@ def test_a_service_is_over_when_it_can_be_called_again() -> None:
     ]
 
 
-def test_a_link_with_a_warning_is_at_fault_though_it_is_up() -> None:
+def test_running_link_with_warning_is_at_fault() -> None:
     watched = Watched()
     twice = replace(LINK, cause=LinkCause.NAME_TAKEN, warning="a second robot1")
     watched.sees(FINE)
@@ -200,7 +200,7 @@ def test_what_is_removed_is_over() -> None:
     assert watched.sees(SLOW, seconds=1) == []
 
 
-def test_a_pattern_of_which_a_part_is_not_bridged_is_at_fault() -> None:
+def test_partly_bridged_pattern_is_at_fault() -> None:
     watched = Watched()
     fine = PatternSnapshot(
         "robot1 pattern", "robot1", Topic("/c/*", "transmit"), State.OK, "", here=True, source="/c/*"

@@ -17,7 +17,7 @@ def test_every_figure_can_be_read() -> None:
             assert isinstance(value, float), each.name
 
 
-def test_figures_with_one_metric_have_different_labels_and_one_help() -> None:
+def test_figures_of_one_metric_differ_by_labels() -> None:
     for metric in {(each.of, each.metric) for each in FIGURES if each.metric}:
         alike = [each for each in FIGURES if (each.of, each.metric) == metric]
         assert len({each.at for each in alike}) == len(alike)

@@ -74,7 +74,7 @@ def test_a_lower_one_yields_itself() -> None:
     assert cost.gets < 0.5 * cost.load.bytes_per_second
 
 
-def test_the_other_direction_and_other_links_do_not_count() -> None:
+def test_other_direction_and_other_links_do_not_count() -> None:
     now = snapshot(
         route("/cmd_vel", bytes_per_second=9e5), sent("/scan", "normal", 10.0, 9e4, link="robot2"), carries=1e6
     )
@@ -100,7 +100,7 @@ def test_more_than_was_ever_seen() -> None:
     assert len(describe_cost(cost, NOW)) == 2
 
 
-def test_a_link_that_has_carried_next_to_nothing_tells_nothing() -> None:
+def test_link_with_little_traffic_tells_nothing() -> None:
     """One that has just come up, for example."""
     now = snapshot(carries=1e3, source=CapacitySource.SEEN)
     cost = cost_of(now, "robot1", Topic("/image", "transmit", type=_IMAGE))
@@ -127,7 +127,7 @@ def test_what_a_topic_brings() -> None:
     assert len(describe_cost(unknown, NOW)) == 1
 
 
-def test_what_is_measured_gives_way_once_it_is_old() -> None:
+def test_old_measurements_give_way() -> None:
     full = Capacity(1e6, CapacitySource.FULL, 100.0)
     less, more = (Capacity(rate, CapacitySource.SEEN, 200.0) for rate in (5e5, 2e6))
     assert newer(None, less) is less
@@ -151,7 +151,7 @@ def test_throughput() -> None:
     assert (meter.capacity.bytes_per_second, meter.capacity.source) == (1e6, CapacitySource.FULL)
 
 
-def test_what_crosses_now_has_been_seen_and_more_may_be_carried() -> None:
+def test_present_traffic_shows_possible_and_more_may_fit() -> None:
     now = snapshot(sent("/camera", "low", 10.0, 60_000), carries=1e5, source=CapacitySource.SEEN)
     cost = cost_of(now, "robot1", Topic("/points", "transmit"), rate=5.0, size=100_000.0)
     assert cost.capacity is not None
@@ -163,7 +163,7 @@ def test_what_crosses_now_has_been_seen_and_more_may_be_carried() -> None:
 
 
 @pytest.mark.parametrize("state", [State.DISARMED, State.PAUSED, State.WAITING])
-def test_what_does_not_flow_now_brings_what_it_brought_before(state: State) -> None:
+def test_stopped_flow_counts_as_before(state: State) -> None:
     """Its rate and its bytes fade, each in its own time."""
     fading = replace(
         sent("/cmd_vel", "normal", 0.037, 1.0), state=state, expected_rate=20.0, messages_total=100, bytes_total=5_200

@@ -131,7 +131,7 @@ def announced(*routes: RouteSnapshot, links: tuple[LinkSnapshot, ...]) -> RobotS
     return of_engine(now, SERVER, host="pc", version="1", losses={}, battery=None)
 
 
-def test_a_fault_of_a_client_is_listed_once_at_that_client() -> None:
+def test_fault_of_client_is_listed_once_there() -> None:
     links = (UP, replace(DOWN, name="robot2"))
     server = announced(a("/scan", State.STALE, cause=Cause.SILENT, reason="silent"), links=links)
     assert (server.state.is_wrong, server.wrong_clients, server.clients_wrong) == (True, ("robot1", "robot2"), 2)
@@ -230,7 +230,7 @@ def test_loss_counts_what_nobody_wants_only() -> None:
     assert took == {"robot1": LostMessages(0.2, 1.0)}
 
 
-def test_loss_of_a_topic_that_counts_anew_or_is_gone() -> None:
+def test_loss_of_topic_that_counts_anew() -> None:
     window = LossWindow()
     window.add(ledgers(NOW, (500, {"queue full": 10})))
     assert window.add(ledgers(NOW + 1, (5, {}))) == {}
@@ -277,7 +277,7 @@ def test_what_is_no_summary(data: bytes, problem: InvalidSummary) -> None:
 @pytest.mark.parametrize(
     ("state", "robot_state"), [(State.OK, RobotState.OK), (State.WAITING, RobotState.OK), (State.DOWN, RobotState.WARN)]
 )
-def test_a_pattern_of_which_not_all_is_bridged_is_a_warning(state: State, robot_state: RobotState) -> None:
+def test_partly_bridged_pattern_is_warning(state: State, robot_state: RobotState) -> None:
     pattern = PatternSnapshot("p", "robot1", Topic("/camera/**", "transmit"), state, "2 of 3", True, "/camera/**")
     summary = on_server(a("/scan"), link=replace(UP, patterns=(pattern, pattern)))
     assert summary.state is robot_state
@@ -286,7 +286,7 @@ def test_a_pattern_of_which_not_all_is_bridged_is_a_warning(state: State, robot_
     assert worse.state is RobotState.FAULT
 
 
-def test_what_is_acknowledged_is_counted_apart_and_is_no_longer_the_robots_state() -> None:
+def test_acknowledged_faults_are_counted_apart() -> None:
     known = Acknowledgement("anna", NOW - 1.0)
     stale = a("/scan", State.STALE, cause=Cause.SILENT, reason="it is broken")
     summary = on_server(replace(stale, acknowledged=known), a("/map"))

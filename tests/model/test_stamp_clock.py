@@ -81,7 +81,7 @@ def test_the_smallest_limit_holds(demands: tuple[float | None, ...], armed: bool
     assert effective_max_age(reversed(demands), armed=armed) == expected
 
 
-def test_a_wall_stamp_from_before_the_clock_was_set_stays_a_time() -> None:
+def test_stamp_from_before_setting_clock_stays_time() -> None:
     """A robot without a battery clock begins in 1970, and has its clock set while messages are on their way here."""
     wall = SetClock()
     wall.offset = 0.0

@@ -27,7 +27,7 @@ def test_the_smallest_number_of_each_kind_counts(
     assert smallest_limits(several) == whole
 
 
-def test_a_line_counts_if_one_of_its_numbers_does() -> None:
+def test_line_counts_if_one_of_its_numbers_does() -> None:
     whole = limits(0.5, 0.3)
     assert limits(0.5, 1).are_in(whole)
     assert limits(angular=0.3).are_in(whole)

@@ -25,9 +25,7 @@ _STATUSES = 20
 _SERVICE = "/load_map"
 
 
-def test_what_owes_nothing_is_not_down_after_a_bad_minute(
-    network: Network, robot: Host, pc: Host, cable: Cable
-) -> None:
+def test_nothing_is_down_after_bad_minute_without_debts(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
     """Both used to be down until somebody called or published, through restarts, and the reason blamed the MTU."""
     near, far = network.callers_and_servers(robot, pc)
     far.serve(_SERVICE)

@@ -23,7 +23,7 @@ _SERVICE = {"service": "/map", "timeout": 10.0}
 _LOSS, _DOUBLED, _DELAY, _JITTER = "0.05", "0", "0.2", "0"
 
 
-def test_a_cut_takes_the_offer_and_the_calls_under_way(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
+def test_cut_takes_offer_and_calls_under_way(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
     """A short cut delays the calls; a long one ends the offer, and the calls in flight on both sides."""
     near, far = network.callers_and_servers(robot, pc)
     far.serve("/map")

@@ -25,9 +25,7 @@ def own_ends(host: Host, destination: str) -> list[str]:
     return [line.split()[2].rpartition(":")[2] for line in found.splitlines()]
 
 
-def test_a_short_cut_is_survived_and_a_long_one_comes_back(
-    network: Network, robot: Host, pc: Host, cable: Cable
-) -> None:
+def test_short_cut_is_survived_long_one_heals(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
     bridge = network.bridge(robot, pc, _PC, *EACH_WAY)
     bridge.all_talk()
 
@@ -55,9 +53,7 @@ def test_a_short_cut_is_survived_and_a_long_one_comes_back(
         assert ledger.offered <= said[topic]
 
 
-def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
-    network: Network, robot: Host, pc: Host, cable: Cable
-) -> None:
+def test_firewalled_route_is_named_and_returns(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
     """UDP is dropped, and one of the TCP connections: by a firewall that has forgotten it, without a word."""
     scan, odom, *others = EACH_WAY
     bridge = network.bridge(robot, pc, _PC, scan, odom | {"port": 49153}, *others)
@@ -80,9 +76,7 @@ def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
     bridge.settled("/scan", "/odom")
 
 
-def test_a_topic_goes_on_after_a_firewall_has_reset_its_data_connections(
-    network: Network, robot: Host, pc: Host, cable: Cable
-) -> None:
+def test_topic_goes_on_after_firewalls_reset(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
     """The kernel of the robot hears of it, and that of the PC when something comes or goes next."""
     scan, odom, *others = EACH_WAY
     bridge = network.bridge(robot, pc, _PC, scan, odom | {"port": 49153}, *others)

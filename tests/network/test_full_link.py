@@ -18,7 +18,7 @@ _RIGHT = {Cause.LATE, Cause.LOSSY, Cause.QUEUE_FULL}
 
 @pytest.mark.parametrize("queue", ["50ms", "400ms"])
 @pytest.mark.parametrize("protocol", ["tcp", "udp"])
-def test_a_link_that_is_asked_for_too_much_says_that_it_is_full(
+def test_overloaded_link_says_that_it_is_full(
     protocol: str, queue: str, network: Network, robot: Host, pc: Host, cable: Cable
 ) -> None:
     cable.slow("1mbit", queue=queue)

@@ -37,7 +37,7 @@ def bridge(network: Network, robot: Host, pc: Host, cable: Cable) -> Bridge:
     return bridge
 
 
-def test_every_third_packet_lost_is_one_cause_on_both_sides(bridge: Bridge, cable: Cable) -> None:
+def test_every_third_packet_lost_is_one_cause(bridge: Bridge, cable: Cable) -> None:
     cable.lose(30)
     for side in (bridge.client, bridge.server):
         eventually(lambda side=side: side.link().get("cause") == LinkCause.LOSSY, what="the link is lossy")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tests.network.hosts import Host
 
 
-def test_a_silent_name_server_is_named_and_holds_up_no_stop(robot: Host, tmp_path: Path) -> None:
+def test_silent_name_server_delays_no_stop(robot: Host, tmp_path: Path) -> None:
     servers = tmp_path / "resolv.conf"
     servers.write_text("nameserver 127.0.0.2\n")
     robot.run("mount", "--bind", str(servers), "/etc/resolv.conf")

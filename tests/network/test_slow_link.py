@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 _FRAMES = 45
 
 
-def test_bulk_that_does_not_fit_is_dropped_and_holds_up_nothing(
-    network: Network, robot: Host, pc: Host, cable: Cable
-) -> None:
+def test_unfitting_bulk_is_dropped_and_delays_nothing(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
     """4 Mbit/s of pictures by TCP next to a control topic and a scan; then as much by UDP."""
     cable.slow("1mbit", queue="50ms")
     bridge = network.bridge(

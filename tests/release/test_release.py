@@ -147,7 +147,7 @@ def test_the_debian_package_puts_files_where_debian_looks(deb: Path, built: Path
     assert str(built).encode() not in content
 
 
-def test_two_builds_of_the_debian_package_are_the_same(deb: Path, wheel: Path, tmp_path: Path) -> None:
+def test_two_builds_of_debian_package_are_same(deb: Path, wheel: Path, tmp_path: Path) -> None:
     built = deb.parents[2]
     when = _run("git", "log", "-1", "--format=%ct", cwd=built).stdout.strip()
     command = (built / "build/release/bin/python", "deb/build.py", wheel, "--python", _debians_python())

@@ -127,7 +127,7 @@ def bridge_announcement(*gids: bytes, via: str = "rsb_there/chat") -> bytes:
     return json.dumps({"version": 1, "publishers": publishers}).encode()
 
 
-def test_an_announcement_is_read_as_soon_as_it_comes_and_nothing_is_asked_while_nothing_happens(domain: Domain) -> None:
+def test_announcement_is_read_at_once_without_polling(domain: Domain) -> None:
     other, chat = endpoint("rsb_other", b"other"), endpoint("rsb_other", b"chat")
     domain.ros.announcers = [other]
     domain.announcements.update()
@@ -166,7 +166,7 @@ def test_many_nodes_are_looked_at_once_each(domain: Domain) -> None:
 
 
 @pytest.mark.long
-def test_strangers_fill_no_memory_and_do_not_drown_a_bridge(domain: Domain) -> None:
+def test_strangers_neither_fill_memory_nor_drown_bridge(domain: Domain) -> None:
     """A hundred of them announce 1 MiB of garbage each, and then thousands of publishers each."""
     other, chat = endpoint("rsb_other", b"other"), endpoint("rsb_other", b"chat")
     strangers = [endpoint(f"stranger{number}", b"%04d" % number) for number in range(100)]
@@ -194,7 +194,7 @@ def test_strangers_fill_no_memory_and_do_not_drown_a_bridge(domain: Domain) -> N
     assert len(domain.warnings) < 5
 
 
-def test_what_crossed_no_bridge_is_known_here_and_not_announced(domain: Domain) -> None:
+def test_local_origin_is_known_and_not_announced(domain: Domain) -> None:
     """A via without a hop is invalid: others would ignore the whole announcement."""
     announcements = domain.announcements
     announcements.announce("/diagnostics", "own", endpoint("rsb_robot1", b"ours"), Origin(()))
@@ -206,7 +206,7 @@ def test_what_crossed_no_bridge_is_known_here_and_not_announced(domain: Domain) 
     assert [each.gid for each in announcements.own_publishers("/diagnostics", besides="robot1")] == [b"ours"]
 
 
-def test_one_link_cannot_use_up_what_a_bridge_can_announce(domain: Domain) -> None:
+def test_one_link_cannot_fill_announcement(domain: Domain) -> None:
     """A peer names 16 hops of 340 characters for each topic; the other links' topics can be announced all the same."""
     via = tuple(f"{number:02}".ljust(340, "x") for number in range(16))
     announcements = domain.announcements
@@ -228,7 +228,7 @@ def test_one_link_cannot_use_up_what_a_bridge_can_announce(domain: Domain) -> No
     announce("bad", 1000, Origin(via))
 
 
-def test_a_full_announcement_of_short_entries_is_not_too_long(domain: Domain) -> None:
+def test_full_announcement_of_short_entries_fits(domain: Domain) -> None:
     via = ("x" * 340,)
     for link in range(5):
         with contextlib.suppress(RosError):
@@ -239,7 +239,7 @@ def test_a_full_announcement_of_short_entries_is_not_too_long(domain: Domain) ->
     assert 0.9 * LONGEST < len(domain.ros.publisher.published[-1][1]) <= LONGEST
 
 
-def test_an_announcement_that_changes_all_the_time_is_published_in_a_bounded_number_of_bytes(domain: Domain) -> None:
+def test_restless_announcement_is_published_within_bytes(domain: Domain) -> None:
     via = tuple(f"{number:02}".ljust(340, "x") for number in range(16))
     endpoints = [endpoint("rsb_robot1", b"%d" % number) for number in range(150)]
     for second in range(10):

@@ -57,7 +57,7 @@ def test_each_publisher_is_asked_for_once(library: Library) -> None:
     assert not library.lent
 
 
-def test_a_publisher_that_has_gone_keeps_what_its_message_tells(library: Library) -> None:
+def test_departed_publisher_keeps_what_its_message_told(library: Library) -> None:
     publishers = cyclone_dds.SubscriptionPublishers(1)
     assert publishers.guid_of(told(GONE)) == told(GONE)
     assert publishers.guid_of(told(GONE)) == told(GONE)

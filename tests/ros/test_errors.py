@@ -73,7 +73,7 @@ def test_what_rcl_refuses_is_said() -> None:
         participant.topics()
 
 
-def test_what_was_taken_before_an_error_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_taken_before_error_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     for place in (replaced.TAKE_MESSAGE, replaced.TAKE_REQUEST, replaced.TAKE_RESPONSE):
         codes = itertools.count()
 

@@ -49,9 +49,7 @@ class Watcher:
 
 
 @pytest.mark.parametrize("kind", ["publisher", "subscription"])
-def test_an_endpoint_that_comes_or_goes_is_a_change(
-    kind: str, open_node: Callable[..., RosNode], rclpy_node: Node
-) -> None:
+def test_endpoint_that_comes_or_goes_is_change(kind: str, open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     node = open_node()
     watcher = Watcher(node)
     before = watcher.settle()
@@ -68,7 +66,7 @@ def test_an_endpoint_that_comes_or_goes_is_a_change(
     eventually(lambda: not ends("/news"))
 
 
-def test_the_last_change_comes_after_what_it_is_about(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
+def test_last_change_comes_after_what_it_is_about(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     """A poll a second after the last change shows all of it, and the matched endpoints."""
     node = open_node()
     watcher = Watcher(node)

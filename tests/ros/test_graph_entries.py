@@ -77,7 +77,7 @@ def test_servers_that_disagree_about_the_type() -> None:
     assert graph.found()["service", "/reset"].type_name == ""
 
 
-def test_an_action_is_one_entry_and_its_services_are_none() -> None:
+def test_action_is_one_entry_without_its_services() -> None:
     graph = Services()
     graph.add_whole("action", "/robot1/fibonacci", "test_msgs/action/Fibonacci", servers=1, callers=2)
     (found,) = graph.found().values()
@@ -86,7 +86,7 @@ def test_an_action_is_one_entry_and_its_services_are_none() -> None:
     assert graph.found("service") == {}
 
 
-def test_a_node_with_parameters_is_one_entry_named_by_the_node() -> None:
+def test_node_with_parameters_is_one_entry() -> None:
     graph = Services()
     graph.add_whole("parameters", "/robot1/controller_server")
     graph.add("/robot1/controller_server/get_type_description", "type_description_interfaces/srv/GetTypeDescription")
@@ -105,7 +105,7 @@ def test_a_service_may_have_its_nodes_name() -> None:
     assert graph.found().keys() == {("parameters", "/dock"), ("service", "/dock")}
 
 
-def test_services_that_only_look_like_a_part_are_services() -> None:
+def test_services_that_only_look_like_part_are_services() -> None:
     graph = Services()
     graph.add("/list_parameters", "rcl_interfaces/srv/ListParameters")
     graph.add("/shop/list_parameters", "shop_msgs/srv/ListParameters")
@@ -117,7 +117,7 @@ def test_services_that_only_look_like_a_part_are_services() -> None:
     assert graph.found("action", "parameters") == {}
 
 
-def test_what_is_hidden_or_is_no_action_is_left_out() -> None:
+def test_hidden_and_incomplete_entries_are_left_out() -> None:
     graph = Services()
     graph.add("/_rsb_bridge/ask", TRIGGER)
     graph.add_whole("parameters", "/_ros2cli_daemon_0")
@@ -136,7 +136,7 @@ def test_only_what_is_asked_for_is_looked_at() -> None:
     assert called_in(graph, ()) == []
 
 
-def test_of_a_graph_without_end_so_many_are_looked_at() -> None:
+def test_endless_graph_is_looked_at_in_part() -> None:
     graph = Services()
     for number in range(MOST_ENTRIES + 100):
         graph.add(f"/service_{number:05}", TRIGGER)

@@ -53,7 +53,7 @@ def endpoint_info(**changes: Any) -> dict[str, Any]:
         (Qos(liveliness_lease_duration=1e-9), Qos(liveliness_lease_duration=0.001)),
     ],
 )
-def test_a_qos_is_clamped_to_what_every_message_takes(announced: Qos, clamped: Qos) -> None:
+def test_qos_is_clamped_to_what_every_message_takes(announced: Qos, clamped: Qos) -> None:
     assert clamp_qos(announced) == clamped
     for qos in (clamp_qos(announced), match_publishers([clamped] * 2), match_subscriptions([clamped] * 2)):
         sent, received = SentReport(route=1, publisher_qos=qos), ReceivedReport(route=1, subscriber_qos=qos)
@@ -73,14 +73,14 @@ def test_an_endpoint_comes_clamped(nanoseconds: int) -> None:
     assert found.qos.lifespan == 0.001
 
 
-def test_a_type_that_no_ros_program_would_name_so() -> None:
+def test_type_that_no_ros_program_would_name_so() -> None:
     assert (
         endpoint_of(endpoint_info(topic_type="evil\x1b[2J/msg/X")).type_name == "evil\N{REPLACEMENT CHARACTER}[2J/msg/X"
     )
     assert len(endpoint_of(endpoint_info(topic_type="x" * 1000)).type_name) == 255
 
 
-def test_topics_that_ros_cannot_subscribe_to_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_topics_beyond_ros_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     participant = Participant(ANOTHER, "reader")
     graph = [("/fine", ["x" * 300]), ("/_hidden/too", [STRING]), ("/" + "x" * 255, [STRING])]
     graph += [(name, [STRING]) for name in ("/e\x1b[2J", "/a b", "/7", "no_slash", "")]

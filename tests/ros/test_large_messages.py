@@ -43,7 +43,7 @@ def test_messages_of_all_sizes_are_exact(open_node: Callable[..., RosNode]) -> N
         assert payload == _payload(size)
 
 
-def test_the_first_ones_do_not_wait_until_many_are_taken(open_node: Callable[..., RosNode]) -> None:
+def test_first_ones_are_handed_over_early(open_node: Callable[..., RosNode]) -> None:
     """Nor are all of them held at once by what takes them."""
     sender, receiver = open_node(name="sender"), open_node(name="receiver")
     batches: list[list[int]] = []

@@ -58,7 +58,7 @@ def test_it_is_opened_again_with_growing_delays() -> None:
         assert len(changes) == count
 
 
-def test_one_that_fails_before_it_is_returned_is_opened_again() -> None:
+def test_early_failure_is_opened_again() -> None:
     """The ROS thread takes from it as soon as it is there."""
     opened = list[_Opened]()
 

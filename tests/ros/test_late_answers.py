@@ -54,7 +54,7 @@ def callers(monkeypatch: pytest.MonkeyPatch) -> Callers:
     return Callers(monkeypatch)
 
 
-def test_a_caller_gets_its_answers_in_order_and_holds_up_no_other(callers: Callers) -> None:
+def test_callers_get_ordered_answers_independently(callers: Callers) -> None:
     late = LateAnswers(callers.send)
     callers.found.add(b"b")
     assert [late.send(caller, number, b"") for caller, number in ((b"a", 1), (b"a", 2), (b"b", 3))] == [0, 0, 1]
@@ -82,7 +82,7 @@ def test_each_caller_is_tried_once_a_turn(callers: Callers) -> None:
     assert callers.tried == 4
 
 
-def test_answers_are_given_up_when_they_are_too_old(callers: Callers) -> None:
+def test_old_answers_are_given_up(callers: Callers) -> None:
     late = LateAnswers(callers.send)
     late.send(b"a", 1, b"")
     callers.now += 6
@@ -120,7 +120,7 @@ def test_who_cannot_be_answered_is_given_up_alone(callers: Callers) -> None:
         late.send(b"a", 3, b"")
 
 
-def test_a_caller_that_dds_will_never_match_holds_up_nobody(
+def test_unmatched_caller_holds_up_nobody(
     open_node: Callable[..., RosNode], stock: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It wants answers that were published before; nobody waits 100 ms for it, again and again."""
@@ -162,7 +162,7 @@ def test_a_caller_that_dds_will_never_match_holds_up_nobody(
     assert sent
 
 
-def test_a_server_that_goes_takes_its_late_answers_with_it(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
+def test_departing_server_takes_its_late_answers_along(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     ours = open_node()
     failures: list[str] = []
     ours.watch(lambda: None, failures.append)

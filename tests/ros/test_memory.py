@@ -47,7 +47,7 @@ receiver.stop()
 """
 
 
-def test_what_a_history_held_goes_back_to_the_kernel(spare_domains: int) -> None:
+def test_what_history_held_goes_back_to_kernel(spare_domains: int) -> None:
     """Its reader and its writer held 100 MB, each once."""
     command = [sys.executable, "-c", _LARGE, str(spare_domains)]
     subprocess.run(command, cwd=Path(__file__).parents[2], timeout=120, check=True)

@@ -63,6 +63,6 @@ def test_the_index_of_every_installation_is_read(tmp_path: Path) -> None:
         check_middleware({"AMENT_PREFIX_PATH": prefixes, "RMW_IMPLEMENTATION": "rmw_implementation"})
 
 
-def test_an_installation_without_an_index_is_left_to_rcl(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_installation_without_index_is_left_to_rcl(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     check_middleware({"RMW_IMPLEMENTATION": "rmw_nonsense_cpp"})

@@ -32,7 +32,7 @@ def _note(heard: threading.Event, _: object) -> None:
 
 
 @pytest.mark.parametrize("kind", ["automatic", "manual_by_topic"])
-def test_who_is_called_not_alive_without_doubt_is_not(
+def test_undoubted_dead_publishers_are_not_asked_about(
     kind: Any, open_node: Callable[..., RosNode], rclpy_node: Node
 ) -> None:
     """Fast DDS misses the assertions of one in 15, on a busy machine; they must not seem to be judged."""

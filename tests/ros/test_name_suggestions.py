@@ -52,7 +52,7 @@ class _Graph(NoRos):
         ("parameters", "/navigate", "under actions"),
     ],
 )
-def test_what_is_of_another_kind_or_alike_is_named(kind: Kind, name: str, words: str) -> None:
+def test_other_kinds_and_similar_names_are_suggested(kind: Kind, name: str, words: str) -> None:
     hint = NameSuggester(_Graph(), lambda: 0.0).of((kind, name))
     assert bool(hint) is bool(words)
     assert words in hint

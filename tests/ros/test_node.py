@@ -120,7 +120,7 @@ def test_two_bridges_of_one_name_are_two_nodes(open_node: Callable[..., RosNode]
     assert len(eventually(lambda: other.publishers("/chat"))) == 1
 
 
-def test_nothing_of_the_same_origin_comes_back_under_two_way_traffic(open_node: Callable[..., RosNode]) -> None:
+def test_messages_of_same_origin_never_come_back(open_node: Callable[..., RosNode]) -> None:
     """A foreign publisher and one of another origin shout at once on the same topic: all of theirs, none of ours."""
     ours, foreign = open_node(), open_node(name="foreign")
     received = Received()
@@ -153,9 +153,7 @@ def test_nothing_of_the_same_origin_comes_back_under_two_way_traffic(open_node: 
     assert len(received.payloads) == 3001  # those, and the last
 
 
-def test_a_latched_topic_tells_its_history_to_each_new_subscription(
-    open_node: Callable[..., RosNode], rclpy_node: Node
-) -> None:
+def test_latched_history_reaches_each_new_subscription(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     node = open_node()
     latched = rclpy_node.create_publisher(
         String, "/map", QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -171,7 +169,7 @@ def test_a_latched_topic_tells_its_history_to_each_new_subscription(
         subscription.close()
 
 
-def test_our_own_latched_message_does_not_come_back_to_a_later_subscription(open_node: Callable[..., RosNode]) -> None:
+def test_own_latched_message_never_reaches_later_subscription(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     node.advertise(strings("/map", PROFILES["latched"]), "link").publish(payload("ours"))
     theirs = Received()
@@ -185,7 +183,7 @@ def test_our_own_latched_message_does_not_come_back_to_a_later_subscription(open
     assert received.payloads == [payload("theirs")]
 
 
-def test_what_dds_drops_before_us_is_counted_publisher_by_publisher(open_node: Callable[..., RosNode]) -> None:
+def test_losses_in_dds_are_counted_by_publisher(open_node: Callable[..., RosNode]) -> None:
     node, one, two = open_node(), open_node(name="one"), open_node(name="two")
     received = Received()
     subscription = node.subscribe(strings("/fast", Qos(depth=4)), received, "link")
@@ -206,7 +204,7 @@ def test_what_dds_drops_before_us_is_counted_publisher_by_publisher(open_node: C
     assert subscription.lost == 200 - 4
 
 
-def test_a_flood_on_one_topic_lets_another_have_its_turn(open_node: Callable[..., RosNode]) -> None:
+def test_flood_on_one_topic_leaves_turns_to_another(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     order: list[str] = []
     gate = Received()
@@ -243,7 +241,7 @@ def test_keep_all_keeps_all(open_node: Callable[..., RosNode]) -> None:
     assert max(received.batches) == 64
 
 
-def test_a_slow_reader_does_not_hold_up_who_publishes(open_node: Callable[..., RosNode]) -> None:
+def test_slow_reader_does_not_hold_up_who_publishes(open_node: Callable[..., RosNode]) -> None:
     """A keep_all publisher of DDS's own kind would block 100 ms for each message past 5000, then refuse it."""
     node, other = open_node(), open_node(name="other")
     received = Received()
@@ -294,7 +292,7 @@ def test_a_closed_subscription_is_silent(open_node: Callable[..., RosNode]) -> N
     assert received.payloads == [payload("1")]
 
 
-def test_a_sink_may_close_its_subscription_and_stop_the_node(open_node: Callable[..., RosNode]) -> None:
+def test_sink_may_close_its_subscription_and_stop_node(open_node: Callable[..., RosNode]) -> None:
     before = set(threading.enumerate())
     node = open_node()
     (thread,) = (each for each in set(threading.enumerate()) - before if each.name == "ros")
@@ -314,7 +312,7 @@ def test_a_sink_may_close_its_subscription_and_stop_the_node(open_node: Callable
     assert len(called) == 1
 
 
-def test_a_sink_may_close_another_subscription_that_has_messages_waiting(open_node: Callable[..., RosNode]) -> None:
+def test_sink_may_close_another_subscription_with_messages(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     gate, closed, later = Received(), Received(), Received()
     gate.hold.clear()
@@ -349,7 +347,7 @@ def test_fifty_nodes_and_endpoints_leave_nothing_behind() -> None:
 
 
 @pytest.mark.usefixtures("start_one")
-def test_stop_returns_within_a_second_though_a_sink_blocks() -> None:
+def test_stop_returns_within_second_though_sink_blocks() -> None:
     before = resources().threads
     node, other = KnownNode(ANOTHER, "robot1"), KnownNode(ANOTHER, "other")
     node.start()
@@ -369,7 +367,7 @@ def test_stop_returns_within_a_second_though_a_sink_blocks() -> None:
     eventually(lambda: resources().threads <= before)
 
 
-def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
+def test_newcomers_losses_count_from_its_first_message(
     open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For an earlier publisher, nobody knows which messages the subscription should have had."""
@@ -428,7 +426,7 @@ def test_closed_publishers_are_forgotten_in_time(open_node: Callable[..., RosNod
     assert sum(map(len, own(node).values())) == 1000
 
 
-def test_topics_that_are_not_subscribed_to_any_more_are_forgotten(open_node: Callable[..., RosNode]) -> None:
+def test_topics_without_subscription_are_forgotten(open_node: Callable[..., RosNode]) -> None:
     node = open_node()
     for number in range(20):
         node.subscribe(strings(f"/gone{number}", Qos()), print, "link").close()

@@ -45,9 +45,7 @@ def install(package: str) -> str:
     return UnusableType.REMEDY(package=package)
 
 
-def test_every_common_type_crosses_from_and_to_a_stock_node(
-    open_node: Callable[..., RosNode], rclpy_node: Node
-) -> None:
+def test_every_common_type_crosses_both_ways(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     ours = open_node()
     raw: dict[str, list[bytes]] = {name: [] for name in INSTALLED}
     crossed: dict[str, list[Any]] = {name: [] for name in INSTALLED}
@@ -126,9 +124,7 @@ def stock_relay() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("stock_relay")
-def test_a_bare_name_and_hash_speak_with_the_real_type_of_another_process(
-    open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bare_name_and_hash_match_real_type(open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch) -> None:
     """The type is hidden from us, not from the other process; nav_msgs takes the part of a package that we lack."""
     odometry = INSTALLED[ODOMETRY]
     found = installed_class
@@ -151,7 +147,7 @@ def test_a_bare_name_and_hash_speak_with_the_real_type_of_another_process(
     assert all(deserialize_message(payload, odometry) in messages for payload in received)
 
 
-def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
+def test_made_type_is_asked_by_creating_thread_only(
     open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A Python callback on a thread of DDS's would fight it for the GIL."""
@@ -210,7 +206,7 @@ def test_months_of_reconnects_with_other_types_make_none(
     assert types.made == len(names)
 
 
-def test_an_endpoint_that_cannot_be_made_keeps_no_type(
+def test_endpoint_that_cannot_be_made_keeps_no_type(
     open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     types = named_types.NamedTypes()

@@ -81,9 +81,7 @@ def test_other_arguments_lead_to_the_public_classes(
 
 
 @pytest.mark.parametrize("layout", ["@8xqqQQP16s", "@qqQQ16sP"])
-def test_another_layout_of_what_a_message_tells_is_refused_in_words(
-    layout: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_layout_of_message_info_is_refused(layout: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a message's publisher, a bridge would take its own messages for others'."""
     replaced.MESSAGE_INFO.set(monkeypatch, struct.Struct(layout))
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rmw_message_info_t")):
@@ -111,7 +109,7 @@ def test_without_std_msgs_installed_types_cross(
     open_node().advertise(TopicSpec("/chatter", STRING, "", Qos()), "link")
 
 
-def test_nodes_that_start_at_once_leave_the_environment_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nodes_that_start_at_once_leave_environment_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     replaced.SELF_TEST_FINDINGS.set(monkeypatch, self_test.test)
     starting = [threading.Thread(target=findings) for _ in range(4)]

@@ -68,7 +68,7 @@ def test_padding_of_every_installed_type_is_zero() -> None:
     assert padded > 100  # or the memory shows nothing
 
 
-def test_what_does_not_fit_is_refused_as_by_rclpy() -> None:
+def test_unfitting_value_is_refused_as_by_rclpy() -> None:
     message_class: Any = installed_class("std_msgs/msg/String")
     message = message_class()
     message.data = "half a surrogate pair: \ud800"

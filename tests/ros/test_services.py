@@ -85,7 +85,7 @@ def test_we_answer_a_stock_nodes_calls(open_node: Callable[..., RosNode], stock:
     assert {each.result().message for each in futures} == {"é"}
 
 
-def test_what_a_peer_sends_that_is_no_message_is_refused_or_never_read(
+def test_invalid_messages_of_peer_are_refused_or_unread(
     open_node: Callable[..., RosNode], stock: Node, way: str
 ) -> None:
     """Nothing but this call comes to harm: those after it are answered."""

@@ -34,7 +34,7 @@ tell()
 """
 
 
-def test_node_is_deaf_at_a_replaced_port_until_it_opens_the_new_one() -> None:
+def test_node_is_deaf_until_it_opens_port() -> None:
     command = (sys.executable, "-c", _LOSES_A_PORT, str(DOMAIN))
     said = subprocess.run(command, capture_output=True, text=True, timeout=150, check=True)
     port, *answers = said.stdout.splitlines()

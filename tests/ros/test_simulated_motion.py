@@ -64,7 +64,7 @@ def test_a_command_counts_for_half_a_second(robot: Drive, forward: float, turn: 
     assert robot.wait(5.0) == (x2, y2, heading2)
 
 
-def test_a_new_command_takes_the_place_of_the_last_one(robot: Drive) -> None:
+def test_new_command_takes_place_of_last_one(robot: Drive) -> None:
     robot.command(1.0)
     robot.wait(0.1)
     robot.command(0.0)

@@ -77,7 +77,7 @@ def test_hash_is_the_published_one() -> None:
     assert hash_of(string) == "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
-def test_a_python_package_that_rosidl_did_not_make_is_not_imported() -> None:
+def test_python_package_without_rosidl_is_not_imported() -> None:
     assert installed_class("antigravity/msg/Name") is None
     assert "antigravity" not in sys.modules
 
@@ -103,7 +103,7 @@ def test_a_type_that_is_installed_later_is_found(tmp_path: Path, monkeypatch: py
     assert installed_class("later_msgs/msg/Name") is not None
 
 
-def test_nothing_but_a_started_node_imports_rclpy_and_no_type_the_generator_of_its_code() -> None:
+def test_only_started_node_imports_rclpy() -> None:
     """The generator comes with a parser, which takes 5 MB; it can still be imported."""
     program = (
         "import sys, rsb_bridge.ros.ros_interface, rsb_bridge.ros.node\n"

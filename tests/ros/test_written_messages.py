@@ -58,7 +58,7 @@ def test_every_installed_type_is_made_with_every_field(type_name: str) -> None:
 
 
 @pytest.mark.parametrize("type_name", [*TYPES, *PARTS])
-def test_what_is_written_of_a_message_makes_the_same_message(type_name: str) -> None:
+def test_what_is_written_of_message_makes_same_message(type_name: str) -> None:
     message_class: Any = installed_class(type_name)
     message = filled(message_class)
     description = installed_description(type_name)
@@ -80,7 +80,7 @@ def test_what_is_written_of_a_message_makes_the_same_message(type_name: str) -> 
     st.lists(st.floats(), max_size=4),
     st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=10), max_size=4),
 )
-def test_any_value_is_the_same_after_it_was_written_and_read(
+def test_every_value_survives_writing_and_reading(
     text: str, number: float, integer: int, numbers: list[float], texts: list[str]
 ) -> None:
     message_class: Any = installed_class(VALUE)
@@ -109,7 +109,7 @@ def test_a_text_stays_as_it_was_written() -> None:
     [("1", 1.0), ("-1.5e3", -1500.0), (".5", 0.5), ("0x10", 16.0), (".inf", math.inf), ("-inf", -math.inf),
      ("nan", None), (".NaN", None)],
 )  # fmt: skip
-def test_a_number_may_be_written_as_yaml_or_ros_does(text: str, value: float | None) -> None:
+def test_number_is_written_as_in_yaml_or_ros(text: str, value: float | None) -> None:
     number = made("std_msgs/msg/Float32", f"data: {text}").data
     assert math.isnan(number) if value is None else number == value
 
@@ -184,7 +184,7 @@ def test_a_goal_is_named_as_it_is_shown() -> None:
          {"location": "uuid", "value": "'0011'", "expected": "a list"}),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_said_with_its_place_and_the_remedy(
+def test_unfitting_value_names_place_and_remedy(
     type_name: str, text: str, code: Misfit, parameters: dict[str, object]
 ) -> None:
     with pytest.raises(FieldError, match=pattern(code, **parameters)) as refused:

@@ -124,7 +124,7 @@ def test_an_agreement_after_its_time_arms_nothing() -> None:
 
 
 @pytest.mark.parametrize("phase", [phase for phase in ArmingPhase if ArmingEvent.ASK not in TRANSITIONS[phase]])
-def test_who_asks_out_of_turn_is_answered_at_once(phase: ArmingPhase) -> None:
+def test_question_out_of_turn_is_answered_at_once(phase: ArmingPhase) -> None:
     answers: list[bool] = []
     for way in WAYS[phase]:
         answers.clear()

@@ -42,9 +42,7 @@ def test_a_report_is_due_after_a_hundred_messages(make_context: Callable[..., Co
         assert peer.soon == soon
 
 
-def test_reports_go_together_and_ten_times_a_second_at_most(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_reports_go_together_at_most_ten_a_second(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     context = make_context(ros=OnePublisher())
     sent: list[Report] = []
     early = RouteReports(cast("Link", SimpleNamespace(context=context, send=sent.append)))

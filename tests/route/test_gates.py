@@ -92,7 +92,7 @@ def taken(number: int) -> GatedMessage:
 # --- each alone
 
 
-def test_the_armed_gate_asks_operators_and_then_the_link(make_context: Callable[..., Context]) -> None:
+def test_armed_gate_asks_operators_and_then_link(make_context: Callable[..., Context]) -> None:
     context, arming = make_context(), Arming()
     arming.demand(required=True, deadman=0.0)
     gate = ArmedGate(arming)
@@ -109,9 +109,7 @@ def test_the_armed_gate_asks_operators_and_then_the_link(make_context: Callable[
     assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
 
 
-def test_the_lease_gate_passes_what_is_of_this_arming_and_young(
-    make_context: Callable[..., Context], loop: VirtualLoop
-) -> None:
+def test_lease_gate_passes_young_of_this_arming(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     context, arming = make_context(), Arming()
     arming.demand(required=True, deadman=0.0)
     gate = LeaseGate(arming)
@@ -139,20 +137,20 @@ def test_the_age_gate_counts_by_cause(make_context: Callable[..., Context]) -> N
     assert age.total == 1
 
 
-def test_the_rate_gate_takes_no_more_than_this_side_allows() -> None:
+def test_rate_gate_admits_what_this_side_allows() -> None:
     gate = RateGate(AllowedRates(), "/chat", 10.0)
     found = [gate.check(NO_SAMPLE, number / 1000) for number in range(10_000)]
     assert set(found) == {None, Refused.TOO_FAST}
     assert found.count(None) <= 10 + 1.01 * 10 * 10
 
 
-def test_the_gate_of_a_calls_rate_lets_a_second_of_them_come_at_once() -> None:
+def test_call_gate_admits_second_at_once() -> None:
     gate = CallRateGate(10.0, 0.0)
     assert [gate.check(NO_SAMPLE, 0.0) for _ in range(11)] == [None] * 10 + [Refused.TOO_FAST]
     assert [gate.check(NO_SAMPLE, 0.1) for _ in range(2)] == [None, Refused.TOO_FAST]
 
 
-def test_the_young_gate_asks_the_clock_of_the_side_that_took_it(make_context: Callable[..., Context]) -> None:
+def test_age_gate_asks_clock_of_taking_side(make_context: Callable[..., Context]) -> None:
     context = make_context()
     age = MessageAge(context, FakePeer())
     age.settle((0.5,), armed=False)
@@ -161,7 +159,7 @@ def test_the_young_gate_asks_the_clock_of_the_side_that_took_it(make_context: Ca
     assert gate.check(GatedMessage(now - A_SECOND, 0), 0.0) is Refused.TOO_OLD
 
 
-def test_what_passes_the_budget_has_its_place_in_it() -> None:
+def test_what_passes_budget_has_its_place_in_it() -> None:
     budget = CallBudget(0.0)
     gate = BudgetGate(budget)
     assert gate.check(Request(b"12345", b"", 0), 0.0) is None
@@ -194,7 +192,7 @@ class _Shut:
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_the_first_reason_counts_and_no_later_gate_is_asked(count: int) -> None:
+def test_first_reason_counts_and_ends_questions(count: int) -> None:
     asked: list[Refused | None] = []
     gates: tuple[Gate[Gated], ...] = tuple(_Shut(None, asked) for _ in range(count - 1))
     check = chained((*gates, _Shut(Refused.TOO_OLD, asked), _Shut(Refused.PAUSED, asked)))
@@ -238,7 +236,7 @@ def test_the_fresh_sieve_asks_the_publishers_stamps(make_context: Callable[..., 
 
 
 @pytest.mark.parametrize(("max_age", "passed"), [(0.5, 0), (None, 1)])
-def test_without_a_sure_clock_nothing_passes_that_has_to_be_young(
+def test_unsure_clock_lets_nothing_limited_pass(
     max_age: float | None, passed: int, make_context: Callable[..., Context]
 ) -> None:
     """A lifespan promises less, and drops what is surely older."""
@@ -257,9 +255,7 @@ def test_without_a_sure_clock_nothing_passes_that_has_to_be_young(
 
 
 @pytest.mark.parametrize(("replayed", "cause"), [(True, Cause.PUBLISHER_STAMPS_OLD), (False, Cause.LINK_SLOW)])
-def test_what_was_kept_too_long_names_who_kept_it(
-    replayed: bool, cause: Cause, make_context: Callable[..., Context]
-) -> None:
+def test_message_kept_too_long_names_keeper(replayed: bool, cause: Cause, make_context: Callable[..., Context]) -> None:
     context, ledger = make_context(), RouteLedger()
     age, now = aged_half_a_second(context), context.stamps.now()
     old, young = sample_of(now - A_SECOND, replayed=replayed), sample_of(now, replayed=replayed)
@@ -269,14 +265,14 @@ def test_what_was_kept_too_long_names_who_kept_it(
     assert cause_of(age) is cause
 
 
-def test_what_was_kept_is_asked_once_more_whether_it_would_loop(world: World) -> None:
+def test_held_messages_are_checked_for_loops_again(world: World) -> None:
     (sieve,) = world.path.gates.kept
     known, unknown = sample_of(1), sample_of(1, SECOND)
     assert sieve.passing([unknown, known]) == [known]
     assert world.ledger.dropped == {"would loop": 1}
 
 
-def test_the_young_sieve_asks_the_clock_of_the_side_that_took_them(make_context: Callable[..., Context]) -> None:
+def test_age_sieve_asks_clock_of_taking_side(make_context: Callable[..., Context]) -> None:
     context, ledger = make_context(), RouteLedger()
     age, now = aged_half_a_second(context), context.stamps.now()
     messages: list[Message] = [(b"old", now - A_SECOND, 0), (b"young", now, 0)]
@@ -299,7 +295,7 @@ def everything_on(route: Route) -> None:
     route.limit.allow_here(10.0)
 
 
-def test_nothing_old_and_nothing_unarmed_gets_to_the_channel(world: World) -> None:
+def test_nothing_old_and_nothing_unarmed_gets_to_channel(world: World) -> None:
     """Age is asked once more when the channel has room: a message may have waited in the queue."""
     assert [order(each) for each in world.path.gates] == [[], [LoopSieve], [], [KeptLoopSieve], [SizeSieve], []]
     everything_on(world.route)
@@ -384,7 +380,7 @@ def off(route: Route) -> None:
 @pytest.mark.parametrize(
     ("switch", "cause", "passed"), [(disarmed, "disarmed", 0), (aged, "expired", 0), (limited, "throttled", 2)]
 )
-def test_a_gate_is_asked_from_the_next_message_on_until_it_is_off(
+def test_gate_counts_from_next_message_while_on(
     switch: Callable[[Route], None], cause: str, passed: int, make_context: Callable[..., Context]
 ) -> None:
     ros = OnePublisher()
@@ -411,7 +407,7 @@ def test_a_gate_is_asked_from_the_next_message_on_until_it_is_off(
 @pytest.mark.parametrize(
     ("switch", "cause", "passed"), [(disarmed, "disarmed", 0), (aged, "expired", 0), (limited, "throttled", 1)]
 )
-def test_a_gate_on_the_way_out_is_asked_from_the_next_message_on_until_it_is_off(
+def test_outgoing_gate_counts_from_next_message_while_on(
     switch: Callable[[Route], None], cause: str, passed: int, world: World
 ) -> None:
     old = RawMessage(b"old", world.context.stamps.now() - A_SECOND, FIRST)
@@ -431,7 +427,7 @@ def test_a_gate_on_the_way_out_is_asked_from_the_next_message_on_until_it_is_off
     assert {"expired": ledger.expired, "throttled": ledger.throttled, **ledger.dropped}[cause] == 5 - passed
 
 
-def test_a_message_of_an_arming_that_this_side_does_not_know_is_not_published(
+def test_message_of_unknown_arming_is_not_published(
     make_context: Callable[..., Context],
 ) -> None:
     """Also one that is too short for the lease's number."""
@@ -446,7 +442,7 @@ def test_a_message_of_an_arming_that_this_side_does_not_know_is_not_published(
     assert report.dropped == {"disarmed": 4}
 
 
-def test_the_cause_of_an_expired_message_is_that_of_its_age(make_context: Callable[..., Context]) -> None:
+def test_expired_messages_cause_is_their_age(make_context: Callable[..., Context]) -> None:
     context = make_context(ros=OnePublisher())
     route = opened(context, FakePeer(), "/cmd")
     aged(route)

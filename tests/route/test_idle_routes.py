@@ -67,9 +67,7 @@ class World:
         self.ticks.clear()
 
 
-def test_a_quiet_route_is_ticked_seldom_though_never_left_alone(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_quiet_route_is_ticked_seldom_but_ticked(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     world = World(loop, make_context())
     world.wait(IDLE_AFTER)
     assert len(world.ticks) == IDLE_AFTER
@@ -112,7 +110,7 @@ def test_whatever_happens_has_it_ticked_each_second_again(
     [({"expected_rate": 1.0}, State.STOPPED), ({"stale_after": 20.0}, State.STALE), ({}, State.WAITING)],
     ids=lambda value: " ".join(value) if isinstance(value, dict) else "",
 )
-def test_a_publisher_that_does_not_come_is_a_fault_where_the_entry_says_so(
+def test_missing_publisher_is_fault_where_entry_demands(
     fields: dict[str, float], state: State, loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     """Without one, type and QoS are unknown, so that nothing is described and there is no channel."""
@@ -124,9 +122,7 @@ def test_a_publisher_that_does_not_come_is_a_fault_where_the_entry_says_so(
     assert (world.route.verdict().state, world.route.verdict().cause) == (state, Cause.NO_PUBLISHER)
 
 
-def test_silence_that_becomes_too_long_is_noticed_in_time(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_long_silence_is_noticed_in_time(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     after = IDLE_AFTER + 47.0
     world = World(loop, make_context(), stale_after=after)
     world.route.count(1, 100, loop.time())
@@ -137,14 +133,14 @@ def test_silence_that_becomes_too_long_is_noticed_in_time(
     assert (world.route.verdict().state, loop.time()) == (State.STALE, came + after)
 
 
-def test_a_route_that_is_at_fault_is_not_idle(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_route_that_is_at_fault_is_not_idle(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     world = World(loop, make_context(), stale_after=20.0)
     world.wait(3 * IDLE_AFTER)
     assert world.route.verdict().state is State.STALE
     assert len(world.ticks) == 3 * IDLE_AFTER
 
 
-def test_a_route_at_which_messages_are_due_is_not_idle(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_route_with_due_messages_is_not_idle(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     world = World(loop, make_context(), expected_rate=0.001)
     world.wait(2 * IDLE_AFTER)
     assert len(world.ticks) == 2 * IDLE_AFTER

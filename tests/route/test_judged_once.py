@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.topic_verdict import Facts
 
 
-def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route(
+def test_snapshots_keep_verdict_until_change(
     make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judged: list[Facts] = []
@@ -54,7 +54,7 @@ def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route
     assert len(judged) == 5
 
 
-def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(
+def test_route_learns_nothing_on_full_link(
     make_context: Callable[..., Context],
 ) -> None:
     halves: tuple[tuple[Callable[..., OutgoingRoute | IncomingRoute], Topic], ...] = (
@@ -75,7 +75,7 @@ def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(
         assert route.learns
 
 
-def test_a_receiver_claims_to_wait_for_nothing_that_only_the_sender_knows(make_context: Callable[..., Context]) -> None:
+def test_receiver_does_not_claim_what_sender_knows(make_context: Callable[..., Context]) -> None:
     """Whenever a route was opened, its row said for seconds that no publisher was seen, or that it waits for one."""
     receiver = half_of(IncomingRoute, make_context(), Topic("/scan", "receive"))
     for number in (1, 3):
@@ -93,7 +93,7 @@ def test_a_receiver_claims_to_wait_for_nothing_that_only_the_sender_knows(make_c
         assert next(stage for stage in receiver.stages() if stage.done is False).name == "publisher seen"
 
 
-def test_the_sending_side_knows_of_messages_before_its_own_start(make_context: Callable[..., Context]) -> None:
+def test_sender_knows_of_messages_before_start(make_context: Callable[..., Context]) -> None:
     """A client that was killed begins with nothing; the server has had messages of the one before."""
     sender = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit"))
     receiver = half_of(IncomingRoute, make_context(), Topic("/scan", "receive"))

@@ -75,7 +75,7 @@ def _stands_in_dds(route: IncomingRoute, ros: OnePublisher, loop: VirtualLoop, s
 
 @pytest.mark.parametrize("stand", [_stands_in_the_check, _stands_in_dds])
 @pytest.mark.parametrize(("seconds", "count"), [(LASTS / 2, 1), (LASTS * 1.1, 0)])
-def test_nothing_is_published_that_became_old_on_the_way_to_dds(
+def test_message_that_aged_towards_dds_is_dropped(
     stand: Callable[[IncomingRoute, OnePublisher, VirtualLoop, float], None],
     seconds: float,
     count: int,
@@ -95,7 +95,7 @@ def test_nothing_is_published_that_became_old_on_the_way_to_dds(
 
 
 @pytest.mark.parametrize(("seconds", "why"), [(LASTS / 2, None), (LASTS * 1.1, Refused.UNHEARD)])
-def test_no_goal_begins_that_became_old_on_the_way_to_dds(
+def test_goal_that_aged_towards_dds_is_dropped(
     seconds: float, why: Refused | None, loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     context = make_context()
@@ -124,7 +124,7 @@ def _armed_by_another(route: ProvidingActionRoute) -> None:
 
 
 @pytest.mark.parametrize(("meanwhile", "sent"), [(_disarmed, []), (_armed_by_another, []), (lambda _: None, [GOAL])])
-def test_no_goal_by_hand_begins_whose_arming_has_ended(
+def test_goal_by_hand_needs_present_arming(
     meanwhile: Callable[[ProvidingActionRoute], None],
     sent: list[bytes],
     loop: VirtualLoop,
@@ -145,7 +145,7 @@ def test_no_goal_by_hand_begins_whose_arming_has_ended(
     assert client.calls == sent
 
 
-def test_a_message_that_is_not_wanted_any_more_counts_as_no_more_memory(loop: VirtualLoop) -> None:
+def test_unwanted_message_is_not_counted_as_memory(loop: VirtualLoop) -> None:
     published, budget = Published(), Budget(10 * len(LONG))
     topic = VolatileTopic(published, 1000, budget, loop.time)
 

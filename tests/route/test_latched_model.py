@@ -379,7 +379,7 @@ def test_late_joiners_get_the_same_on_both_sides(seed: int) -> None:
         assert not world.near.readers
 
 
-def test_a_live_subscriber_misses_nothing_while_depths_are_learned() -> None:
+def test_live_subscriber_misses_nothing_while_depths_are_learned() -> None:
     with virtual_loop() as loop:
         world = World(loop, 1)
         world.wait(1)
@@ -431,7 +431,7 @@ def test_a_cut_finds_no_depth_again() -> None:
         assert world.far.late_joiner() == world.near_late_joiner()
 
 
-def test_a_stopped_subscriber_holds_others_up_no_longer_than_ten_seconds() -> None:
+def test_stopped_subscriber_delays_others_ten_seconds_only() -> None:
     with virtual_loop() as loop:
         far = FarDds(loop)
         far.discovery = lambda: 1e9
@@ -523,7 +523,7 @@ def test_a_clock_ahead_makes_no_history_shallow() -> None:
         assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
 
 
-def test_a_history_that_is_overwritten_before_it_is_handed_over_is_not_taken_for_a_short_one() -> None:
+def test_overwritten_history_is_not_taken_for_short() -> None:
     """DDS does so at 5 kHz at times."""
     with virtual_loop() as loop:
         world = World(loop, 1)
@@ -567,7 +567,7 @@ def test_live_messages_cross_at_once_at_any_rate(rate: float, publishers: int, l
 
 
 @pytest.mark.parametrize("rate", [25, 200])
-def test_late_acknowledgements_hold_a_message_up_half_a_second(rate: int) -> None:
+def test_late_acknowledgements_hold_message_up_half_second(rate: int) -> None:
     """DDS asks for them every 3 s, until a publisher overwrites what it has published."""
     with virtual_loop() as loop:
         world = World(loop, 1)
@@ -584,7 +584,7 @@ def test_late_acknowledgements_hold_a_message_up_half_a_second(rate: int) -> Non
         assert len(world.far.heard) == 5 * rate
 
 
-def test_a_lifespan_does_not_hide_that_one_message_is_kept() -> None:
+def test_lifespan_does_not_hide_kept_message() -> None:
     """The peer forgets what has expired; a publisher that keeps less than that is found out while it is young."""
     with virtual_loop() as loop:
         world = World(loop, 1, lifespan=30.0)
@@ -629,7 +629,7 @@ def test_publishers_and_bytes_are_bounded() -> None:
         assert not far.open
 
 
-def test_a_topic_stays_in_the_graph_if_its_first_message_is_too_much() -> None:
+def test_topic_stays_despite_oversized_first_message() -> None:
     with virtual_loop() as loop:
         far = FarDds(loop)
         topic = LatchedTopic(loop, far.advertise, Budget(PUBLISHER_COST + 100), 1, unexpected)

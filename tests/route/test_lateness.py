@@ -67,7 +67,7 @@ def test_a_clock_that_is_set_makes_nothing_late() -> None:
     assert watch.since == 4.0
 
 
-def test_a_topic_that_is_seldom_published_stays_late_between_its_messages() -> None:
+def test_seldom_topic_stays_late_between_messages() -> None:
     watch = LateWatch()
     states = []
     for second in range(100):
@@ -85,7 +85,7 @@ def test_0_accepts_any_delay() -> None:
     assert watched(50.0, 50.0, bound=0.0).since is None
 
 
-def test_what_is_usual_is_learned_only_in_good_times() -> None:
+def test_usual_delay_is_learned_in_good_times() -> None:
     watch = watched(*[0.003] * 6, 0.4, 0.8, 12.0, 12.0)
     assert watch.seconds == 12.0
     assert watch.usual == pytest.approx(0.003)
@@ -98,7 +98,7 @@ def test_no_delay_of_a_full_link_is_usual() -> None:
         assert watch.usual is None or second > 55
 
 
-def test_how_long_ago_the_oldest_unreported_message_was_sent() -> None:
+def test_how_long_ago_oldest_unreported_message_was_sent() -> None:
     delays = SendersDelay()
     assert delays.unreported(0, 0, 0.0) == 0.0
     delays.unreported(10, 0, 1.0)
@@ -108,7 +108,7 @@ def test_how_long_ago_the_oldest_unreported_message_was_sent() -> None:
     assert delays.unreported(5, 0, 5.0) == pytest.approx(0.0, abs=1.0), "it was opened again"
 
 
-def test_how_long_reports_take_is_not_held_against_messages() -> None:
+def test_delay_of_reports_is_not_messages_delay() -> None:
     assert delay_of_sender(7.0, 3.0) == 3.0
     assert delay_of_sender(0.9, 0.0) == 0.0
 
@@ -130,7 +130,7 @@ def test_what_is_worse_and_what_is_not() -> None:
 
 @pytest.mark.parametrize(("lost", "state"), [(10, State.SLOW), (20, State.DOWN)])
 @pytest.mark.parametrize("cause", ["lost on the way", "incomplete", "queue full"])
-def test_what_is_lost_on_a_full_link_is_overload(lost: int, state: State, cause: str) -> None:
+def test_what_is_lost_on_full_link_is_overload(lost: int, state: State, cause: str) -> None:
     verdict = verdict_on(SENDER, loss=Loss(lost, 20, cause, NOW), full=FULL, datagrams=36)
     assert (verdict.state, verdict.cause) == (state, Cause.QUEUE_FULL if cause == "queue full" else Cause.LOSSY)
     assert FULL.share in verdict.text
@@ -139,7 +139,7 @@ def test_what_is_lost_on_a_full_link_is_overload(lost: int, state: State, cause:
     assert verdict_on(SENDER, loss=Loss(lost, 20, "too large", NOW), full=FULL).cause == Cause.TOO_LARGE
 
 
-def test_a_connection_over_which_messages_came_says_nothing_of_the_path() -> None:
+def test_previous_connections_messages_tell_nothing_of_path() -> None:
     class Loop:
         def call_later(self, *_: object) -> Loop:
             return self
@@ -172,7 +172,7 @@ def test_seconds_have_two_figures() -> None:
     assert [seconds_text(each) for each in (0.003, 1.42, 12.3, 185)] == ["0.003 s", "1.4 s", "12 s", "3 min"]
 
 
-def test_the_shown_latency_is_of_the_last_ten_seconds() -> None:
+def test_shown_latency_is_of_last_ten_seconds() -> None:
     """A jam of 15 s: nothing comes, then messages that are 2 s old, then again the usual ones."""
     meter = LatencyMeter(10)
 
@@ -193,7 +193,7 @@ def test_the_shown_latency_is_of_the_last_ten_seconds() -> None:
     assert ticks(11) == (None, None)
 
 
-def test_figures_of_the_other_side_count_for_as_long() -> None:
+def test_figures_of_other_side_count_for_as_long() -> None:
     meter = LatencyMeter(10)
     meter.take_reported(0.01, 0.02, 0.0)
     for _ in range(9):

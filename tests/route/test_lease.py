@@ -63,7 +63,7 @@ def test_it_is_alive_once_a_number_is_answered() -> None:
     assert [pair.here.alive, pair.there.alive] == [True, True]
 
 
-def test_a_late_number_of_the_lease_before_begins_none(pair: Pair) -> None:
+def test_late_number_of_lease_before_begins_none(pair: Pair) -> None:
     """This side sends goals once it has begun; the other one must take them by then."""
     late = pair.there.beat()
     pair.here.end()
@@ -77,7 +77,7 @@ def test_a_late_number_of_the_lease_before_begins_none(pair: Pair) -> None:
     assert pair.there.alive
 
 
-def test_a_number_of_the_lease_before_begins_none_however_late(pair: Pair) -> None:
+def test_number_of_lease_before_begins_none_however_late(pair: Pair) -> None:
     """Datagrams come late, and by then the next lease may have begun."""
     late = pair.there.beat()
     for side in (pair.here, pair.there):
@@ -90,7 +90,7 @@ def test_a_number_of_the_lease_before_begins_none_however_late(pair: Pair) -> No
     assert not pair.there.alive
 
 
-def test_nothing_passes_a_second_after_the_last_number_that_was_answered(pair: Pair) -> None:
+def test_nothing_passes_second_after_last_answer(pair: Pair) -> None:
     number = pair.there.newest_before(pair.clock.now)
     pair.clock.now += LASTS - EPSILON
     assert pair.here.passes(number)
@@ -99,7 +99,7 @@ def test_nothing_passes_a_second_after_the_last_number_that_was_answered(pair: P
     assert not pair.here.alive
 
 
-def test_an_older_message_does_not_pass_though_the_two_hear_each_other(pair: Pair) -> None:
+def test_older_message_does_not_pass_heard_peer(pair: Pair) -> None:
     number = pair.there.newest_before(pair.clock.now)
     pair.live(LASTS + BEAT)
     assert pair.here.alive
@@ -107,11 +107,11 @@ def test_an_older_message_does_not_pass_though_the_two_hear_each_other(pair: Pai
 
 
 @pytest.mark.parametrize("number", [0, 10**6], ids=["none", "one that was never sent"])
-def test_a_message_with_a_number_that_was_not_sent_does_not_pass(number: int, pair: Pair) -> None:
+def test_message_with_unsent_number_does_not_pass(number: int, pair: Pair) -> None:
     assert not pair.here.passes(number)
 
 
-def test_a_standstill_of_this_side_ends_it_although_answers_come_first(pair: Pair) -> None:
+def test_standstill_ends_lease_despite_first_answers(pair: Pair) -> None:
     answers = [pair.there.beat() for _ in range(3)]
     pair.clock.now += LASTS + EPSILON
     for answer in answers:
@@ -156,7 +156,7 @@ def test_one_that_does_not_begin_ends() -> None:
     assert (pair.here.begun, pair.here.over) == (False, Standstill.PEER)
 
 
-def test_a_link_with_a_long_round_trip_is_slow(pair: Pair) -> None:
+def test_link_with_long_round_trip_is_slow(pair: Pair) -> None:
     pair.exchange(SLOW + EPSILON)
     assert pair.here.slow
     pair.exchange()
@@ -164,14 +164,14 @@ def test_a_link_with_a_long_round_trip_is_slow(pair: Pair) -> None:
     assert not pair.here.slow
 
 
-def test_what_this_side_sent_may_be_published_for_a_second_after_the_newest_number_that_it_heard(pair: Pair) -> None:
+def test_sent_message_is_valid_for_one_second(pair: Pair) -> None:
     pair.clock.now += 0.4
     assert pair.here.left == pytest.approx(LASTS - 0.4)
     pair.clock.now += LASTS
     assert pair.here.left == 0.0
 
 
-def test_what_is_taken_after_a_standstill_counts_as_from_before_it() -> None:
+def test_messages_after_standstill_count_from_before() -> None:
     pair = Pair(thread=True)
     pair.live(1.0)
     marker = Marker(pair.here, pair.turns, batch=2)
@@ -193,7 +193,7 @@ def test_what_is_taken_after_a_standstill_counts_as_from_before_it() -> None:
     assert marker.marked([message])[0].lease > before
 
 
-def test_what_is_left_of_a_batch_is_as_old_as_what_came_before_it() -> None:
+def test_leftovers_are_as_old_as_what_preceded() -> None:
     pair = Pair(thread=True)
     pair.live(1.0)
     marker, message = Marker(pair.here, pair.turns, batch=2), RawMessage(b"", 0)
@@ -203,7 +203,7 @@ def test_what_is_left_of_a_batch_is_as_old_as_what_came_before_it() -> None:
     assert marker.marked([message])[0].lease > first
 
 
-def test_what_comes_long_after_a_full_batch_is_not_counted_as_left_of_it() -> None:
+def test_late_arrivals_are_not_counted_as_leftovers() -> None:
     """Exactly a batch had come; the next command, later, was marked with a number of then, and dropped."""
     pair = Pair(thread=True)
     pair.live(1.0)
@@ -221,7 +221,7 @@ def test_what_comes_long_after_a_full_batch_is_not_counted_as_left_of_it() -> No
     assert pair.there.passes(number)
 
 
-def test_what_is_left_of_a_batch_at_the_next_turn_is_as_old_as_that() -> None:
+def test_leftovers_are_as_old_as_their_turn() -> None:
     pair = Pair(thread=True)
     pair.live(1.0)
     marker, message = Marker(pair.here, pair.turns, batch=2), RawMessage(b"", 0)
@@ -234,7 +234,7 @@ def test_what_is_left_of_a_batch_at_the_next_turn_is_as_old_as_that() -> None:
         assert {each.lease for each in marker.marked([message, message])} == {first}
 
 
-def test_a_watched_thread_notes_its_turns_and_another_does_not() -> None:
+def test_only_watched_thread_notes_turns() -> None:
     clock, woken = Clock(), []
     turns = RosTurns(lambda: woken.append(1), clock)
     assert (turns.watched, turns.at) == (False, float("inf"))

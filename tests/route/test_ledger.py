@@ -61,7 +61,7 @@ def check(ledger: Ledger) -> None:
 
 @given(st.lists(steps, max_size=40), st.booleans())
 @settings(max_examples=settings().max_examples * 2, deadline=None)
-def test_no_report_makes_a_part_negative_or_the_sum_wrong(taken: list[tuple[Any, ...]], numbered: bool) -> None:
+def test_no_report_makes_part_negative_or_sum_wrong(taken: list[tuple[Any, ...]], numbered: bool) -> None:
     ledger = RouteLedger(numbered=numbered)
     for now, (what, *details) in enumerate(taken):
         match what:
@@ -110,7 +110,7 @@ def test_true_reports_are_taken_as_they_are(sent: list[int], lost: list[int]) ->
     assert final.dropped.get("link lost", 0) == sum(sent) - delivered
 
 
-def test_an_opening_is_not_settled_with_another_process_s_counts() -> None:
+def test_other_process_cannot_settle_opening() -> None:
     """Ids begin at 1 in each process, so the id alone does not say whose count it is."""
     ledger = RouteLedger()
     ledger.opened(1, "first")
@@ -132,7 +132,7 @@ def opened(instance: str, sent: int, *, numbered: bool = False) -> RouteLedger:
 
 
 @pytest.mark.parametrize("over", [False, True])
-def test_what_was_too_old_on_either_side_is_expired(over: bool) -> None:
+def test_messages_too_old_anywhere_are_expired(over: bool) -> None:
     """Messages whose parts did not come are another matter, which the receiver reports under that name."""
     ledger = opened("first", 20)
     ledger.offered += 4
@@ -159,7 +159,7 @@ def test_what_a_receiver_has_forgotten_is_unknown() -> None:
 
 
 @pytest.mark.parametrize(("instance", "rest"), [("first", {"link lost": 6}), ("second", {})])
-def test_datagrams_that_were_lost_on_the_way_stay_so_when_the_link_goes(instance: str, rest: dict[str, int]) -> None:
+def test_datagrams_lost_stay_lost_after_link(instance: str, rest: dict[str, int]) -> None:
     """The count of drops falls neither when the opening ends nor when it is settled."""
     ledger = opened("first", 20, numbered=True)
     ledger.reported(ReceivedReport(route=1, received=11, delivered=11, newest=14), 0)
@@ -172,7 +172,7 @@ def test_datagrams_that_were_lost_on_the_way_stay_so_when_the_link_goes(instance
     assert (balance.unknown, balance.in_flight) == (0 if rest else 6, 0)
 
 
-def test_missed_messages_are_the_time_at_the_usual_rate_while_somebody_publishes() -> None:
+def test_missed_messages_are_time_at_usual_rate() -> None:
     missed = MissedWhileDown()
     missed.lost(0.0)
     missed.estimate(10.0, 500, published=True)
@@ -190,7 +190,7 @@ def test_missed_messages_are_the_time_at_the_usual_rate_while_somebody_publishes
     assert missed.count == 36
 
 
-def test_nothing_is_missed_for_long_of_publishers_that_send_nothing() -> None:
+def test_silent_publishers_miss_nothing_for_long() -> None:
     missed = MissedWhileDown()
     missed.rate = 20.0
     missed.lost(0.0)
@@ -200,7 +200,7 @@ def test_nothing_is_missed_for_long_of_publishers_that_send_nothing() -> None:
     assert (missed.count, missed.down) == (60, False)
 
 
-def test_a_burst_of_what_was_kept_is_no_negative_miss() -> None:
+def test_burst_of_kept_messages_is_no_negative_miss() -> None:
     missed = MissedWhileDown()
     missed.rate = 20.0
     missed.lost(0.0)
@@ -215,9 +215,7 @@ def topic() -> Topic:
     return Topic("/scan", "transmit")
 
 
-def test_a_receiver_tells_what_it_counted_only_to_the_process_that_sent_it(
-    make_context: Callable[..., Context], topic: Topic
-) -> None:
+def test_receiver_tells_counts_to_sending_process_only(make_context: Callable[..., Context], topic: Topic) -> None:
     peer = FakePeer()
     route = half_of(IncomingRoute, make_context(role="server", ros=OnePublisher()), topic, peer, here=False)
 
@@ -239,7 +237,7 @@ def test_a_receiver_tells_what_it_counted_only_to_the_process_that_sent_it(
     assert counted_before(5) is None
 
 
-def test_an_impossible_report_is_said_once_and_ends_nothing(make_context: Callable[..., Context], topic: Topic) -> None:
+def test_impossible_report_is_said_once_and_ends_nothing(make_context: Callable[..., Context], topic: Topic) -> None:
     context = make_context()
     route = half_of(OutgoingRoute, context, topic)
     route.open(1)

@@ -32,7 +32,7 @@ def test_every_phase_can_be_reached_refused_and_closed(phase: RoutePhase) -> Non
     assert life.phase is RoutePhase.CLOSED
 
 
-def test_a_new_type_is_described_before_messages_flow_again() -> None:
+def test_new_type_is_described_before_messages_flow_again() -> None:
     life, phases = in_phase(RoutePhase.READY), []
     for event in (RouteEvent.DESCRIBE, RouteEvent.READY):
         assert life.handle(event)
@@ -50,7 +50,7 @@ def test_a_new_type_is_described_before_messages_flow_again() -> None:
         (RoutePhase.CLOSED, RouteEvent.READY),
     ],
 )
-def test_what_a_peer_says_out_of_order_changes_nothing(phase: RoutePhase, event: RouteEvent) -> None:
+def test_what_peer_says_out_of_order_changes_nothing(phase: RoutePhase, event: RouteEvent) -> None:
     life = in_phase(phase)
     assert not life.handle(event)
     assert life.phase is phase

@@ -180,7 +180,7 @@ def world(loop: VirtualLoop, make_context: Callable[..., Context], request: pyte
     return World(route, graph, peer, context, loop)
 
 
-def test_a_publisher_that_is_new_is_looked_up_with_its_first_message(world: World) -> None:
+def test_new_publisher_is_looked_up_by_first_message(world: World) -> None:
     world.graph.nodes[SECOND] = "/other"
     asked = world.graph.asked
     world.comes(SECOND, b"1")
@@ -189,7 +189,7 @@ def test_a_publisher_that_is_new_is_looked_up_with_its_first_message(world: Worl
     assert world.graph.asked == asked + 1
 
 
-def test_the_messages_of_a_publisher_without_a_node_wait_for_news_and_keep_their_order(world: World) -> None:
+def test_messages_without_node_wait_in_order(world: World) -> None:
     """The graph is asked once for all of them, and again when it has changed."""
     world.graph.nodes[SECOND] = ""
     asked = world.graph.asked
@@ -205,7 +205,7 @@ def test_the_messages_of_a_publisher_without_a_node_wait_for_news_and_keep_their
     assert world.sent[100:] == [b"%d" % number for number in range(101)]
 
 
-def test_a_publisher_that_nobody_explains_is_waited_for_3_s_and_nothing_polls(world: World) -> None:
+def test_unexplained_publisher_is_awaited_without_polling(world: World) -> None:
     world.graph.nodes[SECOND] = ""
     world.route.advance()
     world.comes(SECOND, b"1", b"2")
@@ -219,7 +219,7 @@ def test_a_publisher_that_nobody_explains_is_waited_for_3_s_and_nothing_polls(wo
 
 
 @pytest.mark.parametrize("since", [3.453, 62.349, 62.48])
-def test_the_wait_for_a_publisher_is_over_at_the_moment_that_it_names(since: float) -> None:
+def test_wait_for_publisher_ends_when_it_says(since: float) -> None:
     """Sums of these times are rounded: a difference may be smaller than the wait when the moment has come."""
     table, publication = SourceTable(), Publication(SECOND, "bridge", None)
     table.update([publication], "hop", frozenset(), frozenset(), since)
@@ -228,7 +228,7 @@ def test_the_wait_for_a_publisher_is_over_at_the_moment_that_it_names(since: flo
     assert not table.unexplained
 
 
-def test_messages_of_another_source_wait_until_the_peer_has_a_publisher_for_it(world: World) -> None:
+def test_messages_of_other_source_await_peers_publisher(world: World) -> None:
     announcements = world.context.announcements
     via = (hop("rsb_elsewhere_1", SCAN),)
     second = Endpoint(f"/{world.graph.node_name}", TYPE, TYPE_HASH, Qos(), SECOND)
@@ -245,7 +245,7 @@ def test_messages_of_another_source_wait_until_the_peer_has_a_publisher_for_it(w
     assert world.peer.channel.sent[1:] == [(b"1", 1 << SOURCE_SHIFT)]
 
 
-def test_messages_that_a_peer_has_no_publisher_for_are_shown_as_left_out(world: World) -> None:
+def test_messages_without_peers_publisher_are_left_out(world: World) -> None:
     announcements = world.context.announcements
     second = Endpoint(f"/{world.graph.node_name}", TYPE, TYPE_HASH, Qos(), SECOND)
     announcements.announce(SCAN, "another link", second, Origin((hop("rsb_elsewhere_1", SCAN),)))
@@ -255,7 +255,7 @@ def test_messages_that_a_peer_has_no_publisher_for_are_shown_as_left_out(world: 
     assert "left out" in world.route.snapshot().stages[0].detail
 
 
-def test_too_many_messages_that_are_held_are_lost_and_counted(world: World) -> None:
+def test_excess_held_messages_are_lost_and_counted(world: World) -> None:
     world.graph.nodes[SECOND] = ""
     for _ in range(12):
         world.comes(SECOND, *(1000 * [b"x"]))
@@ -268,7 +268,7 @@ def test_too_many_messages_that_are_held_are_lost_and_counted(world: World) -> N
     assert ledger.offered == sum(ledger.dropped.values()) == 12_040
 
 
-def test_a_large_first_message_is_not_lost_while_its_publisher_is_looked_up(world: World) -> None:
+def test_large_first_message_survives_lookup(world: World) -> None:
     world.graph.nodes[SECOND] = ""
     world.comes(SECOND, bytes(8 << 20), b"small")
     assert (world.held, world.route.ledger().dropped) == (2, {})
@@ -286,7 +286,7 @@ def test_held_messages_do_not_outlive_a_pause(world: World) -> None:
     assert (world.sent, ledger.offered, ledger.dropped) == ([], 1, {"paused": 1})
 
 
-def test_who_is_waited_for_is_no_failure_on_the_other_side(world: World) -> None:
+def test_awaited_publisher_is_no_failure_elsewhere(world: World) -> None:
     """It takes seconds at most, and heals by itself."""
     world.graph.nodes = {SECOND: ""}
     world.route.close("closed")
@@ -315,7 +315,7 @@ def test_a_removed_route_says_nothing_of_its_channel(world: World) -> None:
     assert EventCode.ROUTE_CHANNEL_LOST not in [event.code for event in world.context.events.after(0)]
 
 
-def test_a_publisher_too_far_does_not_reopen_the_route_for_ever(world: World) -> None:
+def test_distant_publisher_does_not_reopen_route_forever(world: World) -> None:
     """Anybody in the domain can announce so many hops."""
     announcements = world.context.announcements
     world.graph.nodes = {}

@@ -85,7 +85,7 @@ def run(work: Callable[[], Any]) -> None:
     asyncio.run(work())
 
 
-def test_an_installed_type_is_checked_from_the_first_message() -> None:
+def test_installed_type_is_checked_from_first_message() -> None:
     bed = Bed({NAMES: TEXT})
     bed.check.begin(NAMES)
     bed.check.check(names(3))
@@ -108,7 +108,7 @@ async def looked(bed: Bed) -> bool:
     return bool(asks)
 
 
-def test_a_type_that_is_not_installed_is_described_by_its_subscribers() -> None:
+def test_missing_type_is_described_by_its_subscribers() -> None:
     """The checker goes by the subscribers' hash, not by the peer's."""
 
     async def work() -> None:
@@ -125,7 +125,7 @@ def test_a_type_that_is_not_installed_is_described_by_its_subscribers() -> None:
     run(work)
 
 
-def test_nodes_that_describe_nothing_are_asked_again_only_later() -> None:
+def test_nodes_without_description_are_asked_later() -> None:
     async def work() -> None:
         bed = Bed({}, {"/node": "another text"})
         bed.check.begin(NAMES)
@@ -142,7 +142,7 @@ def test_nodes_that_describe_nothing_are_asked_again_only_later() -> None:
     run(work)
 
 
-def test_a_link_s_messages_take_a_bounded_part_of_the_time() -> None:
+def test_link_s_messages_take_bounded_part_of_time() -> None:
     bed = Bed({NAMES: TEXT})
     bed.check.begin(NAMES)
     for _ in range(CHECKED_AT_ONCE // STEPS):
@@ -161,7 +161,7 @@ def test_a_link_s_messages_take_a_bounded_part_of_the_time() -> None:
         bed.check.check(names(STEPS))
 
 
-def test_a_length_that_is_only_claimed_costs_nothing_of_the_links_budget() -> None:
+def test_claimed_length_costs_links_budget_nothing() -> None:
     """Eight bytes of one message do not have the messages that come with it dropped."""
     bed = Bed({NAMES: TEXT})
     bed.check.begin(NAMES)

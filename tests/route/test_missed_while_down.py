@@ -48,7 +48,7 @@ def missed(world: World) -> int:
     return world.route.ledger().missed_while_down
 
 
-def test_the_estimate_grows_while_the_route_is_down_and_stays_when_it_is_back(world: World) -> None:
+def test_estimate_grows_while_down_then_stays(world: World) -> None:
     assert missed(world) == 0
     world.route.close("link lost")
     passes(world, 5)
@@ -69,20 +69,20 @@ def test_the_estimate_grows_while_the_route_is_down_and_stays_when_it_is_back(wo
     assert missed(world) == 130
 
 
-def test_a_data_connection_that_breaks_before_the_link_does_refuses_nothing(world: World) -> None:
+def test_early_break_of_data_connection_refuses_nothing(world: World) -> None:
     world.route.channel_lost(Reason("Broken pipe", EndCode.BROKE))
     world.route.close("link lost")
     passes(world, 5)
     assert missed(world) == 100
 
 
-def test_nothing_is_missed_of_a_topic_that_is_refused(world: World) -> None:
+def test_nothing_is_missed_of_topic_that_is_refused(world: World) -> None:
     world.route.refuse(EventCode.ROUTE_REFUSED, Reason("not allowed"))
     passes(world, 5)
     assert missed(world) == 0
 
 
-def test_nothing_is_missed_of_a_topic_that_nobody_publishes(world: World) -> None:
+def test_nothing_is_missed_of_topic_that_nobody_publishes(world: World) -> None:
     publishers, world.graph.nodes = world.graph.nodes, {}
     world.route.advance()
     world.route.close("link lost")
@@ -101,7 +101,7 @@ def test_nothing_is_missed_once_the_publisher_is_gone(world: World) -> None:
 
 
 @pytest.mark.parametrize("first", ["paused", "lost"])
-def test_nothing_is_missed_while_an_operator_has_paused_it(world: World, first: str) -> None:
+def test_nothing_is_missed_while_operator_has_paused_it(world: World, first: str) -> None:
     if first == "paused":
         world.route.pausing.change(paused=True)
     world.route.close("link lost")

@@ -6,7 +6,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.route.notices import Notices
 
 
-def test_the_last_error_has_the_time_of_its_last_occurrence() -> None:
+def test_last_error_has_time_of_its_last_occurrence() -> None:
     now, said = [100.0], list[str]()
     notices = Notices(lambda level, code, text: said.append(text), lambda: now[0])
     notices.error(EventCode.ROUTE_CHANNEL_LOST, "gone")

@@ -50,7 +50,7 @@ def unlimited(world: World) -> None:
     world.route.limit.set_max_rate(0.0)
 
 
-def test_a_rate_limit_is_on_the_path_while_it_is_on(world: World) -> None:
+def test_rate_limit_is_on_path_while_set(world: World) -> None:
     path, ledger = world.path, world.ledger
     assert not path.gates.sourced
     publish(world, 10)
@@ -71,7 +71,7 @@ def test_a_rate_limit_is_on_the_path_while_it_is_on(world: World) -> None:
     ("type_name", "arm", "passes"),
     [*((each, False, True) for each in sorted(DRIVING_TYPES)), (FLOAT, True, True), (FLOAT, False, False)],
 )
-def test_the_last_message_of_what_may_move_a_robot_passes(
+def test_last_message_of_what_may_move_robot_passes(
     type_name: str, arm: bool, passes: bool, count: int, world: World
 ) -> None:
     """It may be the stop; it comes a beat later, and only if nothing follows it."""
@@ -92,7 +92,7 @@ def test_the_last_message_of_what_may_move_a_robot_passes(
 
 
 @pytest.mark.parametrize("ends", [OutgoingRoute.disarm, OutgoingRoute.close])
-def test_nothing_that_waits_for_its_rate_outlives_its_arming(ends: Callable[..., None], world: World) -> None:
+def test_waiting_messages_do_not_outlive_arming(ends: Callable[..., None], world: World) -> None:
     armed(world.route.arming, world.context)
     limited(world)
     for payload in (b"moves", b"turns"):
@@ -107,7 +107,7 @@ def test_nothing_that_waits_for_its_rate_outlives_its_arming(ends: Callable[...,
     assert world.route.ledger().in_flight == 0
 
 
-def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> None:
+def test_age_is_asked_again_when_message_leaves_queue(world: World) -> None:
     ledger = world.ledger
     world.route.age.settle((0.5,), armed=False)
     world.peer.channel.congested = True
@@ -119,7 +119,7 @@ def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> Non
 
 
 @pytest.mark.parametrize(("type_name", "kept"), [("geometry_msgs/msg/Twist", 1), ("std_msgs/msg/String", 3)])
-def test_of_the_velocities_that_waited_only_the_newest_is_sent(type_name: str, kept: int, world: World) -> None:
+def test_of_velocities_that_waited_only_newest_is_sent(type_name: str, kept: int, world: World) -> None:
     world.route.arming.demand(required=True, deadman=0.0)
     world.route.type_name = type_name
     world.peer.channel.congested = True
@@ -131,7 +131,7 @@ def test_of_the_velocities_that_waited_only_the_newest_is_sent(type_name: str, k
     assert len(world.sent[-1]) == 4 + 2  # the number of the lease, and the newest message
 
 
-def test_what_comes_after_its_opening_is_lost_with_the_link(world: World) -> None:
+def test_later_messages_are_lost_with_link(world: World) -> None:
     """It may be older than what arms the next opening."""
     ledger = world.ledger
     world.graph.sink([RawMessage(b"late", 0, FIRST)])
@@ -141,7 +141,7 @@ def test_what_comes_after_its_opening_is_lost_with_the_link(world: World) -> Non
     assert not world.sent
 
 
-def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link(world: World) -> None:
+def test_uncarriable_messages_ask_nothing_of_link(world: World) -> None:
     path, ledger = world.path, world.ledger
     outbox(world).largest = 50
     path.offer([RawMessage(bytes(size), 1, FIRST) for size in (10, 60, 20, 70)])
@@ -152,7 +152,7 @@ def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link(worl
 
 
 @pytest.mark.parametrize("world", [{"compression": "zstd"}], indirect=True)
-def test_a_message_is_not_too_large_for_the_receiver_alone(world: World) -> None:
+def test_message_is_not_too_large_for_receiver_alone(world: World) -> None:
     """Compressed it would pass here, and the receiver would not unpack it."""
     path, ledger = world.path, world.ledger
     path.offer([RawMessage(bytes(CONTENT_LIMIT + 1), 1, FIRST)])

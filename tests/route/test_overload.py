@@ -89,7 +89,7 @@ def test_stall_keeps_messages_for_seconds() -> None:
     assert len(box) == 40
 
 
-def test_live_topic_sends_what_is_newest_once_some_have_to_be_left_out() -> None:
+def test_live_topic_sends_newest_under_load() -> None:
     """Otherwise each one would wait for the whole depth of the queue."""
     qos = Qos(reliability="best_effort", depth=5)
     _, sent = flood(outbox(qos), 20, False, turn_every=3, behind=True)
@@ -98,7 +98,7 @@ def test_live_topic_sends_what_is_newest_once_some_have_to_be_left_out() -> None
     assert sent[-1] == b"194", "a depth that is promised is kept"
 
 
-def test_live_topic_loses_nothing_in_a_stall_below_a_second() -> None:
+def test_live_topic_loses_nothing_in_stall_below_second() -> None:
     box, channel = outbox(Qos(reliability="best_effort", depth=5)), FullChannel(False)
     limits = box.limits(cast("SendingChannel", channel), 0, 0.0)
     box.add([(b"%d" % number, 0, 0) for number in range(5)], 0.0, b"", limits)
@@ -136,7 +136,7 @@ def test_keep_all_keeps_all() -> None:
     assert len(box) == 100
 
 
-def test_queue_that_drains_after_a_stall_is_no_overload() -> None:
+def test_queue_that_drains_after_stall_is_no_overload() -> None:
     overload = Overload()
     for tick in range(30):
         overload.judge(tick / 10, 0.0, tick)
@@ -166,7 +166,7 @@ def test_overload_ends_with_the_queue() -> None:
     assert not overload.lasts(4.0)
 
 
-def test_what_drops_again_in_spite_of_turns_is_overloaded() -> None:
+def test_drops_despite_turns_mean_overload() -> None:
     """A tunnel's window opens each few seconds, and lets through all that waits."""
     for turns in (False, True):
         overload = Overload()

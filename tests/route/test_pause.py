@@ -42,7 +42,7 @@ def hear_all(*sides: Side) -> None:
             side.hear()
 
 
-def test_every_interleaving_of_three_presses_and_their_messages_ends_alike() -> None:
+def test_every_interleaving_of_three_presses_ends_alike() -> None:
     """With every choice of what is pressed."""
     orders = sorted(set(itertools.permutations(("client", "client", "server", "C", "C", "S"))))
     assert len(orders) == 180
@@ -63,7 +63,7 @@ def test_every_interleaving_of_three_presses_and_their_messages_ends_alike() -> 
         assert client.state.paused == server.state.paused, (order, presses)
 
 
-def test_of_two_presses_at_once_the_client_s_counts() -> None:
+def test_of_two_presses_at_once_client_s_counts() -> None:
     for paused in (True, False):
         client, server = pair()
         client.change(paused)
@@ -72,7 +72,7 @@ def test_of_two_presses_at_once_the_client_s_counts() -> None:
         assert client.state.paused is server.state.paused is paused
 
 
-def test_of_two_presses_after_one_another_the_later_counts() -> None:
+def test_of_two_presses_after_one_another_later_counts() -> None:
     for first, second in (pair(), pair()[::-1]):
         first.change(True)
         hear_all(first, second)

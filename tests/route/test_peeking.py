@@ -56,7 +56,7 @@ async def look_on(peeks: Peeking, route: Route, times: int) -> None:
         assert await peeks.peek(route, kept=False) is not None
 
 
-def test_a_route_is_copied_from_twice_a_second_however_many_look(loop: VirtualLoop, run: Any) -> None:
+def test_route_is_copied_from_twice_a_second(loop: VirtualLoop, run: Any) -> None:
     async def work(peeks: Peeking) -> None:
         route = Route(loop, 100)
         await asyncio.gather(*(look_on(peeks, route, 20) for _ in range(peeking.LOOKERS)))
@@ -66,7 +66,7 @@ def test_a_route_is_copied_from_twice_a_second_however_many_look(loop: VirtualLo
     run(work)
 
 
-def test_large_messages_are_shown_within_the_bytes_a_second(loop: VirtualLoop, run: Any) -> None:
+def test_large_messages_are_shown_within_bytes_second(loop: VirtualLoop, run: Any) -> None:
     async def work(peeks: Peeking) -> None:
         routes = [Route(loop, 10 * PEEK_LIMIT) for _ in range(peeking.LOOKERS)]
         began = loop.time()
@@ -78,7 +78,7 @@ def test_large_messages_are_shown_within_the_bytes_a_second(loop: VirtualLoop, r
     run(work)
 
 
-def test_nobody_holds_a_place_for_longer_than_its_time(loop: VirtualLoop, run: Any) -> None:
+def test_nobody_holds_place_for_longer_than_its_time(loop: VirtualLoop, run: Any) -> None:
     async def work(peeks: Peeking) -> None:
         route = Route(loop, 100)
         route.let_pass = lambda: None  # type: ignore[method-assign]

@@ -20,19 +20,19 @@ def test_a_right_clock_is_believed() -> None:
     assert len(clocks) == 0
 
 
-def test_without_a_stamp_it_counts_from_when_it_was_taken() -> None:
+def test_unstamped_message_ages_from_taking() -> None:
     assert PublisherClocks().born(0, NOW, GID) == NOW
 
 
 @pytest.mark.parametrize("ahead", [60 * 10**6, 10 * S, HOUR])
-def test_a_clock_that_is_ahead_counts_from_when_it_was_taken(ahead: int) -> None:
+def test_fast_clock_counts_from_taking(ahead: int) -> None:
     clocks = PublisherClocks()
     assert clocks.born(NOW + ahead, NOW, GID) == NOW
     assert clocks.born(NOW + S + ahead, NOW + S, GID) == pytest.approx(NOW + S, abs=10**6)
 
 
 @pytest.mark.parametrize("offset", [-HOUR, -10 * S, 10 * S, HOUR])
-def test_what_is_held_up_counts_as_older_though_the_clock_is_wrong(offset: int) -> None:
+def test_held_message_ages_despite_wrong_clock(offset: int) -> None:
     clocks = PublisherClocks()
     clocks.since = NOW - S
     for each in range(10):
@@ -42,19 +42,19 @@ def test_what_is_held_up_counts_as_older_though_the_clock_is_wrong(offset: int) 
     assert ages == pytest.approx([(18 - each) * S for each in range(10, 19)], abs=10**7)
 
 
-def test_a_clock_that_is_behind_is_known_by_stamps_from_before_the_subscription() -> None:
+def test_slow_clock_is_known_by_early_stamps() -> None:
     clocks = PublisherClocks()
     clocks.since = NOW
     assert clocks.born(NOW + S - 60 * S, NOW + S, GID) == NOW + S
 
 
-def test_a_latched_message_is_as_old_as_its_stamp_says() -> None:
+def test_latched_message_is_as_old_as_stamped() -> None:
     clocks = PublisherClocks()
     clocks.since = None
     assert clocks.born(NOW - 5 * HOUR, NOW, GID) == NOW - 5 * HOUR
 
 
-def test_a_clock_that_is_set_right_is_believed_again() -> None:
+def test_clock_that_is_set_right_is_believed_again() -> None:
     clocks = PublisherClocks()
     clocks.since = NOW
     clocks.born(NOW - HOUR, NOW, GID)
@@ -64,7 +64,7 @@ def test_a_clock_that_is_set_right_is_believed_again() -> None:
     assert clocks.born(NOW + 2 * S, NOW + 5 * S, GID) == NOW + 2 * S
 
 
-def test_after_a_step_of_this_clock_an_old_stamp_proves_nothing() -> None:
+def test_old_stamp_proves_nothing_after_step() -> None:
     clocks = PublisherClocks()
     clocks.since = NOW
     clocks.forget()

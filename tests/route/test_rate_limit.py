@@ -33,7 +33,7 @@ def ignore(level: Level, code: EventCode, text: str) -> None:
     pass
 
 
-def test_the_lowest_rate_counts_and_the_sender_is_told() -> None:
+def test_lowest_rate_counts_and_sender_is_told() -> None:
     told: list[float] = []
     route = limit(20.0)
     route.switched = lambda: told.append(route.rate)
@@ -51,7 +51,7 @@ def test_the_lowest_rate_counts_and_the_sender_is_told() -> None:
 
 
 @pytest.mark.parametrize("rate", [0.01, 1.0, 10.0, 1000.0])
-def test_a_peer_that_keeps_to_its_rate_loses_nothing(rate: float) -> None:
+def test_peer_that_keeps_to_its_rate_loses_nothing(rate: float) -> None:
     """Also where its clock goes fast, its messages come unevenly, and the link stalls for a while."""
     gate = RateGate(AllowedRates(), "/chat", rate)
     times = [(number + (number % 2) * 0.9) / (rate * 1.0005) for number in range(2000)]
@@ -60,7 +60,7 @@ def test_a_peer_that_keeps_to_its_rate_loses_nothing(rate: float) -> None:
     assert not any(gate.check(NO_SAMPLE, stalled) for _ in range(int(rate)))
 
 
-def test_a_rate_is_a_topics_however_many_routes_bring_it_and_however_often_they_are_made_anew(
+def test_rate_is_of_topic_across_all_routes(
     make_context: Callable[..., Context],
 ) -> None:
     """A peer can propose the same topic under many names of its own, and remove and propose it again at once."""
@@ -79,7 +79,7 @@ def test_a_rate_is_a_topics_however_many_routes_bring_it_and_however_often_they_
     assert len(ros.published.sizes) == 3
 
 
-def test_the_topics_whose_rates_are_known_are_bounded_and_forgotten_when_quiet() -> None:
+def test_known_rates_are_bounded_and_forgotten() -> None:
     rates = AllowedRates()
     for number in range(10_000):
         rates.admits(f"/made_up{number}", 1.0, 0.0)
@@ -89,7 +89,7 @@ def test_the_topics_whose_rates_are_known_are_bounded_and_forgotten_when_quiet()
     assert held_by(rates) == 1
 
 
-def test_what_the_receiver_leaves_out_is_throttled_in_the_senders_ledger() -> None:
+def test_receivers_omissions_are_throttled_in_senders_ledger() -> None:
     ledger = RouteLedger()
     ledger.opened(1, "there")
     ledger.offered = 10
@@ -106,13 +106,13 @@ def passed(throttle: Throttle, stamps: list[int]) -> int:
     return sum(throttle.passes(stamp) for stamp in stamps)
 
 
-def test_a_topic_just_above_the_limit_keeps_the_limit() -> None:
+def test_topic_just_above_limit_keeps_limit() -> None:
     """50 Hz throttled to 20 Hz gives 20, not 16.7."""
     assert passed(Throttle(20.0), [number * S // 50 for number in range(500)]) == 200
 
 
 @pytest.mark.parametrize("back", [1, S // 10, S, 10 * S, 3600 * S])
-def test_stamps_that_go_back_do_not_end_the_limit(back: int) -> None:
+def test_stamps_that_go_back_do_not_end_limit(back: int) -> None:
     """Two publishers' stamps may cross, and a clock may be set."""
     throttle = Throttle(2.0)
     start = 10_000 * S

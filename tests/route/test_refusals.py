@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 SCAN = Topic("/scan", "transmit")
 
 
-def test_a_route_is_asked_for_again_after_any_number_of_refusals(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_refused_route_is_always_asked_for_again(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     context = make_context()
     route = half_of(OutgoingRoute, context, SCAN)
     pauses = []
@@ -41,9 +39,7 @@ def test_a_route_is_asked_for_again_after_any_number_of_refusals(
 
 
 @pytest.mark.parametrize("state", ["refused", "paused"])
-def test_where_nobody_looks_for_publishers_it_is_not_said_that_there_are_none(
-    state: str, make_context: Callable[..., Context]
-) -> None:
+def test_unsearched_publishers_are_not_called_missing(state: str, make_context: Callable[..., Context]) -> None:
     route = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit", paused=state == "paused"))
     route.open(1)
     if state == "refused":
@@ -53,7 +49,7 @@ def test_where_nobody_looks_for_publishers_it_is_not_said_that_there_are_none(
 
 
 @pytest.mark.parametrize("code", [EventCode.ROUTE_REFUSED, EventCode.ROUTE_TYPE_DIFFERS])
-def test_a_refusal_stands_while_the_route_is_tried_again(
+def test_refusal_stands_while_route_is_tried_again(
     code: EventCode, loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     """Each try is refused a moment later; nothing of it is seen, on the screen or in the log."""
@@ -82,9 +78,7 @@ def test_a_refusal_stands_while_the_route_is_tried_again(
     assert len(context.events.after(0)) == events
 
 
-def test_a_refusal_is_over_once_a_later_opening_goes_on(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_refusal_is_over_once_later_opening_goes_on(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     context = make_context()
     route = half_of(OutgoingRoute, context, SCAN)
     route.open(1)

@@ -25,7 +25,7 @@ def shown(world: World) -> tuple[State, str]:
     return verdict.state, verdict.cause
 
 
-def test_a_topic_waits_while_its_data_connection_is_opened_again(world: World) -> None:
+def test_topic_waits_for_reopened_data_connection(world: World) -> None:
     for _ in range(2):
         world.route.channel_lost(TIMED_OUT)
         assert shown(world) == WAITS
@@ -39,7 +39,7 @@ def test_a_topic_waits_while_its_data_connection_is_opened_again(world: World) -
         assert shown(world) not in (WAITS, NO_PATH)
 
 
-def test_attempts_that_time_out_do_not_begin_the_wait_anew(world: World) -> None:
+def test_timed_out_attempts_do_not_extend_wait(world: World) -> None:
     for _ in range(3):
         world.route.channel_lost(TIMED_OUT)
         passes(world, 4)
@@ -55,7 +55,7 @@ def test_the_other_side_shows_the_same(world: World) -> None:
 
 
 @pytest.mark.parametrize("reason", ["Connection refused", "too many open files"])
-def test_a_data_connection_that_cannot_be_opened_is_a_fault_at_once(world: World, reason: str) -> None:
+def test_failing_data_connection_is_fault_at_once(world: World, reason: str) -> None:
     world.route.close("link lost")
     world.route.open(1)
     world.route.channel_lost(Reason(reason, EndCode.BROKE))

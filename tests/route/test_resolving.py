@@ -41,12 +41,12 @@ def test_what_the_publishers_have_counts_first() -> None:
     assert chosen() == UNUSED
 
 
-def test_a_version_that_was_used_is_known_when_its_publisher_has_gone() -> None:
+def test_used_version_outlives_its_publisher() -> None:
     assert chosen(wanted=A, used=TypeVersion(A, "1")) == (A, "1")
     assert chosen(wanted=A, used=TypeVersion(B, "1")) == (A, "")
 
 
-def test_a_type_that_the_session_names_is_sent_whoever_publishes_others() -> None:
+def test_type_of_session_is_sent_regardless() -> None:
     publishers = (publisher(B, "2"), publisher(A, "1"))
     assert chosen(*publishers, wanted=A) == (A, "1")
     assert not left_out(publishers, A, A)
@@ -54,7 +54,7 @@ def test_a_type_that_the_session_names_is_sent_whoever_publishes_others() -> Non
         chosen(publisher(B, "2", "/b"), wanted=A, used=TypeVersion(A, "1"))
 
 
-def test_publishers_that_disagree_leave_the_type_that_is_in_use() -> None:
+def test_disagreeing_publishers_leave_type_in_use() -> None:
     publishers = (publisher(A, "1", "/a"), publisher(B, "2", "/b"))
     with pytest.raises(UnresolvedError, match=rf"{B} \(from /b\) and {A} \(from /a\)"):
         chosen(*publishers)
@@ -81,7 +81,7 @@ def test_a_sentence_names_a_few_nodes_and_types() -> None:
     assert "and 2 more" in str(failure.value)
 
 
-def test_a_similar_name_is_suggested_if_the_topic_may_have_moved_there() -> None:
+def test_similar_name_is_suggested_for_moved_topic() -> None:
     elsewhere = [publisher(A, "1", "/other")]
     context = cast(
         "Any",

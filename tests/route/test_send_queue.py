@@ -36,7 +36,7 @@ def test_what_is_young_enough_stays_beyond_the_depth() -> None:
     assert names(queue) == "5 6 7 8 9"
 
 
-def test_what_is_too_old_goes_within_the_depth_too_unless_it_is_the_newest() -> None:
+def test_old_messages_go_unless_newest() -> None:
     queue, limits = SendQueue(), QueueLimits(10, 0.0, ANY, 1.0)
     for second, name in ((0.0, "a"), (0.5, "b"), (1.2, "c")):
         queue.add(messages(name), second)
@@ -46,7 +46,7 @@ def test_what_is_too_old_goes_within_the_depth_too_unless_it_is_the_newest() -> 
     assert names(queue) == "c"
 
 
-def test_bytes_are_bounded_but_one_message_always_may_wait() -> None:
+def test_bytes_are_bounded_but_for_one_message() -> None:
     queue, limits = SendQueue(), QueueLimits(0, 0.0, 10)
     queue.add(messages("123456", "12345", "x" * 100), 0.0)
     assert queue.trim(limits, 0.0) == 2

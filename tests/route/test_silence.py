@@ -54,7 +54,7 @@ class World:
 
 
 @pytest.mark.parametrize("cause", [Cause.PUBLISHER_GONE, Cause.QOS_INCOMPATIBLE, Cause.NO_PATH, Cause.TOO_LARGE])
-def test_silence_whose_cause_is_known_is_not_warned_of(cause: Cause) -> None:
+def test_silence_of_known_cause_gives_no_warning(cause: Cause) -> None:
     """The fault is in the log already, with its cause."""
     world = World()
     world.wait(10 * STALE_AFTER, cause)
@@ -63,14 +63,14 @@ def test_silence_whose_cause_is_known_is_not_warned_of(cause: Cause) -> None:
 
 
 @pytest.mark.parametrize("cause", [Cause.NONE, Cause.SILENT, Cause.PUBLISHER_SILENT, Cause.SLOW, Cause.NO_SUBSCRIBER])
-def test_any_other_silence_is_warned_of_so_many_times(cause: Cause) -> None:
+def test_other_silence_is_warned_of_few_times(cause: Cause) -> None:
     world = World()
     world.wait(10 * STALE_AFTER, cause)
     world.hear()
     assert world.said == [EventCode.ROUTE_STALE] * 5 + [EventCode.ROUTE_DATA_AGAIN]
 
 
-def test_a_cause_that_is_no_more_leaves_the_silence_to_be_told() -> None:
+def test_ended_cause_leaves_silence_to_tell() -> None:
     world = World()
     world.wait(4 * STALE_AFTER, Cause.PUBLISHER_GONE)
     assert world.said == []

@@ -348,7 +348,7 @@ _TAKES_A_PLACE = [
 @given(ROUTES, USERS, st.integers(0, 2**32))
 @example(_TAKES_A_PLACE, {Place(0, "/b"), Place(1, "/b"), Place(2, "/a")}, 17930)
 @example(_TURNS_OUT, {Place(0, "/a"), Place(1, "/b"), Place(2, "/a")}, 793)
-def test_no_message_goes_round_and_all_that_can_arrive_do(routes: list[Any], users: set[Place], seed: int) -> None:
+def test_no_message_circles_and_all_arrive(routes: list[Any], users: set[Place], seed: int) -> None:
     """Not while bridges learn of each other, nor after a route is removed, which ends refusals."""
     world = make(routes, users, seed)
     world.stir(40)

@@ -114,9 +114,7 @@ def test_auto_keeps_five_seconds_within_bounds(rate: float | None, mean_size: fl
     assert auto_depth(rate, mean_size) == depth
 
 
-def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_losses_deepen_subscription_of_busy_topic(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     ros, owner = FakeRos(), Owner()
     subscription = make_subscription(make_context(ros), owner, Qos(depth=0), automatic=True)
     assert [each.qos.depth for each in ros.made] == [500]
@@ -196,7 +194,7 @@ def test_what_an_operator_gave_stands(make_context: Callable[..., Context]) -> N
     assert [each.qos.depth for each in ros.made] == [3, 5000]
 
 
-def test_of_latched_topics_all_is_taken_that_publishers_keep(make_context: Callable[..., Context]) -> None:
+def test_everything_publishers_keep_is_taken(make_context: Callable[..., Context]) -> None:
     ros = FakeRos()
     latched = Qos(durability="transient_local", depth=1)
     make_subscription(make_context(ros), Owner(), latched, automatic=False)

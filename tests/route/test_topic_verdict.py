@@ -199,7 +199,7 @@ def test_a_new_publisher_has_not_stopped() -> None:
         assert verdict.text.endswith(who)
 
 
-def test_a_publisher_whose_messages_are_not_taken_is_not_called_silent() -> None:
+def test_untaken_publisher_is_not_called_silent() -> None:
     for changes, state in (
         ({"stale_since": NOW - 20.0}, State.STALE),
         ({"stopped_since": NOW - 3.0, "expected_rate": 9.0}, State.STOPPED),
@@ -209,7 +209,7 @@ def test_a_publisher_whose_messages_are_not_taken_is_not_called_silent() -> None
         assert (verdict.state, verdict.cause) == (state, Cause.TYPE_CONFLICT)
 
 
-def test_a_subscriber_that_hears_another_publisher_is_told_so() -> None:
+def test_subscriber_that_hears_another_publisher_is_told_so() -> None:
     """It does not hear what the bridge brings, so the state is the same; the words say what it hears instead."""
     joystick, lidar = endpoint("/joystick"), endpoint("/lidar", BEST_EFFORT)
     alone = verdict_on(RECEIVER, endpoints=[endpoint("/rviz")], qos=BEST_EFFORT, others=[lidar])
@@ -223,7 +223,7 @@ def test_a_subscriber_that_hears_another_publisher_is_told_so() -> None:
     assert "so that they hear only /joystick: change" in several.text
 
 
-def test_who_hears_a_topic_that_another_subscriber_does_not_hear() -> None:
+def test_hearing_subscribers_beside_deaf_ones() -> None:
     asks = [endpoint("/rviz"), endpoint("/ok", BEST_EFFORT)]
     beside = verdict_on(RECEIVER, endpoints=asks, qos=BEST_EFFORT)
     assert (beside.state, beside.cause) == (State.UNHEARD, Cause.QOS_INCOMPATIBLE)
@@ -252,12 +252,12 @@ def on_lossy_path(*seconds: str, path: PathFault | None = LOSSY, lossy: LossyPat
     return [f"{each.state} {each.cause}".strip() for each in shown]
 
 
-def test_a_lossy_path_is_one_state_whatever_it_does_to_the_messages() -> None:
+def test_lossy_path_is_one_state() -> None:
     shown = on_lossy_path("fine", *("late", "stuck", "slow", "opens", "fine", "fine", "stuck", "late") * 10)
     assert shown == ["ok"] + ["slow lossy"] * 80
 
 
-def test_a_lossy_path_lets_a_route_recover_and_die() -> None:
+def test_lossy_path_lets_route_recover_and_die() -> None:
     assert on_lossy_path("late", *["fine"] * 20) == ["slow lossy"] * 20 + ["ok"]
     assert on_lossy_path("late", "dead", "late")[1] == "stopped publisher_silent"
     assert on_lossy_path(*["stuck"] * 21) == ["slow lossy"] * 20 + ["down lossy"]
@@ -337,7 +337,7 @@ def test_whatever_is_wrong_has_a_cause_and_words(known: Facts) -> None:
 
 
 @given(facts)
-def test_the_stages_follow_from_the_same_facts_as_the_verdict(known: Facts) -> None:
+def test_stages_follow_from_same_facts_as_verdict(known: Facts) -> None:
     stages = {each.name: each for each in topic_stages(known.status, known.progress)}
     assert tuple(stages) == TOPIC_STAGES
     if known.status.link_down is not None:
@@ -370,7 +370,7 @@ verdicts = st.builds(
 
 
 @given(verdicts, verdicts)
-def test_both_sides_show_the_same_and_never_less_than_either_says(one: Verdict, other: Verdict) -> None:
+def test_both_sides_show_same_worst(one: Verdict, other: Verdict) -> None:
     sender, receiver = CombinedVerdict(sends=True, peer_name="server"), CombinedVerdict(sends=False, peer_name="robot1")
     sender.receive(record_of(other), NOW)
     receiver.receive(record_of(one), NOW)
@@ -393,7 +393,7 @@ def silence_is_explained(said: set[Verdict]) -> bool:
     return stale and any(each.state is State.STOPPED for each in said)
 
 
-def test_a_slow_topic_that_recovers_is_not_said_to_lose_messages() -> None:
+def test_recovering_slow_topic_loses_no_messages() -> None:
     """The rate is fine again, and the watch waits before it reports that."""
     slow = {"slow_since": NOW - 8.0, "expected_rate": 20.0, "shown_cause": Cause.SLOW}
     losing = verdict_on(SENDER, rate=10.0, lost_in_dds=80, **slow).text
@@ -415,7 +415,7 @@ def test_the_side_that_knows_why_is_heard() -> None:
     assert (verdict, from_sender) == (Verdict(State.STALE, Cause.NO_PUBLISHER, "nobody"), True)
 
 
-def test_who_says_it_stands_before_what_the_other_side_says_only() -> None:
+def test_own_words_stand_before_other_sides() -> None:
     here = CombinedVerdict(sends=False, peer_name="robot1")
     here.receive(VerdictRecord("slow", "slow", "2 Hz of 20"), NOW)
     assert here.shown(FINE).verdict.text == "robot1: 2 Hz of 20"
@@ -424,7 +424,7 @@ def test_who_says_it_stands_before_what_the_other_side_says_only() -> None:
     assert here.shown(FINE).verdict == FINE
 
 
-def test_how_long_it_has_lasted_counts_on_at_the_other_side() -> None:
+def test_duration_counts_on_at_other_side() -> None:
     """It is sent once, and needs no clock of the other side."""
     slow = Verdict(State.SLOW, Cause.SLOW, "slow, for {lasting}", NOW - 5.0)
     here = CombinedVerdict(sends=False, peer_name="robot1")
@@ -452,7 +452,7 @@ def test_a_time_that_cannot_be_is_not_believed(lasts: float) -> None:
     assert here.shown(FINE).verdict.said(NOW) == "robot1: for 1 s"
 
 
-def test_what_a_newer_peer_says_is_shown_as_it_stands() -> None:
+def test_words_of_newer_peer_stand_as_given() -> None:
     here = CombinedVerdict(sends=True, peer_name="server")
     here.receive(VerdictRecord("haunted", "ghosts", "there are ghosts on the line"), NOW)
     shown = here.shown(FINE).verdict
@@ -525,7 +525,7 @@ _WHY_DISARMED = [*DISARM_TEXT.values(), *(each.value for each in Standstill)]
 
 @pytest.mark.parametrize("why", _WHY_DISARMED)
 @pytest.mark.parametrize("state", [State.DISARMED, State.DISARMING])
-def test_a_disarmed_topic_has_its_text_on_one_line(why: str, state: State) -> None:
+def test_disarmed_topic_has_its_text_on_one_line(why: str, state: State) -> None:
     can_be_armed = why != DISARM_TEXT[Disarmed.LINK_SLOW]
     crossing = Crossing.DISARMING if state is State.DISARMING else Crossing.DISARMED
     if crossing is Crossing.DISARMING and not can_be_armed:
@@ -536,7 +536,7 @@ def test_a_disarmed_topic_has_its_text_on_one_line(why: str, state: State) -> No
 
 
 @pytest.mark.parametrize("cause", [Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.PUBLISHER_STAMPS_OLD])
-def test_messages_that_expire_have_their_text_on_one_line(cause: Cause) -> None:
+def test_expiring_messages_have_text_on_one_line(cause: Cause) -> None:
     verdict = expired_verdict(Expired(cause, 100, 100, 0.05, NOW))
     assert (verdict.state, verdict.cause) == (State.LATE, cause)
     assert len(verdict.text) <= ON_ONE_LINE, verdict.text

@@ -147,7 +147,7 @@ def loop() -> Iterator[HeldLoop]:
     loop.close()
 
 
-def test_long_messages_are_unpacked_off_the_loop_in_order(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
+def test_long_messages_are_unpacked_off_loop_in_order(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     """One at a time of a link. Its other routes, and other links, have their turn meanwhile."""
     ros, peer, stranger = OnePublisher(), FakePeer(), FakePeer()
     context = make_context(ros=ros)
@@ -202,9 +202,7 @@ def test_refused_long_message_counts_as_dropped(loop: HeldLoop, make_context: Ca
     assert (report.delivered, sum(report.dropped.values())) == (1, 1)
 
 
-def test_long_message_of_an_earlier_opening_holds_nothing_up(
-    loop: HeldLoop, make_context: Callable[..., Context]
-) -> None:
+def test_long_message_of_earlier_opening_holds_nothing_up(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     ros, peer = OnePublisher(), FakePeer()
     context = make_context(ros=ros)
     route, other = opened(context, peer, "/one"), opened(context, peer, "/other")

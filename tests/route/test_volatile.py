@@ -104,7 +104,7 @@ def test_it_never_holds_more_than_is_counted(seed: int) -> None:
     assert budget.held == 0
 
 
-def test_small_messages_go_on_beside_topics_that_hold_all_they_can() -> None:
+def test_small_messages_pass_beside_full_topics() -> None:
     now, budget = Time(), Budget(LIMIT)
     hogs = [Pool(1000) for _ in range(8)]
     for hog in hogs:
@@ -137,7 +137,7 @@ def test_it_goes_on_once_the_subscriber_does() -> None:
     assert pool.held <= LIMIT / 2
 
 
-def test_larger_messages_than_those_that_filled_it_go_on() -> None:
+def test_larger_messages_than_fill_go_on() -> None:
     """DDS has memory enough, but none of it is large enough, and it never gives any back."""
     now, budget = Time(), Budget(LIMIT)
     pools = [Pool(1000)]
@@ -212,7 +212,7 @@ def test_a_burst_is_kept_until_it_is_acknowledged() -> None:
     assert burst.budget.held < 6_000_000
 
 
-def test_a_subscriber_that_takes_nothing_costs_no_more_than_before() -> None:
+def test_stuck_subscriber_costs_no_more_than_before() -> None:
     """After two seconds the publisher keeps few messages, and all others still get theirs."""
     burst = Burst()
     burst.pools[0].stopped = True
@@ -223,7 +223,7 @@ def test_a_subscriber_that_takes_nothing_costs_no_more_than_before() -> None:
     assert len(burst.pools) == 2
 
 
-def test_subscriptions_find_the_new_publisher_before_it_takes_over() -> None:
+def test_subscriptions_find_new_publisher_before_it_takes_over() -> None:
     """A message on a publisher that no subscription has found yet is lost, for reliable ones too."""
     burst = stalled_burst()
     burst.publish(5, 100_000, 30.0)
@@ -262,7 +262,7 @@ def test_a_full_budget_ends_the_burst_at_once() -> None:
     assert [each.depth for each in burst.pools] == [BURST_DEPTH, 10]
 
 
-def test_a_publisher_that_cannot_be_replaced_goes_on_being_counted() -> None:
+def test_irreplaceable_publisher_is_still_counted() -> None:
     burst = Burst()
 
     def refuse(_: int) -> Pool:

@@ -110,7 +110,7 @@ def court(request: pytest.FixtureRequest) -> Court:
 
 
 @pytest.mark.parametrize("provider", SIDES)
-async def test_a_goal_that_was_accepted_goes_on_over_a_cut(provider: str, court: Court) -> None:
+async def test_goal_that_was_accepted_goes_on_over_cut(provider: str, court: Court) -> None:
     """Its result is there though the action server forgets it after 10 s; another's is not taken for it."""
     goals = [await court.goal(runs=runs, state=state) for runs, state in ((3.0, "aborted"), (50.0, "succeeded"))]
     with court.cut():
@@ -124,7 +124,7 @@ async def test_a_goal_that_was_accepted_goes_on_over_a_cut(provider: str, court:
 
 
 @pytest.mark.parametrize("provider", SIDES)
-async def test_a_cancel_of_the_cut_comes_before_anything_else(provider: str, court: Court) -> None:
+async def test_cancel_of_cut_comes_before_anything_else(provider: str, court: Court) -> None:
     first, second = await court.goal(runs=300.0), await court.goal(runs=100.0)
     with court.cut():
         await asyncio.sleep(10.0)
@@ -143,7 +143,7 @@ async def test_a_cancel_of_the_cut_comes_before_anything_else(provider: str, cou
 
 @pytest.mark.parametrize("provider", SIDES)
 @pytest.mark.bed(timeout=60.0)
-async def test_a_goal_on_its_way_begins_once_or_never(provider: str, court: Court) -> None:
+async def test_goal_on_its_way_begins_once_or_never(provider: str, court: Court) -> None:
     """A goal that arrived before the cut is accepted at both ends; another is rejected."""
     came = court.action.send(Plan(after=15.0, runs=5.0))
     assert came is not None
@@ -181,7 +181,7 @@ async def test_a_bridge_that_is_killed_and_started_again(provider: str, end: str
 
 
 @pytest.mark.bed(provider="client", timeout=2.0)
-async def test_a_server_that_does_not_answer_leaves_nothing_behind(court: Court) -> None:
+async def test_server_that_does_not_answer_leaves_nothing_behind(court: Court) -> None:
     for _ in range(5):
         court.action.send(Plan(after=None))
     await asyncio.sleep(5.0)
@@ -193,7 +193,7 @@ async def test_a_server_that_does_not_answer_leaves_nothing_behind(court: Court)
 
 @pytest.mark.parametrize("provider", SIDES)
 @pytest.mark.bed(timeout=20.0)
-async def test_a_goal_that_is_asked_about_again_in_vain_leaves_nothing_behind(provider: str, court: Court) -> None:
+async def test_goal_asked_in_vain_leaves_nothing(provider: str, court: Court) -> None:
     """The call waits for the answer to the call before the cut, which the server never sends."""
     goal = court.action.send(Plan(after=None))
     assert goal is not None
@@ -207,7 +207,7 @@ async def test_a_goal_that_is_asked_about_again_in_vain_leaves_nothing_behind(pr
 
 @pytest.mark.parametrize("provider", SIDES)
 @pytest.mark.bed(timeout=100.0)
-async def test_a_server_that_is_replaced_unseen_leaves_nothing_behind(provider: str, court: Court) -> None:
+async def test_server_that_is_replaced_unseen_leaves_nothing_behind(provider: str, court: Court) -> None:
     """Others see the server that was killed until after the next one is there: at no time is there none."""
     goal = court.action.send(Plan(after=None))
     assert goal is not None
@@ -224,7 +224,7 @@ async def test_a_server_that_is_replaced_unseen_leaves_nothing_behind(provider: 
 
 
 @pytest.mark.parametrize("seed", [1, *long(2, 3, 4, 5, 6)])
-def test_nothing_is_left_over_after_a_course_of_faults(seed: int) -> None:
+def test_nothing_is_left_over_after_course_of_faults(seed: int) -> None:
     """Links drop, bridges and servers are killed, at either end, while goals are sent, and cancelled, all the time."""
     court = Court(SIDES[seed % 2], seed, timeout=(None, 5.0)[seed // 2 % 2])
     action, world = court.action, court.world

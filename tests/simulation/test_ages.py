@@ -88,7 +88,7 @@ _MISTAKES = (
 )
 
 
-def test_nothing_old_is_published_when_the_link_comes_up_over_a_slow_way() -> None:
+def test_slow_way_publishes_nothing_old_after_link() -> None:
     world, flow = aging_world(1)
     world.play(life=linked_by_a_slow_way(world))
     assert flow.heard > 500
@@ -111,7 +111,7 @@ def test_each_rule_is_needed(what: str, changes: Any, doing: Any) -> None:
     assert found, what
 
 
-def test_nothing_is_sent_that_is_old_when_it_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_sent_when_already_old(monkeypatch: pytest.MonkeyPatch) -> None:
     """Messages that wait in the sender's queue or are taken late expire there, for any receiver."""
     replaced.WHY_OLD.set(monkeypatch, _any_age)
     world, flow = aging_world(3)

@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 _ACTION = "test_msgs/action/Fibonacci"
 
 
-async def test_a_service_that_cannot_be_called_ends_its_route_and_not_the_link(
-    harness: CallHarness, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_uncallable_service_ends_route_not_link(harness: CallHarness, monkeypatch: pytest.MonkeyPatch) -> None:
     _, far = harness.halves()
     connections = far.peer.connections
 
@@ -82,7 +80,7 @@ async def test_endpoints_that_fail_are_replaced_while_goals_run(harness: CallHar
 
 
 @pytest.mark.bed(kind="action")
-async def test_a_new_cancel_to_an_action_whose_server_has_gone_is_refused(harness: CallHarness) -> None:
+async def test_new_cancel_without_server_is_refused(harness: CallHarness) -> None:
     """It says what one said that was answered, and is no repetition of it."""
     servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
     await harness.ready(client)
@@ -104,9 +102,7 @@ async def test_a_new_cancel_to_an_action_whose_server_has_gone_is_refused(harnes
 
 
 @pytest.mark.bed(timeout=1.0)
-async def test_calls_that_expire_while_nothing_gets_through_hold_nothing(
-    harness: CallHarness, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_expired_calls_hold_nothing(harness: CallHarness, monkeypatch: pytest.MonkeyPatch) -> None:
     server, client = harness.server(waits=True), harness.client()
     await harness.ready(client)
     for half, answers in zip(harness.halves(), (False, True), strict=True):
@@ -163,7 +159,7 @@ async def test_more_goals_run_than_answers_are_kept(harness: CallHarness, monkey
 
 
 @pytest.mark.bed(kind="action")
-async def test_a_cancel_that_the_link_has_no_room_for_after_an_outage_is_asked_again(harness: CallHarness) -> None:
+async def test_cancel_without_room_after_outage_is_repeated(harness: CallHarness) -> None:
     servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
     await harness.ready(client)
     near, _ = harness.halves()
@@ -180,7 +176,7 @@ async def test_a_cancel_that_the_link_has_no_room_for_after_an_outage_is_asked_a
 
 
 @pytest.mark.bed(kind="action")
-async def test_what_is_kept_of_a_peers_messages_is_in_its_budget(harness: CallHarness) -> None:
+async def test_kept_messages_are_in_peers_budget(harness: CallHarness) -> None:
     _action(harness)
     await harness.ready(_client_of(harness, CANCEL_GOAL))
     near, _ = harness.halves()
@@ -195,7 +191,7 @@ async def test_what_is_kept_of_a_peers_messages_is_in_its_budget(harness: CallHa
 
 
 @pytest.mark.bed(kind="action")
-async def test_a_peer_that_refuses_a_call_on_another_lane_does_not_upset_the_counts(harness: CallHarness) -> None:
+async def test_refusal_on_other_lane_keeps_counts(harness: CallHarness) -> None:
     servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
     await harness.ready(client)
     client.endpoint.call(cancel_request(goal(1)))

@@ -11,7 +11,7 @@ from rsb_bridge.model.verdict import Cause
 
 
 @pytest.mark.parametrize("provider", ["server", "client"])
-async def test_a_node_on_the_callers_side_may_be_the_one_that_is_meant(provider: str, harness: CallHarness) -> None:
+async def test_node_on_callers_side_may_be_meant(provider: str, harness: CallHarness) -> None:
     meant = {"server": "provider: client", "client": "provider: server"}[provider]
     assert not any(meant in shown.reason for shown in harness.shown())
     wrong = harness.server("/here", far=False)
@@ -28,7 +28,7 @@ async def test_a_node_on_the_callers_side_may_be_the_one_that_is_meant(provider:
     assert harness.offered
 
 
-async def test_a_similar_name_is_proposed_only_where_nobody_ever_served(harness: CallHarness) -> None:
+async def test_similar_name_is_proposed_unless_served_before(harness: CallHarness) -> None:
     harness.far_name = f"{harness.far_name}s"
     alike = harness.server()
     await asyncio.sleep(SETTLED + 10.0)

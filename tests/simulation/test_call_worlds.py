@@ -14,7 +14,7 @@ _OF_ACTIONS = {1: 0.35, 4: 0.5, 5: 0.35}
 
 
 @pytest.mark.parametrize("seed", [2, *long(1, 3, 4)])
-def test_no_answer_is_wrong_and_nothing_is_left_over(seed: int) -> None:
+def test_every_answer_is_right_nothing_remains(seed: int) -> None:
     world = World(seed, CALLS if seed % 2 else replace(CALLS, faults=10.0, commands=60.0))
     try:
         world.play(_HOURS[seed] * 3600)

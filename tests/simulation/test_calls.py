@@ -55,7 +55,7 @@ def say(harness: CallHarness) -> tuple[tuple[State, str], tuple[State, str]]:
 
 @pytest.mark.parametrize("provider", ["server", "client"])
 @pytest.mark.parametrize("seed", [1, *long(2, 3)])
-async def test_many_calls_at_once_are_answered_in_any_order(seed: int, provider: str, harness: CallHarness) -> None:
+async def test_many_calls_are_answered_in_any_order(seed: int, provider: str, harness: CallHarness) -> None:
     server, clients = harness.server(waits=True), [harness.client(f"/client{n}") for n in range(5)]
     for client in clients:
         await harness.ready(client)
@@ -96,7 +96,7 @@ async def test_a_service_is_offered_only_while_somebody_answers(harness: CallHar
     assert client.right == 3
 
 
-async def test_calls_are_lost_with_the_server_that_had_them(harness: CallHarness) -> None:
+async def test_calls_are_lost_with_server_that_had_them(harness: CallHarness) -> None:
     server, client = await asked(harness)
     server.endpoint.close()
     await asyncio.sleep(SETTLED)
@@ -114,7 +114,7 @@ async def test_calls_are_lost_with_the_server_that_had_them(harness: CallHarness
 
 
 @pytest.mark.bed(timeout=100.0)
-async def test_a_server_that_is_killed_loses_its_calls_when_it_is_seen_no_more(harness: CallHarness) -> None:
+async def test_killed_server_loses_calls_once_unseen(harness: CallHarness) -> None:
     server, _ = await asked(harness)
     server.die()
     await asyncio.sleep(5.0)
@@ -126,7 +126,7 @@ async def test_a_server_that_is_killed_loses_its_calls_when_it_is_seen_no_more(h
 
 
 @pytest.mark.bed(timeout=2.0)
-async def test_a_call_that_has_no_answer_is_given_up_and_its_answer_goes_to_nobody(harness: CallHarness) -> None:
+async def test_unanswered_call_is_given_up_with_answer(harness: CallHarness) -> None:
     server, client = harness.server(waits=True), harness.client()
     await harness.ready(client)
     for _ in range(3):
@@ -243,7 +243,7 @@ async def test_a_call_right_after_arming_is_answered(provider: str, harness: Cal
 
 
 @pytest.mark.bed(arm=True, deadman=0.0, max_age=0.0)
-async def test_it_has_to_be_offered_only_once_the_lease_has_begun(harness: CallHarness) -> None:
+async def test_offer_waits_for_lease(harness: CallHarness) -> None:
     begun = property(lambda _: True)
     with replaced.LEASE_BEGUN.during(begun), pytest.raises(AssertionError, match="'link silent': 1"):
         await _called_at_once(harness)
@@ -263,12 +263,12 @@ async def _offered_soon(harness: CallHarness) -> None:
 
 
 @pytest.mark.bed(arm=True, deadman=0.0)
-async def test_it_is_offered_once_the_two_sides_hear_each_other(harness: CallHarness) -> None:
+async def test_offer_waits_until_sides_hear_each_other(harness: CallHarness) -> None:
     await _offered_soon(harness)
 
 
 @pytest.mark.bed(arm=True, deadman=0.0)
-def test_it_has_to_be_opened_when_the_lease_begins(harness: CallHarness) -> None:
+def test_it_has_to_be_opened_when_lease_begins(harness: CallHarness) -> None:
     with replaced.LEASE_LIVES.during(nothing), pytest.raises(TimeoutError):
         harness.world.play(life=harness.live(_offered_soon(harness)))
 
@@ -307,7 +307,7 @@ async def test_types_that_differ_are_refused_on_both_sides(
     assert TYPE.rpartition("/")[2] in harness.shown()[0].reason
 
 
-async def test_the_other_side_is_asked_about_one_version_at_a_time(harness: CallHarness) -> None:
+async def test_versions_are_asked_about_one_by_one(harness: CallHarness) -> None:
     asked: list[tuple[str, Callable[[str], None]]] = []
     near = harness.halves()[0]
     assert isinstance(near, CallingRoute)
@@ -330,7 +330,7 @@ async def test_the_other_side_is_asked_about_one_version_at_a_time(harness: Call
     assert all("the new difference" in shown.reason for shown in harness.shown())
 
 
-async def test_a_caller_that_has_the_wrong_type_takes_nothing_from_the_others(harness: CallHarness) -> None:
+async def test_caller_of_wrong_type_takes_nothing(harness: CallHarness) -> None:
     server, client = await asked(harness)
     wrong = harness.client("/wrong", type_name="std_srvs/srv/Trigger")
     await asyncio.sleep(SETTLED)
@@ -343,7 +343,7 @@ async def test_a_caller_that_has_the_wrong_type_takes_nothing_from_the_others(ha
     assert say(harness) == ((State.OK, Cause.NONE), (State.OK, Cause.NONE))
 
 
-async def test_two_servers_are_named_and_the_first_answer_counts(harness: CallHarness) -> None:
+async def test_two_servers_are_named_and_first_answer_counts(harness: CallHarness) -> None:
     servers = [harness.server("/one"), harness.server("/two")]
     client = harness.client()
     await harness.ready(client)
@@ -358,7 +358,7 @@ async def test_two_servers_are_named_and_the_first_answer_counts(harness: CallHa
     assert say(harness)[0] == (State.OK, Cause.NONE)
 
 
-async def test_a_server_on_the_callers_side_is_named_and_nothing_is_offered_beside_it(harness: CallHarness) -> None:
+async def test_server_on_callers_side_is_named(harness: CallHarness) -> None:
     harness.server()
     client = harness.client()
     await harness.ready(client)
@@ -380,7 +380,7 @@ async def test_a_server_on_the_callers_side_is_named_and_nothing_is_offered_besi
     ],
 )
 @pytest.mark.bed(timeout=2.0)
-def test_beyond_its_bounds_a_call_is_refused_and_counted(
+def test_beyond_its_bounds_call_is_refused_and_counted(
     limit: Place, most: float, cause: str, passing: int, harness: CallHarness
 ) -> None:
     async def live() -> None:

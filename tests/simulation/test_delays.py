@@ -66,7 +66,7 @@ def test_both_sides_say_that_messages_are_late(seed: int, protocol: str, directi
     world.play(life=live())
 
 
-def test_a_link_comes_up_over_a_way_of_two_seconds() -> None:
+def test_link_comes_up_over_way_of_two_seconds() -> None:
     """And stays up: a packet's answer takes almost as long as a peer may be silent."""
     world = World(1, STILL)
     (robot,) = world.robots

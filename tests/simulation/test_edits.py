@@ -143,7 +143,7 @@ LISTERS = pytest.mark.parametrize("lister", ["robot", "server"])
 
 
 @LISTERS
-async def test_an_edit_from_the_other_side_changes_the_entry_where_it_is_listed(lister: str, edits: Edits) -> None:
+async def test_edit_from_peer_changes_listed_entry(lister: str, edits: Edits) -> None:
     for depth in (EDITED, 9):
         await edits.edit(edits.other, qos=depth)
         await edits.both(depth)
@@ -154,7 +154,7 @@ async def test_an_edit_from_the_other_side_changes_the_entry_where_it_is_listed(
 
 @LISTERS
 @pytest.mark.parametrize("again", ["lister", "other"])
-async def test_an_edit_lasts_as_long_as_the_bridge_that_lists_it(lister: str, again: str, edits: Edits) -> None:
+async def test_edit_lasts_as_long_as_listing_bridge(lister: str, again: str, edits: Edits) -> None:
     """Nobody has saved it there."""
     await edits.edit(edits.other, qos=EDITED)
     await edits.both(EDITED)
@@ -229,7 +229,7 @@ async def test_an_edited_topic_stays_paused(lister: str, pauser: str, edits: Edi
 
 @pytest.mark.bed(lister="server")
 @pytest.mark.parametrize("waits", [10.0, 15.0, 45.0])
-async def test_a_side_that_pauses_and_stops_at_once_has_paused_it(waits: float, edits: Edits) -> None:
+async def test_pause_holds_though_its_side_stops(waits: float, edits: Edits) -> None:
     """The end of its data connections may be seen before its last control message."""
     await asyncio.sleep(waits)
     await edits.begin_pause("robot")
@@ -253,7 +253,7 @@ async def test_a_topic_is_renamed_from_the_other_side(lister: str, edits: Edits)
 
 @LISTERS
 @pytest.mark.bed(topic=msgspec.structs.replace(CHAT, arm=True))
-async def test_the_other_side_renames_nothing_that_has_to_be_armed(lister: str, edits: Edits) -> None:
+async def test_peer_renames_nothing_to_be_armed(lister: str, edits: Edits) -> None:
     """The demand on each name would stay, so that a peer could make them grow."""
     with pytest.raises(EngineError):
         await edits.edit(edits.other, topic="/talk", remote_topic=None)
@@ -262,14 +262,14 @@ async def test_the_other_side_renames_nothing_that_has_to_be_armed(lister: str, 
 
 
 @pytest.mark.bed(lister="server")
-async def test_a_client_opens_no_port_of_the_server_by_an_edit(edits: Edits) -> None:
+async def test_client_opens_no_port_of_server_by_edit(edits: Edits) -> None:
     with pytest.raises(EngineError):
         await edits.edit("robot", port=9_999)
     await edits.both(5)
 
 
 @LISTERS
-async def test_what_an_edit_demands_is_demanded_by_the_side_that_makes_it(lister: str, edits: Edits) -> None:
+async def test_demand_of_edit_is_its_sides(lister: str, edits: Edits) -> None:
     await edits.edit(edits.other, arm=True, deadman=30.0, qos=EDITED)
     await edits.both(EDITED)
     assert [half is not None and half.arming.required for half in edits.halves()] == [True, True]
@@ -281,7 +281,7 @@ async def test_what_an_edit_demands_is_demanded_by_the_side_that_makes_it(lister
 
 @pytest.mark.bed(topic=msgspec.structs.replace(CHAT, direction="receive"))
 @pytest.mark.parametrize("rights", [{"allow": ()}, {"deny": ("/talk",)}], ids=["not allowed", "denied"])
-def test_no_edit_gets_the_server_a_name_that_it_may_not_have(rights: dict[str, Any], edits: Edits) -> None:
+def test_edit_gives_server_no_forbidden_name(rights: dict[str, Any], edits: Edits) -> None:
     """A server publishes on a client only what the client's operators have listed or allowed."""
     edits.robot.session = msgspec.structs.replace(edits.robot.session, **rights)
 
@@ -297,7 +297,7 @@ def test_no_edit_gets_the_server_a_name_that_it_may_not_have(rights: dict[str, A
 
 
 @pytest.mark.bed(topic=Topic("/ch*", "transmit", qos=5))
-async def test_an_edit_of_what_a_pattern_has_made_lists_it_by_name(edits: Edits) -> None:
+async def test_edit_of_patterns_topic_lists_it(edits: Edits) -> None:
     await edits.edit("server", qos=EDITED)
     await edits.both(EDITED)
     await edits.restart("server")
@@ -308,7 +308,7 @@ async def test_an_edit_of_what_a_pattern_has_made_lists_it_by_name(edits: Edits)
 @LISTERS
 @pytest.mark.bed(topic=msgspec.structs.replace(CHAT, arm=True, max_age=0.5))
 @pytest.mark.parametrize("max_age", [0.0, None, 2.0])
-async def test_a_peer_raises_no_age_of_what_is_armed(lister: str, max_age: float | None, edits: Edits) -> None:
+async def test_peer_raises_no_age_of_what_is_armed(lister: str, max_age: float | None, edits: Edits) -> None:
     with pytest.raises(EngineError):
         await edits.edit(edits.other, max_age=max_age)
     assert [each.max_age for each in edits.session(lister)] == [0.5]
@@ -320,9 +320,7 @@ async def test_a_peer_raises_no_age_of_what_is_armed(lister: str, max_age: float
 @LISTERS
 @pytest.mark.parametrize("editor", ["robot", "server"])
 @pytest.mark.bed(topic=msgspec.structs.replace(CHAT, arm=True))
-async def test_an_armed_topic_that_is_edited_says_on_both_sides_why_it_is_not_armed(
-    lister: str, editor: str, edits: Edits
-) -> None:
+async def test_edited_armed_topic_explains_disarming_on_both_sides(lister: str, editor: str, edits: Edits) -> None:
     def why() -> list[object]:
         return [route is not None and not route.arming.held and route.arming.why for route in edits.halves()]
 
@@ -337,7 +335,7 @@ async def test_an_armed_topic_that_is_edited_says_on_both_sides_why_it_is_not_ar
 
 
 @LISTERS
-async def test_a_file_that_is_read_again_undoes_an_edit_of_the_other_side(lister: str, edits: Edits) -> None:
+async def test_reload_undoes_edit_of_other_side(lister: str, edits: Edits) -> None:
     await edits.edit(edits.other, qos=EDITED)
     await edits.both(EDITED)
     assert await edits.reload(edits.other) == ([], []), "its session does not list it"
@@ -448,7 +446,7 @@ async def test_what_both_list_is_removed_on_both(remover: str, two: Both) -> Non
 @DIRECTIONS
 @pytest.mark.bed(changed={"qos": EDITED, "max_rate": 5.0})
 @pytest.mark.parametrize("mender", BOTH)
-async def test_two_entries_that_differ_are_refused_on_both_sides(direction: Direction, mender: str, two: Both) -> None:
+async def test_two_different_entries_are_refused_on_both_sides(direction: Direction, mender: str, two: Both) -> None:
     await two.apart()
     assert two.reported() == [1, 1]
     for side in BOTH:
@@ -474,13 +472,13 @@ async def test_of_two_entries_one_is_removed(remover: str, two: Both) -> None:
 
 
 @pytest.mark.bed(on_server=Topic("/ch*", "transmit", qos=EDITED))
-async def test_an_entry_goes_before_a_pattern_of_the_other_side(two: Both) -> None:
+async def test_entry_goes_before_pattern_of_other_side(two: Both) -> None:
     await two.both(5)
     assert two.reported() == [0, 0]
 
 
 @pytest.mark.bed(on_robot=Topic("/ch*", "transmit", qos=EDITED), on_server=CHAT)
-async def test_the_servers_entry_goes_before_a_pattern_of_the_client(two: Both) -> None:
+async def test_servers_entry_goes_before_pattern_of_client(two: Both) -> None:
     await two.both(5)
     assert two.reported() == [0, 0]
     await two.restart("robot")
@@ -495,7 +493,7 @@ async def test_of_two_patterns_the_clients_counts(two: Both) -> None:
 
 @LISTERS
 @pytest.mark.parametrize("same", [True, False])
-async def test_an_entry_is_added_that_the_other_side_lists(lister: str, same: bool, edits: Edits) -> None:
+async def test_entry_is_added_that_other_side_lists(lister: str, same: bool, edits: Edits) -> None:
     if same:
         await edits.add(edits.other, CHAT)
     else:

@@ -19,7 +19,7 @@ _CONDITIONS = replace(STILL, topics=(8,), periods=(0.5, 2.0))
 
 @pytest.mark.parametrize("restarts", [client_restarts, *long(server_restarts)])
 @pytest.mark.parametrize("seed", [3, *long(1, 2)])
-def test_a_goodbye_ends_the_topics_streams_without_an_error(
+def test_goodbye_ends_topics_streams_without_error(
     seed: int, restarts: Callable[[World, int], Coroutine[None, None, None]]
 ) -> None:
     """The connection of the goodbye may end before or after the TCP topics' connections."""

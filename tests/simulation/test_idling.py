@@ -63,7 +63,7 @@ def test_each_message_is_reported_and_no_more() -> None:
     assert sent[Report] <= 4 * flow.heard
 
 
-def test_a_route_whose_types_differ_is_proposed_ever_more_rarely() -> None:
+def test_route_of_different_types_is_proposed_rarely() -> None:
     """Both sides accept it every time, and find out only then what it is refused for."""
     world = World(1, STILL)
     sent = count_messages(world, _WHILE, type_differs_for(world, 2 * _WHILE))

@@ -87,7 +87,7 @@ class Opening:
 
 
 @every_way
-async def test_waits_end_as_soon_as_the_route_is_open(viewer_is_server: bool, transport: Protocol, yard: Yard) -> None:
+async def test_waits_end_as_soon_as_route_is_open(viewer_is_server: bool, transport: Protocol, yard: Yard) -> None:
     opening = Opening(yard, transport, viewer_is_server=viewer_is_server)
     sender = await opening.sender()
     assert all(await asyncio.gather(opening.viewer.ends(), sender.ends()))
@@ -96,7 +96,7 @@ async def test_waits_end_as_soon_as_the_route_is_open(viewer_is_server: bool, tr
 @every_way
 @pytest.mark.parametrize("at", [0.0, 0.005, 0.02, 0.1])
 @pytest.mark.parametrize("resumed_by_sender", [False, True])
-async def test_pause_may_come_before_or_after_channel_and_ends(
+async def test_pause_may_precede_or_follow_channel(
     at: float, resumed_by_sender: bool, viewer_is_server: bool, transport: Protocol, yard: Yard
 ) -> None:
     opening = Opening(yard, transport, viewer_is_server=viewer_is_server)

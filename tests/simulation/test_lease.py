@@ -338,7 +338,7 @@ CASES: list[Any] = [
 
 
 @pytest.mark.parametrize(("protocol", "direction"), CASES)
-def test_what_is_armed_comes_out_young_or_not_at_all(protocol: Protocol, direction: str) -> None:
+def test_armed_messages_come_young_or_never(protocol: Protocol, direction: str) -> None:
     armed = Armed(1, protocol, direction)
     armed.play(armed.anything(), armed.operate())
     assert armed.armed >= 3

@@ -40,7 +40,7 @@ _NO_EXCEPTION_LEFT = tuple(f"/gone/t{n}" for n in range(EXCEPTIONS_PER_PATTERN))
 
 
 @pytest.mark.bed(Topic("/camera/**", "transmit"))
-async def test_a_topic_that_is_gone_keeps_its_route_for_a_while(yard: Yard) -> None:
+async def test_departed_topic_keeps_route_for_a_while(yard: Yard) -> None:
     """A node that is started again finds its route as it was; one that never comes back leaves none."""
     (writer,) = yard.publish("/camera/image")
     await until(lambda: "/camera/image" in yard.routes(on_server=True), _SEEN)
@@ -63,7 +63,7 @@ async def test_a_topic_that_is_gone_keeps_its_route_for_a_while(yard: Yard) -> N
 
 
 @pytest.mark.bed(Topic("/cmd/*", "receive"))
-async def test_a_link_that_is_down_is_no_reason_to_take_topics_for_gone(yard: Yard) -> None:
+async def test_lost_link_does_not_remove_topics(yard: Yard) -> None:
     """While the link is down, the server's topics are unknown; a topic that is missing afterwards counts as gone from
     then on.
     """
@@ -86,7 +86,7 @@ async def test_a_link_that_is_down_is_no_reason_to_take_topics_for_gone(yard: Ya
 
 @pytest.mark.long
 @pytest.mark.bed(Topic("/a/*", "transmit"), Topic("/b/**", "transmit"), Topic("/c/*", "transmit"))
-async def test_a_pattern_ends_at_its_limit_and_says_so(yard: Yard) -> None:
+async def test_pattern_ends_at_its_limit_and_says_so(yard: Yard) -> None:
     writers = yard.publish(*(f"/a/t{n}" for n in range(ROUTES_PER_PATTERN + 20)))
     await until(lambda: yard.patterns()[0].beyond == 20, _SEEN)
     assert (yard.patterns()[0].routes, yard.patterns()[0].state) == (ROUTES_PER_PATTERN, State.DOWN)
@@ -106,7 +106,7 @@ async def test_a_pattern_ends_at_its_limit_and_says_so(yard: Yard) -> None:
 
 
 @pytest.mark.bed(Topic("/cmd/*", "receive"))
-def test_what_the_other_side_does_not_tell_is_forgotten_with_the_connection(yard: Yard) -> None:
+def test_untold_names_are_forgotten_with_connection(yard: Yard) -> None:
     async def live() -> None:
         yard.publish(*(f"/{yard.link().name}/cmd/{name}" for name in "abc"), on_server=True)
         await until(lambda: yard.patterns()[0].beyond == 1, _SEEN)
@@ -123,7 +123,7 @@ def test_what_the_other_side_does_not_tell_is_forgotten_with_the_connection(yard
 
 
 @pytest.mark.bed(Topic("/cmd/*", "receive"))
-def test_a_type_is_told_anew_though_no_more_names_have_room(yard: Yard) -> None:
+def test_new_type_is_told_without_room_for_names(yard: Yard) -> None:
     async def live() -> None:
         name = f"/{yard.link().name}/cmd/vel"
         yard.publish(name, on_server=True)
@@ -136,7 +136,7 @@ def test_a_type_is_told_anew_though_no_more_names_have_room(yard: Yard) -> None:
 
 
 @pytest.mark.bed(Topic("/a/*", "transmit", remote_topic="/x/*"))
-async def test_what_an_edited_pattern_cannot_bridge_any_more_is_named(yard: Yard) -> None:
+async def test_unbridgeable_names_of_edited_pattern_are_named(yard: Yard) -> None:
     """Its name on the server would be too long: it stays as it was."""
     name = f"/a/{'t' * 150}"
     yard.publish(name)
@@ -151,7 +151,7 @@ async def test_what_an_edited_pattern_cannot_bridge_any_more_is_named(yard: Yard
 
 
 @pytest.mark.bed(Topic("/a/*", "transmit", excepts=_NO_EXCEPTION_LEFT))
-async def test_operators_of_neither_side_make_a_session_that_cannot_be_read(yard: Yard) -> None:
+async def test_operators_cannot_make_session_unreadable(yard: Yard) -> None:
     """A pattern has a limited number of exceptions, for removals by both sides."""
     yard.publish("/a/one", "/a/two")
     await until(lambda: yard.routes(on_server=True).keys() == {"/a/one", "/a/two"}, _SEEN)
@@ -167,7 +167,7 @@ async def test_operators_of_neither_side_make_a_session_that_cannot_be_read(yard
 
 
 @pytest.mark.bed(Topic("/cmd/*", "receive"))
-async def test_what_a_pattern_has_made_is_listed_as_long_as_it_is_there(yard: Yard) -> None:
+async def test_topics_of_patterns_are_listed_while_present(yard: Yard) -> None:
     """A server may do with its client what that lists: not what a server's operator has removed."""
     yard.publish(f"/{yard.link().name}/cmd/vel", on_server=True)
     await until(lambda: "/cmd/vel" in yard.routes(on_server=True), _SEEN)

@@ -178,7 +178,7 @@ def test_once_the_link_is_fast_again_all_crosses() -> None:
 
 
 @pytest.mark.parametrize("cut", [2.0, 3.0, 12.0])
-def test_after_a_cut_the_topics_are_back_at_once(cut: float) -> None:
+def test_after_cut_topics_are_back_at_once(cut: float) -> None:
     """While nothing arrives, or no connection is there, nobody learns what the link carries."""
     slow = Slow(1, [Asked("high", 20.0, 1_000), Asked("normal", 50.0, 2_000, Qos()), Asked("low", 30.0, 8_000)])
     slow.world.play(life=slow.cut_off(cut))

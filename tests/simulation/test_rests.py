@@ -150,7 +150,7 @@ class Motors(Drivers):
 
 
 @pytest.mark.parametrize(("seed", "protocol"), [(1, "tcp"), (2, "udp"), *long_cases((3, "tcp"), (4, "udp"))])
-def test_the_last_thing_that_motors_hear_is_a_rest(seed: int, protocol: Protocol) -> None:
+def test_last_thing_that_motors_hear_is_rest(seed: int, protocol: Protocol) -> None:
     motors = Motors(seed, protocol)
     motors.play()
     assert motors.ends >= _ENDS
@@ -198,7 +198,7 @@ class Heard(Drivers):
 
 
 @pytest.mark.parametrize("arm", [False, True])
-def test_a_stop_is_heard_wherever_it_falls_between_two_beats_of_a_rate_limit(arm: bool) -> None:
+def test_stop_is_heard_between_beats_of_limit(arm: bool) -> None:
     heard = Heard("tcp", max_rate=10.0, arm=arm, deadman=20.0 if arm else None)
 
     async def live(node: Writer) -> None:
@@ -212,7 +212,7 @@ def test_a_stop_is_heard_wherever_it_falls_between_two_beats_of_a_rate_limit(arm
     heard.hear(live)
 
 
-def test_no_motion_is_heard_that_a_later_message_has_overtaken() -> None:
+def test_overtaken_motion_is_not_heard() -> None:
     heard = Heard("udp")
 
     async def live(node: Writer) -> None:

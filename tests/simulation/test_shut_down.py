@@ -25,7 +25,7 @@ _PLAYED = _SHUT_DOWN + 300.0
 
 
 @pytest.mark.parametrize("cuts", [2, *long(0)])
-def test_a_client_that_is_shut_down_for_hours_asks_all_that_time_and_comes_back(cuts: int) -> None:
+def test_client_shut_down_for_hours_comes_back(cuts: int) -> None:
     """Nobody walks to the robot: its engine stays up, also where the network fails meanwhile."""
     world = World(1, replace(STILL, topics=(1,)))
     asked: list[float] = []

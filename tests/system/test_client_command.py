@@ -46,9 +46,7 @@ def used(path: Path) -> str:
     return link["fingerprint"] if link["state"] == "ok" else ""
 
 
-def test_a_robot_joins_and_leaves_a_fleet_that_runs(
-    bridge: Bridge, programs: Programs, robot: Domain, pc: Domain
-) -> None:
+def test_robot_joins_and_leaves_fleet_that_runs(bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
     there, out = pc.listener("/chat"), robot.publisher("/chat")
     server = programs.start(bridge.server_session())
     path = bridge.folder / "server0.yaml"

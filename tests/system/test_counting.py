@@ -78,7 +78,7 @@ def test_a_freeze_a_cut_and_a_kill(protocol: Any, tmp_path: Path, domains: tuple
     assert count.ledger["unknown"] <= RATE, "a receiver reports more often than once a second"
 
 
-def test_a_freeze_a_router_that_is_killed_and_a_kill(tmp_path: Path, domains: tuple[int, int]) -> None:
+def test_freeze_router_that_is_killed_and_kill(tmp_path: Path, domains: tuple[int, int]) -> None:
     pytest.importorskip("zenoh")
     from rsb_extras.zenoh.tests.zenoh_router import Router
 

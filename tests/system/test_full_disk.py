@@ -64,7 +64,7 @@ def on_disk(tmp_path: Path, script: str, options: str = "size=64k") -> None:
     assert run.stdout.endswith("done\n"), run.stdout + run.stderr
 
 
-def test_nothing_is_lost_on_a_full_disk_and_the_remedy_is_said(tmp_path: Path) -> None:
+def test_full_disk_loses_nothing_and_names_remedy(tmp_path: Path) -> None:
     on_disk(
         tmp_path,
         """
@@ -90,7 +90,7 @@ assert load(path) == larger
     )
 
 
-def test_a_disk_without_room_for_more_files_says_so(tmp_path: Path) -> None:
+def test_disk_without_room_for_more_files_says_so(tmp_path: Path) -> None:
     on_disk(
         tmp_path,
         """
@@ -105,7 +105,7 @@ assert load(path) == session
     )
 
 
-def test_a_disk_that_may_only_be_read_says_so(tmp_path: Path) -> None:
+def test_disk_that_may_only_be_read_says_so(tmp_path: Path) -> None:
     on_disk(
         tmp_path,
         """
@@ -119,7 +119,7 @@ assert load(path) == session
     )
 
 
-def test_what_keeps_a_crash_from_being_recorded_is_said(tmp_path: Path) -> None:
+def test_what_keeps_crash_from_being_recorded_is_said(tmp_path: Path) -> None:
     on_disk(
         tmp_path,
         """
@@ -135,7 +135,7 @@ assert "Traceback" not in run.stderr
 
 
 @pytest.mark.parametrize("arguments", [("check", "robot1.yaml"), ("completion", "bash")])
-def test_standard_output_on_a_full_disk_ends_in_a_sentence(arguments: tuple[str, ...], tmp_path: Path) -> None:
+def test_standard_output_on_full_disk_ends_in_sentence(arguments: tuple[str, ...], tmp_path: Path) -> None:
     (tmp_path / "robot1.yaml").write_text(
         "name: a\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nuse_encryption: false\n"
     )
@@ -150,7 +150,7 @@ def test_standard_output_on_a_full_disk_ends_in_a_sentence(arguments: tuple[str,
 
 
 @pytest.mark.parametrize("number", sorted(SHORTAGES))
-def test_each_shortage_has_a_remedy_and_names_the_file_system(number: int, tmp_path: Path) -> None:
+def test_each_shortage_has_remedy_and_names_file_system(number: int, tmp_path: Path) -> None:
     text = why_not_written(OSError(number, os.strerror(number)), tmp_path / "missing" / "file")
     assert text.startswith(f"{os.strerror(number)}: ")
     assert len(text) > len(os.strerror(number)) + 20

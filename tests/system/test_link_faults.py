@@ -191,7 +191,7 @@ def test_two_clients_of_one_name(sides: Sides) -> None:
         side.screen(f"robot1: {SameName.SECOND(name='robot1', address=address)}", "● LINKED")
 
 
-def test_a_restart_takes_the_place_of_one_that_is_silent(sides: Sides) -> None:
+def test_restart_takes_place_of_one_that_is_silent(sides: Sides) -> None:
     server, old = sides.server(), sides.client()
     before = eventually(lambda: server.link()["state"] == "ok" and server.link()["peer"])
     old.freeze()
@@ -206,7 +206,7 @@ def test_a_restart_takes_the_place_of_one_that_is_silent(sides: Sides) -> None:
     new.screen("● LINKED")
 
 
-def test_a_robot_that_should_be_there_and_is_not(sides: Sides) -> None:
+def test_robot_that_should_be_there_and_is_not(sides: Sides) -> None:
     server, client = sides.server(), sides.client()
     seen_at = eventually(lambda: server.link()["state"] == "ok" and server.link()["peer"])
     server_at = eventually(lambda: client.link()["state"] == "ok" and client.link()["peer"])

@@ -62,7 +62,7 @@ def test_nothing_old_reaches_the_robot(nodes: Nodes, name: str, transport: Trans
 
 
 @pytest.mark.parametrize("name", ["disarm-held", "disarm-data-held", *long("disarm-frozen", "disarm-0.4s")])
-def test_nothing_reaches_the_robot_after_an_operator_was_told_that_it_is_disarmed(nodes: Nodes, name: str) -> None:
+def test_nothing_reaches_robot_after_disarming_is_told(nodes: Nodes, name: str) -> None:
     check(attacks.attack(nodes, name, "tcp"))
 
 
@@ -77,9 +77,7 @@ def test_nothing_reaches_the_robot_after_an_operator_was_told_that_it_is_disarme
         ),
     ],
 )
-def test_the_last_message_at_the_robot_rests_however_its_arming_ends(
-    nodes: Nodes, name: str, transport: Transport, driver: rests.Driver
-) -> None:
+def test_last_message_at_robot_rests(nodes: Nodes, name: str, transport: Transport, driver: rests.Driver) -> None:
     """When it comes is for `python -m tests.system.torture rests`, on a machine with nothing else to do."""
     found = rests.run(nodes, name, transport, driver)
     assert (found.last, found.moving_after_rest) == ("rest", 0), found

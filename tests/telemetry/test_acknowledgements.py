@@ -59,7 +59,7 @@ def table() -> Table:
     return made
 
 
-def test_a_fault_is_marked_with_who_and_when_and_needs_no_attention(table: Table) -> None:
+def test_marked_fault_needs_no_attention(table: Table) -> None:
     (link,), (scan, other) = table.known.mark([LINK], [SCAN, MAP], NOW)
     assert (link, other) == (LINK, MAP)
     assert scan.acknowledged is not None
@@ -73,14 +73,14 @@ def test_a_fault_is_marked_with_who_and_when_and_needs_no_attention(table: Table
     "changed",
     [replace(SCAN, state=State.DOWN), replace(SCAN, cause="no_publisher"), replace(SCAN, state=State.OK, cause="")],
 )
-def test_it_counts_again_once_its_state_or_cause_has_changed(table: Table, changed: RouteSnapshot) -> None:
+def test_fault_counts_again_after_change(table: Table, changed: RouteSnapshot) -> None:
     assert table.mark(SCAN) == [False, True]
     assert table.mark(replace(SCAN, reason="in other words")) == [False, True]
     assert table.mark(changed) == [False, False]
     assert table.mark(SCAN) == [False, False]
 
 
-def test_it_counts_again_where_it_went_away_and_came_back_between_two_snapshots(table: Table) -> None:
+def test_fault_counts_again_after_return_between_snapshots(table: Table) -> None:
     table.clock.moved = 30.0
     assert table.mark(SCAN) == [False, True]
     assert table.mark(replace(SCAN, since=NOW + 20)) == [False, False]
@@ -105,7 +105,7 @@ def test_a_links_covers_what_its_loss_has_stopped(table: Table) -> None:
     assert table.mark(with_link, link=replace(DOWN, cause="refused")) == [False, False]
 
 
-def test_a_warning_of_a_link_that_is_up_is_a_fault() -> None:
+def test_warning_of_link_that_is_up_is_fault() -> None:
     table = Table()
     warned = replace(LINK, warning="two machines have this name", cause="name_taken", since=NOW - 60)
     table.known.add(warned, "anna")
@@ -113,7 +113,7 @@ def test_a_warning_of_a_link_that_is_up_is_a_fault() -> None:
     assert table.mark(link=LINK) == [False]
 
 
-def test_figures_of_a_full_link_do_not_end_its_acknowledgement() -> None:
+def test_figures_of_full_link_keep_acknowledgement() -> None:
     table = Table()
     full = replace(LINK, warning="link full: carries 25 of 48 kB/s", cause="full", since=NOW - 60)
     table.known.add(full, "anna")
@@ -121,7 +121,7 @@ def test_figures_of_a_full_link_do_not_end_its_acknowledgement() -> None:
     assert table.mark(link=replace(full, cause="name_taken")) == [False]
 
 
-def test_there_has_to_be_a_fault_and_to_undo_an_acknowledgement(table: Table) -> None:
+def test_acknowledging_needs_fault_undoing_needs_acknowledgement(table: Table) -> None:
     for fine in (MAP, LINK):
         with pytest.raises(ValueError, match="no fault"):
             table.known.add(fine, "anna")
@@ -131,7 +131,7 @@ def test_there_has_to_be_a_fault_and_to_undo_an_acknowledgement(table: Table) ->
     assert table.mark(SCAN) == [False, False]
 
 
-def test_a_killed_publisher_is_one_fault_when_ros_notices_it(table: Table) -> None:
+def test_killed_publisher_is_one_fault_when_noticed(table: Table) -> None:
     table.clock.moved = 20.0
     gone = replace(SCAN, cause="publisher_gone", since=NOW + 20)
     assert table.mark(gone) == [False, True]
@@ -142,7 +142,7 @@ def test_a_killed_publisher_is_one_fault_when_ros_notices_it(table: Table) -> No
     assert len(table.ended) == 1
 
 
-def test_an_acknowledgement_that_ends_is_told_once_and_only_if_a_fault_is_left(table: Table) -> None:
+def test_ended_acknowledgement_is_told_once(table: Table) -> None:
     table.mark(replace(SCAN, state=State.OK, cause=""))
     assert table.ended == []
     table.known.add(SCAN, "anna")

@@ -127,7 +127,7 @@ def test_lines_at_line_speed(
 
 
 @pytest.mark.long
-def test_a_link_that_is_made_and_broken_at_full_speed(bridge: Bridge, server: Engine) -> None:
+def test_link_made_and_broken_at_full_speed(bridge: Bridge, server: Engine) -> None:
     """Its last state is logged nevertheless, and the lines of its topics keep their room."""
     key = read_key(bridge.folder / bridge.key_file).secret
     began = time.monotonic()

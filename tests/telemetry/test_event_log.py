@@ -42,7 +42,7 @@ def test_text_of_an_event(text: str) -> None:
             assert len(each) <= 500
 
 
-def test_a_path_that_is_no_utf_8_keeps_its_bytes() -> None:
+def test_path_outside_utf_8_keeps_its_bytes() -> None:
     log = EventLog(Clock())
     log.add(Level.INFO, EventCode.OPERATOR_RELOADED, "r\udcff.yaml is read again")
     assert log.after(0)[0].text == r"r\udcff.yaml is read again"
@@ -69,7 +69,7 @@ def test_a_peer_forges_no_line(field: str, bridge: Bridge, tmp_path: Path, monke
     assert "invalid control message" in lost.text
 
 
-def test_waiting_ends_with_an_event_or_when_it_is_to_end() -> None:
+def test_waiting_ends_with_event_or_time() -> None:
     log, ends = EventLog(Clock()), threading.Event()
     found: list[list[Event]] = []
     waiting = threading.Thread(target=lambda: found.append(log.wait(0, 60.0, ends.is_set)))

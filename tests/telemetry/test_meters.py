@@ -8,7 +8,7 @@ from rsb_bridge.telemetry.meters import ClockOffset, LatencyMeter, RateMeter, Sm
 
 
 @pytest.mark.parametrize("absurd", [-1.79e9, -3600.0, 1.79e9])
-def test_a_latency_that_only_a_set_clock_explains_is_none(absurd: float) -> None:
+def test_latency_that_only_set_clock_explains_is_none(absurd: float) -> None:
     meter = LatencyMeter()
     for transit in (0.002, 0.004, 0.003):
         meter.add(transit)
@@ -29,7 +29,7 @@ def exchange(clock: ClockOffset, offset: float, there: float = 0.001, back: floa
     clock.add(sent, received, received, sent + int((there + back) * 1e9))
 
 
-def test_the_clock_offset_is_that_of_the_shortest_round_trip() -> None:
+def test_clock_offset_is_that_of_shortest_round_trip() -> None:
     clock = ClockOffset()
     exchange(clock, offset=5.0)
     exchange(clock, offset=5.0, there=0.100)
@@ -41,7 +41,7 @@ def test_the_clock_offset_is_that_of_the_shortest_round_trip() -> None:
 
 
 @pytest.mark.parametrize("step", [-3600.0, -0.01, 0.01, 30.0])
-def test_a_clock_that_is_set_is_believed_at_the_next_exchange(step: float) -> None:
+def test_set_clock_is_believed_at_next_exchange(step: float) -> None:
     clock = ClockOffset()
     for _ in range(20):
         exchange(clock, offset=0.2)
@@ -50,7 +50,7 @@ def test_a_clock_that_is_set_is_believed_at_the_next_exchange(step: float) -> No
     assert clock.uncertainty == pytest.approx(0.0015)
 
 
-def test_an_exchange_during_which_a_clock_is_set_misleads_only_until_the_next() -> None:
+def test_clock_set_during_exchange_misleads_once() -> None:
     clock = ClockOffset()
     exchange(clock, offset=0.0)
     sent = 10**18
@@ -74,7 +74,7 @@ def run_meter(rate: float, lengths: list[float]) -> RateMeter:
 
 @pytest.mark.parametrize("length", [1.0, 1.2, 1.7, 3.4, 40.0])
 @pytest.mark.parametrize("rate", [10.0, 200.0])
-def test_a_rate_is_right_whatever_the_time_between_ticks(rate: float, length: float) -> None:
+def test_rate_is_right_whatever_time_between_ticks(rate: float, length: float) -> None:
     """Under load a tick comes late, and then has the messages of more than a second."""
     meter = run_meter(rate, [length] * 20)
     assert meter.rate == pytest.approx(rate, rel=0.03)
@@ -89,7 +89,7 @@ def test_the_history_has_an_entry_for_every_second() -> None:
     assert sum(meter.history) == pytest.approx(134, abs=3)
 
 
-def test_a_single_message_is_shown_after_a_long_pause() -> None:
+def test_single_message_is_shown_after_long_pause() -> None:
     meter = RateMeter(0.0)
     meter.add(1, 100, 3.0)
     meter.tick(3.1)
@@ -105,7 +105,7 @@ def test_a_tick_right_after_another_makes_no_rate() -> None:
 
 
 @pytest.mark.parametrize(("rate", "seconds"), [(2, 8), (1, 8), (0.2, 40)])
-def test_a_rate_falls_from_the_last_message_on_and_is_zero_in_the_end(rate: float, seconds: int) -> None:
+def test_rate_falls_after_last_message_to_zero(rate: float, seconds: int) -> None:
     """Without a usual rate yet, only silence shows the end."""
     meter = RateMeter(0.0)
     for second in range(1, seconds + 1):
@@ -132,7 +132,7 @@ def test_a_rate_of_nothing_comes_to_zero() -> None:
     assert rate.rate == 0.0
 
 
-def test_pings_that_are_held_up_one_way_for_long_do_not_move_the_clock() -> None:
+def test_one_way_delay_does_not_move_clock() -> None:
     """A tunnel holds everything up for 12 s on the way there."""
     clock = ClockOffset()
     second = 10**9

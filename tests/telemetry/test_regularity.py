@@ -123,7 +123,7 @@ def changing(first: float, last: float, seconds: float) -> Gaps:
     ],
     ids=["gaps of 0.2-5 s", "0.3 Hz", "1 Hz", "3 Hz", "10 Hz", "bursts", "rare", "long", "skewed", "very skewed"],
 )
-def test_messages_at_random_or_in_bursts_are_not_said_to_have_stopped_or_to_be_slow(gaps: Gaps) -> None:
+def test_random_and_bursty_messages_are_not_stopped(gaps: Gaps) -> None:
     all_of_them = [watched(gaps, 900.0, seed) for seed in SEEDS]
     assert sum(len(each.stopped) for each in all_of_them) <= 2  # in two hours, where long bursts are regular themselves
     assert sum(each.slow for each in all_of_them) <= 2
@@ -134,15 +134,13 @@ def test_messages_at_random_or_in_bursts_are_not_said_to_have_stopped_or_to_be_s
     [changing(0.1, 1.0, 600.0), changing(1.0, 0.1, 600.0), changing(0.5, 5.0, 1800.0)],
     ids=["falls", "rises", "falls far"],
 )
-def test_a_rate_that_changes_slowly_is_not_said_to_have_stopped(gaps: Gaps) -> None:
+def test_slowly_changing_rate_has_not_stopped(gaps: Gaps) -> None:
     assert [watched(gaps, 1800.0, seed).stopped for seed in SEEDS] == [[]] * len(SEEDS)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
 @pytest.mark.parametrize("period", [0.01, 0.1, 1.0, 5.0])
-def test_a_regular_publisher_that_dies_is_noticed_each_time_and_after_a_few_periods(
-    period: float, share: float
-) -> None:
+def test_dying_regular_publisher_is_noticed_each_time(period: float, share: float) -> None:
     """A node that is started again is another publisher, so that it may die again."""
     begin = 100.0 + 30 * period
     outages = [(begin, begin + 60.0), (2 * begin + 60.0, 2 * begin + 120.0)]
@@ -154,7 +152,7 @@ def test_a_regular_publisher_that_dies_is_noticed_each_time_and_after_a_few_peri
         assert not said.slow
 
 
-def test_a_publisher_that_pauses_by_itself_is_called_stopped_only_for_ever_longer_pauses() -> None:
+def test_pausing_publisher_stops_only_by_longer_pauses() -> None:
     """A joystick is let go of again and again, for up to a minute."""
 
     def joystick(random: Random) -> Iterator[float]:
@@ -165,7 +163,7 @@ def test_a_publisher_that_pauses_by_itself_is_called_stopped_only_for_ever_longe
     assert max(len(watched(joystick, 3600.0, seed).stopped) for seed in SEEDS) <= 4
 
 
-def test_a_rate_that_an_operator_gives_counts_from_the_first_gap_and_for_every_pause() -> None:
+def test_given_rate_counts_for_every_pause() -> None:
     outages = [(100.0 * number, 100.0 * number + 8.0) for number in range(1, 6)]
     gaps = [jittered(1.0, 0.0), poisson(5.0)]
     for each in gaps:

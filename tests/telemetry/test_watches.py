@@ -67,7 +67,7 @@ def test_a_catch_up_after_a_stall_teaches_nothing() -> None:
     assert usual.rate == pytest.approx(20, rel=0.02)
 
 
-def test_a_faster_rate_is_learned_at_once_and_a_slower_one_after_ten_minutes() -> None:
+def test_faster_rate_is_learned_sooner_than_slower() -> None:
     usual = learned([20] * 30)
     assert learned([2] * 300, usual).rate == pytest.approx(20, rel=0.02)
     assert learned([2] * 400, usual).rate == pytest.approx(2, rel=0.02)
@@ -87,7 +87,7 @@ def test_trouble_teaches_no_rate(known: int) -> None:
 
 
 @given(st.lists(st.integers(0, 1000), max_size=300))
-def test_whatever_comes_the_rate_is_one_that_was_there(counts: list[int]) -> None:
+def test_whatever_comes_rate_is_one_that_was_there(counts: list[int]) -> None:
     usual = learned(counts)
     assert usual.rate is None or 0 < usual.rate <= max(counts)
 
@@ -100,7 +100,7 @@ def slow(watch: SlowWatch, rates: list[float], start: float = 0.0) -> list[bool]
     return said
 
 
-def test_slow_is_said_after_five_seconds_and_taken_back_after_three() -> None:
+def test_slow_after_five_seconds_ends_after_three() -> None:
     watch = SlowWatch()
     assert slow(watch, [20.0] * 3 + [2.0] * 6) == [False] * 7 + [True] * 2
     assert slow(watch, [18.0] * 4, 9.0) == [True, True, False, False]
@@ -117,7 +117,7 @@ A, B = frozenset({b"a"}), frozenset({b"b"})
 """Publishers of a topic."""
 
 
-def test_a_topic_has_stopped_after_five_of_its_periods() -> None:
+def test_topic_has_stopped_after_five_of_its_periods() -> None:
     watch = StopWatch()
     watch.judge(10.0, 1.0, 15.0, A)
     assert watch.since is None
@@ -130,7 +130,7 @@ def test_a_topic_has_stopped_after_five_of_its_periods() -> None:
     assert fast.since == 10.0
 
 
-def test_after_a_pause_only_a_longer_one_counts_unless_another_publisher_paused() -> None:
+def test_only_longer_pause_counts_for_same_publisher() -> None:
     watch = StopWatch()
     watch.judge(10.0, 20.0, 15.0, A)
     assert watch.since == 10.0
@@ -148,7 +148,7 @@ def test_after_a_pause_only_a_longer_one_counts_unless_another_publisher_paused(
     assert watch.since == resumed, "a weekend without power is no pause to expect"
 
 
-def test_a_new_publisher_has_time_for_its_first_message() -> None:
+def test_new_publisher_has_time_for_its_first_message() -> None:
     watch = StopWatch()
     watch.judge(10.0, 20.0, 10.0, A)
     watch.judge(10.0, 20.0, 11.5, A | B)  # DDS lists a dead publisher and its successor
@@ -160,7 +160,7 @@ def test_a_new_publisher_has_time_for_its_first_message() -> None:
     assert (watch.since, watch.new) == (None, frozenset())
 
 
-def test_a_topic_that_has_stopped_does_not_recover_by_a_publisher_that_is_silent_too() -> None:
+def test_stopped_topic_recovers_by_no_silent_publisher() -> None:
     watch = StopWatch()
     watch.judge(10.0, 20.0, 10.0, A)
     watch.judge(10.0, 20.0, 12.1, frozenset())
@@ -201,7 +201,7 @@ def test_what_was_dropped_as_disarmed_is_not_lost() -> None:
     assert watch.loss is None
 
 
-def test_a_loss_of_everything_lasts_while_nothing_more_is_sent() -> None:
+def test_total_loss_lasts_while_nothing_is_sent() -> None:
     watch, state = LossWatch(), [0, 0, 0]
     lossy(watch, [(0, 10)] * 5 + [(0, 0)] * 5, state)
     assert watch.loss is not None
@@ -222,12 +222,12 @@ def said(announcer: Announcer, verdicts: Iterable[Verdict], start: float = 0.0) 
     ]
 
 
-def test_a_turn_for_the_worse_is_said_once_when_it_has_lasted_and_when_it_is_over() -> None:
+def test_turn_for_worse_is_told_once_with_end() -> None:
     heard = said(Announcer(), [FINE] * 5 + [SLOW] * 20 + [FINE] * 20)
     assert heard == [(8, EventCode.ROUTE_FAULT, Cause.SLOW), (28, EventCode.ROUTE_RECOVERED, Cause.SLOW)]
 
 
-def test_what_comes_and_goes_is_said_once_a_minute_at_the_most() -> None:
+def test_changing_state_is_told_once_a_minute() -> None:
     announcer = Announcer()
     assert said(announcer, [FINE, SLOW] * 600) == []
     heard = said(announcer, ([FINE] * 5 + [SLOW] * 5) * 60, 1200.0)
@@ -236,17 +236,17 @@ def test_what_comes_and_goes_is_said_once_a_minute_at_the_most() -> None:
     assert len(heard) <= 2 * len(faults)
 
 
-def test_a_fault_whose_cause_changes_each_second_is_said() -> None:
+def test_fault_whose_cause_changes_each_second_is_said() -> None:
     late = Verdict(State.LATE, Cause.LATE, "2 s late")
     assert [code for _, code, _ in said(Announcer(), [FINE] * 5 + [SLOW, late] * 20)] == [EventCode.ROUTE_FAULT]
 
 
-def test_a_topic_that_turns_unheard_is_said_and_one_that_nobody_has_heard_yet_is_not() -> None:
+def test_newly_unheard_is_told_never_heard_is_not() -> None:
     assert said(Announcer(), [UNHEARD] * 100) == []
     assert [code for _, code, _ in said(Announcer(), [FINE] * 5 + [UNHEARD] * 5)] == [EventCode.ROUTE_FAULT]
 
 
-def test_what_a_topic_waits_for_is_said_once_it_has_waited_for_a_while_and_not_again_while_it_waits_for_that() -> None:
+def test_waiting_cause_is_told_once_after_delay() -> None:
     waiting = Verdict(State.WAITING, Cause.NO_PUBLISHER, "no publisher of /w_tpyo; did you mean /w_typo?")
     down = Verdict(State.DOWN, Cause.LINK_DOWN, "gone")
     assert said(Announcer(), [waiting] * 9 + [FINE] * 9 + [waiting] * 9) == []
@@ -257,12 +257,12 @@ def test_what_a_topic_waits_for_is_said_once_it_has_waited_for_a_while_and_not_a
     ]
 
 
-def test_that_no_message_is_due_yet_is_not_said() -> None:
+def test_undue_messages_are_not_missed() -> None:
     for cause in (Cause.NO_MESSAGE, Cause.PUBLISHER_SILENT, "of a newer peer"):
         assert said(Announcer(), [Verdict(State.WAITING, cause, "waits")] * 100) == []
 
 
-def test_a_topic_that_waited_and_turns_stale_for_the_same_cause_is_a_fault() -> None:
+def test_waiting_topic_that_turns_stale_is_fault() -> None:
     states = [Verdict(state, Cause.NO_PUBLISHER, "nobody") for state in (State.WAITING, State.STALE)]
     heard = said(Announcer(), [states[0]] * 15 + [states[1]] * 100)
     assert [code for _, code, _ in heard] == [EventCode.ROUTE_WAITING, EventCode.ROUTE_FAULT]
@@ -306,7 +306,7 @@ def test_a_topic_recovers_soon_after_the_last_loss() -> None:
     assert watch.loss is None, "earlier losses do not count again"
 
 
-def test_below_the_bound_a_topic_recovers_even_if_some_messages_are_lost_for_good() -> None:
+def test_topic_below_bound_recovers_despite_losses() -> None:
     watch, state = LossWatch(), [0, 0, 0]
     lossy(watch, [(90, 10)] * 10, state)
     seen = []
@@ -317,7 +317,7 @@ def test_below_the_bound_a_topic_recovers_even_if_some_messages_are_lost_for_goo
     assert sorted(seen, key=["lossy", "recovering", "none"].index) == seen
 
 
-def test_a_rare_loss_of_a_slow_topic_is_no_recovery_in_between() -> None:
+def test_rare_loss_is_no_recovery_in_between() -> None:
     watch, state = LossWatch(), [0, 0, 0]
     lossy(watch, [(0, 1), (1, 0), (1, 0), (1, 0), (1, 0)] * 4, state)
     lossy(watch, [(0, 1)] * 3, state)
@@ -327,7 +327,7 @@ def test_a_rare_loss_of_a_slow_topic_is_no_recovery_in_between() -> None:
     assert not watch.loss.recovering
 
 
-def test_rare_messages_that_are_all_lost_are_a_fault() -> None:
+def test_rare_messages_that_are_all_lost_are_fault() -> None:
     watch, state = LossWatch(), [0, 0, 0]
     lossy(watch, [(1, 0)], state)
     for lost in range(1, 5):

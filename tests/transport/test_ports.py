@@ -37,7 +37,7 @@ class SlowUdp(Udp):
         self.listening -= 1
 
 
-async def test_a_port_that_is_closed_while_it_is_opened_stays_closed() -> None:
+async def test_port_closed_while_opening_stays_closed() -> None:
     udp = SlowUdp()
     ports = Ports(SESSION, Transports(udp), cast("Acceptor", None))
     opening: asyncio.Task[Callable[[], None]] = asyncio.create_task(ports.open("udp", 9000))

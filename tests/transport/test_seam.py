@@ -42,7 +42,7 @@ def test_the_servers_address_says_what_carries_the_link(server_ip: str, name: st
     assert default_transports().of_link(server_ip).name == name
 
 
-def test_the_facts_of_a_transport_are_all_that_a_session_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_facts_of_transport_are_all_that_session_needs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its addresses and the topics that may cross it follow from one declaration."""
 
     class Serial(TransportTraits):

@@ -84,7 +84,7 @@ def _open_sockets() -> set[str]:
     return {link for link in links if link.startswith("socket:")}
 
 
-async def test_an_address_that_is_silent_does_not_hold_up_the_next(
+async def test_silent_address_does_not_delay_next(
     monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]
 ) -> None:
     """A name may have an IPv6 address whose packets are dropped on the way."""
@@ -111,7 +111,7 @@ def test_all_that_are_silent_time_out(monkeypatch: pytest.MonkeyPatch, port: int
 
 
 @pytest.mark.parametrize("addresses", [[_UNREACHABLE, _REFUSING], [_REFUSING, _UNREACHABLE], [_REFUSING, _REFUSING]])
-async def test_where_some_cannot_be_reached_a_refusal_is_told(
+async def test_where_some_cannot_be_reached_refusal_is_told(
     addresses: list[str], port: int, resolves: list[str]
 ) -> None:
     """On a network without IPv6 that address fails too, which is not what the operator has to know."""
@@ -162,7 +162,7 @@ async def test_a_name_without_an_address(port: int, resolves: list[str]) -> None
         await Tcp().connect("robot", port, StreamHandler())
 
 
-def test_a_silent_name_server_holds_up_neither_a_server_nor_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silent_name_server_delays_neither_server_nor_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """The end waits for the threads of the loop's own pool."""
     answers = threading.Event()
 
@@ -251,7 +251,7 @@ async def _connected() -> AsyncIterator[tuple[Stream, Kept, Stream, Kept]]:
         await asyncio.sleep(0)
 
 
-async def test_a_slow_path_is_no_reason_to_send_again() -> None:
+async def test_slow_path_is_no_reason_to_send_again() -> None:
     """The kernel's longest wait for an acknowledgement is above the round trip, and short where that is short."""
     async with _connected() as (near, _, _, _):
         sock = socket_of(near)
@@ -291,7 +291,7 @@ async def test_last_words_arrive_though_the_peer_was_sending(size: int, monkeypa
 
 
 @pytest.mark.parametrize("sends", [True, False])
-async def test_a_peer_that_never_closes_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, sends: bool) -> None:
+async def test_peer_that_never_closes_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, sends: bool) -> None:
     """One that floods is cut off at a number of bytes, before any time is up."""
     constants.STREAM_LINGER.set(monkeypatch, 120.0 if sends else 0.1)
     async with _connected() as (near, near_kept, far, _):
@@ -374,7 +374,7 @@ async def test_a_connection_uses_the_preferred_congestion_control(
     stream.abort("over")
 
 
-def test_a_congestion_control_that_the_machine_lacks_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_congestion_control_that_machine_lacks_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.socket() as sock:
         sock.setsockopt(socket.IPPROTO_TCP, 13, b"reno")
         constants.TCP_PREFERRED_CONGESTION_CONTROL.set(monkeypatch, "unheard_of")

@@ -52,7 +52,7 @@ def fakes(count: int) -> list[str]:
     return [f"fake{number}" for number in range(count)]
 
 
-async def test_a_single_address_is_used_as_soon_as_it_has_proven_the_key() -> None:
+async def test_single_address_is_used_once_proven() -> None:
     network = Network(real=0.05)
     results = await network.search(["real"])
     assert (list(results.proven), results.others) == (["real"], 0)
@@ -68,7 +68,7 @@ async def test_silent_ones_cost_little_time(count: int, within: float) -> None:
     assert network.running == 0
 
 
-async def test_one_that_proved_the_key_is_tried_first_the_next_time() -> None:
+async def test_proven_address_is_tried_first_next_time() -> None:
     network = Network(real=0.05)
     await network.search([*fakes(1000), "real"])
     began = asyncio.get_running_loop().time()

@@ -151,7 +151,7 @@ def loop() -> Iterator[Skipping]:
         yield cast("Skipping", runner.get_loop())
 
 
-async def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
+async def test_roaming_peer_does_not_grow_sizes() -> None:
     async with server_on("127.0.0.1") as (sock, _):
         for number in range(1000):
             assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
@@ -189,9 +189,7 @@ async def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
 
 
 @pytest.mark.parametrize(("pause", "reads"), [(1.0, [1, 2, 3]), (0.00005, [1, 5])])
-async def test_a_wake_up_reads_once_unless_they_follow_one_another(
-    pause: float, reads: list[int], loop: Skipping
-) -> None:
+async def test_wake_up_reads_once_unless_repeated(pause: float, reads: list[int], loop: Skipping) -> None:
     """A read that finds nothing costs as much as half a message; in a flood, one of many."""
     sock: Any = Watched(socket.socket(type=socket.SOCK_DGRAM))
     sock.bind(("127.0.0.1", 0))
@@ -224,7 +222,7 @@ async def test_nothing_waits_in_a_socket_that_is_closed() -> None:
 
 @pytest.mark.skipif(not has_segments(), reason="the kernel has no UDP segmentation")
 @pytest.mark.parametrize("number", [errno.EIO, errno.EINVAL, errno.EMSGSIZE])
-async def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int, loop: Skipping) -> None:
+async def test_uncut_datagrams_go_singly_for_a_while(number: int, loop: Skipping) -> None:
     """An interface may not be able to, or the path has just become narrower; nothing is lost by it."""
     async with watched() as (calls, client, came):
         calls.failures = [OSError(number, "")]
@@ -238,7 +236,7 @@ async def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: 
         assert calls.sent[20:] == [10]
 
 
-async def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_failing_datagram_is_lost_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
     async with watched() as (calls, client, came):
         calls.failures = [None, OSError(errno.EMSGSIZE, "")]
@@ -247,7 +245,7 @@ async def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pyt
         assert came == [b"a", b"c"]
 
 
-async def test_what_the_kernel_refuses_waits_in_order_and_is_bounded() -> None:
+async def test_refused_datagrams_wait_in_bounded_order() -> None:
     async with watched() as (calls, client, came):
         written = asyncio.Event()
         client.when_writable.add(written.set)
@@ -274,7 +272,7 @@ class _Counted(bytes):
         return super().__len__()
 
 
-async def test_what_waits_is_not_counted_anew_for_each_message() -> None:
+async def test_waiting_datagrams_are_not_counted_each_time() -> None:
     """One link's datagrams wait for the kernel, and all links send on the same socket meanwhile."""
     async with watched() as (calls, client, _):
         calls.refuses = True
@@ -285,7 +283,7 @@ async def test_what_waits_is_not_counted_anew_for_each_message() -> None:
         assert _Counted.asked <= 10 * 1000
 
 
-async def test_a_limit_that_was_raised_is_used_without_a_restart() -> None:
+async def test_limit_that_was_raised_is_used_without_restart() -> None:
     async with watched() as (calls, client, _):
         calls.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 50_000)
         with socket.socket(type=socket.SOCK_DGRAM) as other:
@@ -316,7 +314,7 @@ def test_runs_are_what_the_kernel_can_cut(sizes: list[int], ends: list[int]) -> 
     assert found == ends
 
 
-def test_what_came_at_once_is_split_as_the_kernel_says() -> None:
+def test_merged_datagrams_are_split_as_told() -> None:
     def control(size: int) -> list[tuple[int, int, bytes]]:
         return [(0, 8, b"other"), (socket.SOL_UDP, 104, size.to_bytes(4, "little"))]
 

@@ -89,7 +89,7 @@ def test_garbage_does_not_open_into_its_place(suite: CipherSuite, garbage: bytes
     assert reader.budget.held == 0
 
 
-def test_memory_is_for_a_message_like_the_last_one_as_far_as_the_budget_goes() -> None:
+def test_memory_follows_last_message_within_budget() -> None:
     budget = Budget(1000)
     writer, reader = ends(CipherSuite.AESGCM, budget=budget)
     first = write_chunks(writer, bytes(600), 0, 0, 100)

@@ -127,13 +127,13 @@ def test_a_sealed_frame_played_again_ends_the_connection(suite: CipherSuite) -> 
 
 @pytest.mark.parametrize("frame", [b"", b"\x00", bytes(13), b"\x02" + bytes(30), bytes((0, 1)) + bytes(30)])
 @pytest.mark.parametrize("multiplexed", [True, False])
-def test_a_sealed_frame_that_is_neither_control_nor_data(frame: bytes, multiplexed: bool) -> None:
+def test_sealed_frame_that_is_neither_control_nor_data(frame: bytes, multiplexed: bool) -> None:
     _, server, _, _ = established(multiplexed=multiplexed)
     event = the(Failed, server.receive_data(pack_frame(frame)))
     assert event.reason == Broken.UNEXPECTED_ON_CONTROL(header=frame[:14].hex(" "))
 
 
-def test_a_control_frame_too_long_is_refused_before_it_comes() -> None:
+def test_long_control_frame_is_refused_early() -> None:
     _, server, _, _ = established()
     (event,) = server.receive_data(struct.pack(">I", CONTROL_LIMIT + 1))
     assert event == Failed(Broken.FRAME_TOO_LONG(length=CONTROL_LIMIT + 1, limit=CONTROL_LIMIT))

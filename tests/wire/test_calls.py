@@ -86,5 +86,5 @@ def test_anything_reads_or_gives_words(payload: bytes) -> None:
     assert frame.pack() == payload
 
 
-def test_a_call_holds_as_many_bytes_of_the_budget_as_its_frame_has() -> None:
+def test_call_holds_its_frames_bytes_of_budget() -> None:
     assert headers.frame_size(b"12345") == len(CallFrame(What.CALL, 0, 1, 0, b"12345").pack())

@@ -66,7 +66,7 @@ def test_messages_cross_both_ways(suite: CipherSuite) -> None:
 
 @SUITES
 @given(data=st.data())
-def test_however_the_streams_are_cut_the_events_are_the_same(suite: CipherSuite, data: st.DataObject) -> None:
+def test_however_streams_are_cut_events_are_same(suite: CipherSuite, data: st.DataObject) -> None:
     client, server = make_client(suite), make_server(suite, aes=data.draw(st.booleans()))
     client_events: list[Event] = []
     server_events: list[Event] = []
@@ -87,7 +87,7 @@ def test_however_the_streams_are_cut_the_events_are_the_same(suite: CipherSuite,
     assert server_events[1:] == [MessageReceived(encode(message)) for message in messages]
 
 
-def test_send_keeps_the_order_of_what_was_not_fetched_yet() -> None:
+def test_send_keeps_order_of_unfetched() -> None:
     client, server = ready_to_accept()
     client.receive_data(server.data_to_send())
     events = server.receive_data(client.send(Ready(route=1, sources=1)))
@@ -106,7 +106,7 @@ def refused(client: ClientConnection, server: ServerConnection) -> StreamRefused
     return ours
 
 
-def test_another_key_or_a_key_on_one_side_only() -> None:
+def test_another_key_or_key_on_one_side_only() -> None:
     ours, theirs = (format_fingerprint(fingerprint_of(key)) for key in (KEY, OTHER_KEY))
     differ = RefusalText.KEYS_DIFFER(name="robot1", theirs=ours, there="client", ours=theirs, here="server")
     for suite in (CipherSuite.AESGCM, CipherSuite.CHACHAPOLY):
@@ -142,7 +142,7 @@ def test_a_key_that_is_neither_of_two() -> None:
     assert following in refusal.message
 
 
-def test_a_first_message_does_not_open_by_the_key_that_it_claims() -> None:
+def test_first_message_needs_more_than_claimed_key() -> None:
     """The server takes the key that the client claims to have; only the handshake proves it.
 
     That the keys differ would be untrue where it was forged or damaged.
@@ -183,7 +183,7 @@ def test_a_server_that_answers_with_another_key() -> None:
     assert client.receive_data(answer) == [StreamRefused(RefusalCode.WRONG_KEY, text)]
 
 
-def test_a_plain_answer_to_an_encrypting_client_is_not_taken() -> None:
+def test_plain_answer_to_encrypting_client_is_not_taken() -> None:
     client, _ = ready_to_accept()
     event = the(StreamRefused, client.receive_data(pack_frame(preamble_frame(PreambleKind.ACCEPT, encode(WELCOME)))))
     assert event.code is RefusalCode.WRONG_KEY
@@ -218,7 +218,7 @@ def test_a_server_of_another_version(kind: PreambleKind) -> None:
 
 
 @pytest.mark.parametrize("body", [b"", b"\x00", b"\x01", b"\x07"])
-def test_a_forged_retry_does_not_take_the_encryption_away(body: bytes) -> None:
+def test_forged_retry_does_not_take_encryption_away(body: bytes) -> None:
     client, _ = ready_to_accept()
     (event,) = client.receive_data(pack_frame(preamble_frame(PreambleKind.RETRY, body)))
     assert isinstance(event, Failed)
@@ -279,7 +279,7 @@ def test_a_first_message_is_answered_once() -> None:
     assert server().receive_data(recording) == []  # so many are remembered
 
 
-def test_a_client_whose_link_is_shut_down_is_refused_once_it_has_proved_its_key() -> None:
+def test_client_of_shut_down_link_proves_key_first() -> None:
     shut_down = msgspec.structs.replace(WELCOME, shut_down="shut down by anna on pts/3")
     client = make_client()
     server = ServerConnection(lambda name: Credential((KEY,), ReplayCache()), lambda hello: shut_down, aes=True)
@@ -289,7 +289,7 @@ def test_a_client_whose_link_is_shut_down_is_refused_once_it_has_proved_its_key(
     assert the(StreamRefused, server_events).peer == HELLO
 
 
-def test_a_refuse_in_the_clear_cannot_say_that_a_link_is_shut_down() -> None:
+def test_clear_refuse_cannot_claim_shut_down() -> None:
     """Anybody can forge one, and the client would wait long before its next attempt."""
     client = make_client()
     client.start()
@@ -297,7 +297,7 @@ def test_a_refuse_in_the_clear_cannot_say_that_a_link_is_shut_down() -> None:
     assert isinstance(event, Failed)
 
 
-def test_a_client_whose_name_is_taken_is_refused_once_it_has_proved_its_key() -> None:
+def test_client_of_taken_name_proves_key_first() -> None:
     """Thus the server distinguishes a second client that has the key from a replayed first message."""
     client = make_client()
     taken = msgspec.structs.replace(WELCOME, taken="'robot1' is linked already")
@@ -328,7 +328,7 @@ def test_data_before_the_confirmation_have_no_place() -> None:
     assert event == Failed(Broken.NOT_CONFIRMED(peer="client"))
 
 
-def test_who_has_not_confirmed_gets_the_room_of_a_handshake() -> None:
+def test_who_has_not_confirmed_gets_room_of_handshake() -> None:
     """A replayed first message does not make the server hold a control frame of 1 MiB."""
     _, server = ready_to_accept()
     assert server.accepted
@@ -337,7 +337,7 @@ def test_who_has_not_confirmed_gets_the_room_of_a_handshake() -> None:
     assert event.foreign is None  # its first message was an rsb-console's
 
 
-def test_what_follows_the_confirmation_at_once_may_be_long() -> None:
+def test_what_follows_confirmation_at_once_may_be_long() -> None:
     client, server = ready_to_accept(CipherSuite.AESGCM)
     client.receive_data(server.data_to_send())
     long = TopicList(1, bytes(30_000))
@@ -349,7 +349,7 @@ def test_what_follows_the_confirmation_at_once_may_be_long() -> None:
 # --- sending
 
 
-def test_a_name_too_long_is_refused_with_the_remedy() -> None:
+def test_name_too_long_is_refused_with_remedy() -> None:
     client = ClientConnection(Hello("0.1.0", "ü" * 128, "abc", 0), KEY, CipherSuite.AESGCM)
     with pytest.raises(ValueError, match=pattern(Misuse.NAME_TOO_LONG, length=256, limit=255)):
         client.start()
@@ -361,7 +361,7 @@ def test_nothing_is_sent_before_the_connection_is_established() -> None:
 
 
 @SUITES
-def test_a_message_may_fill_a_control_frame_and_no_more(suite: CipherSuite) -> None:
+def test_message_may_fill_control_frame_and_no_more(suite: CipherSuite) -> None:
     client, server, _, _ = established(suite)
     others = 14 + 16 + len(encode(TopicList(1, bytes(1 << 16)))) - (1 << 16)
     message = TopicList(1, bytes(CONTROL_LIMIT - others))
@@ -371,7 +371,7 @@ def test_a_message_may_fill_a_control_frame_and_no_more(suite: CipherSuite) -> N
     assert server.receive_data(client.send(Ping(1, 1))) == [MessageReceived(encode(Ping(1, 1)))]
 
 
-def test_a_server_that_waited_in_vain_for_the_confirmation_is_understood() -> None:
+def test_server_without_confirmation_is_understood() -> None:
     """The client has been accepted, and its confirmation takes too long."""
     client, server = make_client(), make_server()
     server.receive_data(client.start())
@@ -384,12 +384,12 @@ def test_a_server_that_waited_in_vain_for_the_confirmation_is_understood() -> No
 @pytest.mark.parametrize(
     "frame", [preamble_frame(PreambleKind.ACCEPT), b"rsb", bytes(20)], ids=["ACCEPT", "cut off", "other"]
 )
-def test_any_other_frame_in_the_clear_breaks_the_format(frame: bytes) -> None:
+def test_any_other_frame_in_clear_breaks_format(frame: bytes) -> None:
     client, *_ = established()
     the(Failed, client.receive_data(pack_frame(frame)))
 
 
-def test_a_refusal_after_a_sealed_frame_breaks_the_format() -> None:
+def test_refusal_after_sealed_frame_breaks_format() -> None:
     client, server, *_ = established()
     client.receive_data(server.send(Ping(n=1, sent=1)))
     refusal = pack_frame(refuse_frame(RefusalCode.BUSY, "forged"))

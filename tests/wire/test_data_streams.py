@@ -62,7 +62,7 @@ def test_a_route_moves_to_another_stream(suite: CipherSuite) -> None:
         reader.open_moved(read[1])
 
 
-def test_what_a_client_sends_after_its_data_preamble_is_left_over() -> None:
+def test_bytes_after_data_preamble_are_left_over() -> None:
     _, _, keys, _ = established()
     server = make_server()
     (attach,) = server.receive_data(DataConnection(keys, _NAME).start() + b"beyond")
@@ -71,7 +71,7 @@ def test_what_a_client_sends_after_its_data_preamble_is_left_over() -> None:
 
 
 @pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
-def test_a_data_stream_of_another_link_has_no_proof(suite: CipherSuite) -> None:
+def test_data_stream_of_another_link_has_no_proof(suite: CipherSuite) -> None:
     _, _, _, server_keys = established(suite)
     stranger = session_keys(suite, OTHER_KEY, server_keys.link_id)
     server = make_server(suite)
@@ -116,7 +116,7 @@ def test_a_multiplexed_stream_carries_control_and_data(suite: CipherSuite) -> No
     assert [reader.open_frames((event.frame,)) for event in frames] == [[], [(b"payload", 9, 0)]]
 
 
-def test_elsewhere_data_frames_have_no_place_on_the_control_stream() -> None:
+def test_data_frames_are_refused_on_control_stream() -> None:
     _, server, keys, _ = established()
     event = the(Failed, server.receive_data(write_frame(DataWriter(keys.route_sealer(3, "client"), 3), b"x", 0)))
     assert says(event.reason, Broken.UNEXPECTED_ON_CONTROL)

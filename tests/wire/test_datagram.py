@@ -124,7 +124,7 @@ def test_every_message_is_accounted_for_whatever_is_lost(data: st.DataObject, si
     assert budget.held == 0
 
 
-def test_incomplete_messages_are_given_up_after_their_time_and_not_kept_again() -> None:
+def test_incomplete_messages_are_given_up_for_good() -> None:
     writer, reader = ends()
     old, new = (writer.write(bytes(20), 0, 0, OVERHEAD + 10) for _ in range(2))
     assert reader.receive(old[0], 10.0) is None
@@ -140,7 +140,7 @@ def test_incomplete_messages_are_given_up_after_their_time_and_not_kept_again() 
     assert (reader.pending, reader.expired) == (0, 1)
 
 
-def test_a_message_that_goes_on_to_come_is_not_given_up() -> None:
+def test_message_that_continues_is_not_given_up() -> None:
     """One of many MB on a slow path may take longer; messages in between do not matter."""
     writer, reader = ends()
     slow, other = (writer.write(bytes(40), 0, 0, OVERHEAD + 10) for _ in range(2))
@@ -152,7 +152,7 @@ def test_a_message_that_goes_on_to_come_is_not_given_up() -> None:
     assert (reader.pending, reader.expired) == (0, 1)
 
 
-def test_a_message_given_up_before_an_older_one_is_not_kept_again() -> None:
+def test_message_given_up_early_is_not_kept() -> None:
     writer, reader = ends()
     first, second = (writer.write(bytes(20), 0, 0, OVERHEAD + 10) for _ in range(2))
     assert reader.receive(second[0], 0.0) is None
@@ -163,7 +163,7 @@ def test_a_message_given_up_before_an_older_one_is_not_kept_again() -> None:
     assert reader.pending == 0
 
 
-def test_what_is_kept_is_bounded_and_the_oldest_gives_way() -> None:
+def test_kept_fragments_are_bounded_oldest_go() -> None:
     writer, reader = ends(budget=Budget(3 * 1400))
     messages = [writer.write(bytes(2000), 0, 0, OVERHEAD + 1000) for _ in range(4)]
     for fragments in messages:
@@ -181,7 +181,7 @@ def test_tiny_fragments_cost_what_they_take() -> None:
     assert reader.expired == 149
 
 
-def test_what_other_routes_hold_is_not_to_be_had() -> None:
+def test_share_of_other_routes_is_reserved() -> None:
     """Then the newest message is the oldest too, and is given up; a whole one still passes, and so does all again."""
     budget = Budget(2000)
     writer, reader = ends(budget=budget)
@@ -208,7 +208,7 @@ def test_a_message_too_long_is_given_up() -> None:
 
 
 @pytest.mark.parametrize("second", [{"index": 1, "count": 3}, {"index": 0, "count": 2}])
-def test_a_message_whose_fragments_contradict_each_other_is_given_up(second: dict[str, Any]) -> None:
+def test_contradicting_fragments_give_message_up(second: dict[str, Any]) -> None:
     peer, (_, reader) = Peer(), ends()
     assert reader.receive(peer.datagram(index=0, count=2), 0.0) is None
     assert reader.receive(peer.datagram(**second), 0.0) is None
@@ -239,7 +239,7 @@ def test_only_our_own_datagrams_have_a_header() -> None:
         assert by_addressee([(foreign, None)]) == {}
 
 
-def test_datagrams_are_sorted_by_route_link_and_origin_in_their_order() -> None:
+def test_datagrams_are_sorted_by_route_in_order() -> None:
     peer = Peer()
     first, second, other_route, third = peer.datagram(), peer.datagram(), peer.datagram(route=8), peer.datagram()
     other_link = first.replace(LINK, b"LINKlink")
@@ -271,7 +271,7 @@ def test_message_numbers_are_counted_on_past_their_wrap() -> None:
     assert reader.newest == 2**32 + 2
 
 
-def test_a_message_of_too_many_datagrams_is_refused_and_nothing_is_spent() -> None:
+def test_message_of_too_many_datagrams_costs_nothing() -> None:
     writer, reader = ends()
     assert len(writer.write(bytes(FRAGMENTS_LIMIT), 0, 0, OVERHEAD + 1)) == FRAGMENTS_LIMIT
     with pytest.raises(
@@ -316,7 +316,7 @@ def test_an_urgent_message_is_as_the_document_says(content: bytes) -> None:
     assert unpack_probe(b"\3" + content) == Urgent(content)
 
 
-def test_a_datagram_asks_for_a_receipt_beside_its_message() -> None:
+def test_datagram_asks_for_receipt_beside_its_message() -> None:
     writer, reader = ends()
     (first, *others) = writer.write_many([(bytes(25), 1, ZSTD), (b"x", 2, 0)], OVERHEAD + 10, asks=True)
     reader.receive(others[0], 0.0)
@@ -342,7 +342,7 @@ def test_a_message_is_written_piece_by_piece() -> None:
 
 
 @pytest.mark.parametrize("order", [1, -1], ids=["in order", "reordered"])
-def test_the_newest_message_may_take_longer_to_become_whole(order: int) -> None:
+def test_newest_message_may_take_longer_to_become_whole(order: int) -> None:
     writer, reader = ends()
     for datagrams in [writer.write(bytes(30), 0, 0, OVERHEAD + 10) for _ in range(2)][::order]:
         reader.receive(datagrams[0], 0.0)
@@ -371,7 +371,7 @@ def test_a_reader_counts_what_it_opens() -> None:
 
 
 @given(st.integers(0, 5000), st.integers(1, 300))
-def test_fragments_have_one_size_as_far_as_it_divides(size: int, room: int) -> None:
+def test_fragments_have_equal_size_where_possible(size: int, room: int) -> None:
     writer, reader = ends()
     datagrams = writer.write(bytes(size), 0, 0, OVERHEAD + room)
     sizes = [len(datagram) - OVERHEAD for datagram in datagrams]

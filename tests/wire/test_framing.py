@@ -50,7 +50,7 @@ def data_ends(
 
 
 @given(st.data(), st.lists(st.binary(max_size=50), max_size=8))
-def test_frames_come_out_as_they_went_in_however_the_stream_is_cut(data: st.DataObject, frames: list[bytes]) -> None:
+def test_frames_survive_any_cut_of_stream(data: st.DataObject, frames: list[bytes]) -> None:
     budget = Budget(1 << 20)
     reader = FrameReader(50, budget)
     stream = b"".join(pack_frame(frame) for frame in frames)
@@ -60,7 +60,7 @@ def test_frames_come_out_as_they_went_in_however_the_stream_is_cut(data: st.Data
 
 
 @given(st.data(), st.binary(max_size=200))
-def test_garbage_gives_frames_or_words_and_keeps_no_more_than_a_frame(data: st.DataObject, garbage: bytes) -> None:
+def test_garbage_keeps_no_more_than_frame(data: st.DataObject, garbage: bytes) -> None:
     budget = Budget(1 << 20)
     reader = FrameReader(50, budget)
     whole, words = 0, ""
@@ -95,7 +95,7 @@ def test_the_limit_can_be_changed() -> None:
     assert len(reader.feed(pack_frame(bytes(20)))) == 1
 
 
-def test_a_large_frame_in_small_pieces_takes_linear_time() -> None:
+def test_large_frame_in_small_pieces_takes_linear_time() -> None:
     size, piece = 32 << 20, bytes(1 << 14)
     reader = FrameReader(size)
     began = time.process_time()
@@ -116,16 +116,14 @@ def test_a_data_frame_is_as_the_document_says() -> None:
 
 @SUITES
 @given(data=st.data(), sent=messages)
-def test_messages_come_out_as_they_went_in_however_the_stream_is_cut(
-    suite: CipherSuite, data: st.DataObject, sent: list[Message]
-) -> None:
+def test_messages_survive_any_cut_of_stream(suite: CipherSuite, data: st.DataObject, sent: list[Message]) -> None:
     writer, reader = data_ends(suite)
     stream = writer.write_many(sent[:4]) + b"".join(write_frame(writer, *message) for message in sent[4:])
     assert [message for piece in data.draw(pieces(stream)) for message in reader.receive_data(piece)] == sent
 
 
 @SUITES
-def test_a_message_may_have_the_limit_and_no_byte_more(suite: CipherSuite) -> None:
+def test_message_may_have_limit_and_no_byte_more(suite: CipherSuite) -> None:
     writer, reader = data_ends(suite, limit=100)
     assert reader.receive_data(write_frame(writer, bytes(100), 0)) == [(bytes(100), 0, 0)]
     with pytest.raises(ProtocolError, match=pattern(Broken.FRAME_TOO_LONG)):
@@ -138,7 +136,7 @@ def test_a_message_may_have_the_limit_and_no_byte_more(suite: CipherSuite) -> No
 
 @SUITES
 @given(data=st.data(), sent=messages, chunk_size=st.integers(1, 100))
-def test_what_is_held_is_what_has_come_of_the_unfinished(
+def test_held_bytes_are_those_of_unfinished(
     suite: CipherSuite, data: st.DataObject, sent: list[Message], chunk_size: int
 ) -> None:
     """Chunks and a frame that is cut; after any input, nothing is held once the reader is closed."""
@@ -170,7 +168,7 @@ def test_readers_hold_no_more_than_their_budget_together(began: str) -> None:
     assert budget.held == 0
 
 
-def test_a_message_that_comes_at_once_costs_the_budget_nothing() -> None:
+def test_message_that_comes_at_once_costs_budget_nothing() -> None:
     writer, reader = data_ends(CipherSuite.AESGCM, budget=Budget(0))
     assert reader.receive_data(write_frame(writer, bytes(5000), 0)) == [(bytes(5000), 0, 0)]
 
@@ -181,13 +179,13 @@ def test_empty_chunks_are_harmless() -> None:
     assert reader.receive_data(stream) == [(b"a", 5, 0)]
 
 
-def test_a_frame_without_a_header_is_refused_in_words() -> None:
+def test_frame_without_header_is_refused_in_words() -> None:
     _, reader = data_ends(CipherSuite.AESGCM)
     with pytest.raises(ProtocolError, match=pattern(Broken.DATA_FRAME_TOO_SHORT, length=13)):
         reader.receive_data(pack_frame(bytes(13)))
 
 
-def test_a_replayed_missing_or_foreign_frame_does_not_open() -> None:
+def test_replayed_missing_or_foreign_frame_does_not_open() -> None:
     writer, reader = data_ends(CipherSuite.AESGCM)
     first, second = write_frame(writer, b"1", 0), write_frame(writer, b"2", 0)
     reader.receive_data(first)
@@ -223,7 +221,7 @@ def test_a_resumed_frame_is_as_the_document_says() -> None:
 
 @SUITES
 @pytest.mark.parametrize("ahead", [0, 1 << EPOCH_BITS])
-def test_after_a_lost_stream_messages_go_on_and_the_lost_ones_are_counted(suite: CipherSuite, ahead: int) -> None:
+def test_messages_go_on_after_lost_stream(suite: CipherSuite, ahead: int) -> None:
     """Some come, then half a message, and some are lost; the half one comes whole. Then all of it again."""
     budget = Budget(1 << 20)
     sealer = Sealer(suite, None if suite is CipherSuite.PLAIN else KEY)

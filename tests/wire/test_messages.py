@@ -69,7 +69,7 @@ def test_a_message_reads_as_it_was_written(plain: dict[str, Any]) -> None:
     assert decode(encode(message)) == message
 
 
-def test_the_handshake_s_messages_read_as_they_were_written() -> None:
+def test_handshake_s_messages_read_as_they_were_written() -> None:
     assert decode_hello(encode(HELLO)) == HELLO
     assert decode_welcome(encode(WELCOME)) == WELCOME
 
@@ -82,7 +82,7 @@ def test_any_text_crosses_made_plain(reason: str, route: int) -> None:
 
 
 @pytest.mark.parametrize("message", [messages.Lease(3, 2), messages.Disarm(5, "operator", "anna")])
-def test_an_urgent_message_is_the_same_as_a_datagram(message: messages.Lease | messages.Disarm) -> None:
+def test_urgent_message_is_same_as_datagram(message: messages.Lease | messages.Disarm) -> None:
     assert decode_urgent(encode(message)) == message
 
 
@@ -96,7 +96,7 @@ HIDDEN = [f"a{sign}b" for sign in "\u200b\u2060\ufeff\u00ad\ufe0f\u3164\U000e004
 
 
 @pytest.mark.parametrize("reason", ["\x1b[2J", "two\nlines", "end\n", "\x9b1m", "\u202egnp", "x" * 501, "\0", *HIDDEN])
-def test_text_that_would_harm_a_terminal_or_a_log_is_refused(reason: str) -> None:
+def test_harmful_text_is_refused(reason: str) -> None:
     with pytest.raises(ProtocolError):
         decode(encode(messages.Close(route=1, reason=reason)))
     assert sanitize_text(reason) != reason
@@ -110,7 +110,7 @@ def test_text_that_would_harm_a_terminal_or_a_log_is_refused(reason: str) -> Non
     ["\x1b]0;title\x07", "x\n2026-01-01 00:00:00 ERROR   engine   forged", "x" * (1 << 20)],
     ids=["escape", "forged", "long"],
 )
-def test_an_error_quotes_the_peer_in_one_short_line_without_escape_sequences(field: str, text: str) -> None:
+def test_error_quotes_peer_in_clean_line(field: str, text: str) -> None:
     fields = msgspec.to_builtins(PROPOSE) | {"message": "propose", field: text}
     with pytest.raises(ProtocolError) as raised:
         decode(msgspec.msgpack.encode(fields))
@@ -120,7 +120,7 @@ def test_an_error_quotes_the_peer_in_one_short_line_without_escape_sequences(fie
     assert "regex" not in shown
 
 
-def test_unknown_fields_are_ignored_and_missing_ones_have_their_defaults() -> None:
+def test_unknown_fields_are_ignored_missing_have_defaults() -> None:
     fields = {"message": "propose", "route": 1, "topic": "/scan", "remote_topic": "/robot1/scan", "from_client": True}
     assert decode(msgspec.msgpack.encode(fields | {"later": [1, {"a": None}]})) == PROPOSE
     newer = {"message": "accept", "route": 1, "topic": "/cmd_vel", "limits": {"linear": 0.5, "jerk": 3.0}}

@@ -87,7 +87,7 @@ def test_both_know_each_other_after_the_confirmation() -> None:
 
 
 @pytest.mark.parametrize(("host", "told"), [("p" * 100, "p" * HOST_BYTES), ("\x1b[2J", "\N{REPLACEMENT CHARACTER}[2J")])
-def test_a_host_name_is_cut_and_does_nothing_to_a_terminal(host: str, told: str) -> None:
+def test_host_name_is_cut_and_harmless(host: str, told: str) -> None:
     console, engine = make_console(host=host), make_engine()
     engine.receive_data(console.start())
     console.receive_data(engine.data_to_send())
@@ -107,7 +107,7 @@ def test_in_whatever_pieces_it_comes(size: int) -> None:
     assert events == [Admitted("pc", KEY), OperatorOpened(b"look")]
 
 
-def test_a_host_name_that_is_too_long_is_refused() -> None:
+def test_host_name_that_is_too_long_is_refused() -> None:
     the(Failed, make_engine().receive_data(first_message(host=b"p" * (HOST_BYTES + 1))))
 
 
@@ -136,13 +136,13 @@ def test_another_key_is_refused_with_both_fingerprints() -> None:
 
 
 @pytest.mark.parametrize(("operator", "engine"), [("carl", "robot1"), ("anna", "robot2")])
-def test_who_is_unknown_or_means_another_engine_is_not_told_which_this_is(operator: str, engine: str) -> None:
+def test_stranger_is_not_told_which_engine(operator: str, engine: str) -> None:
     here, _ = refusal(make_console(operator=operator, engine=engine), make_engine())
     assert here.code is RefusalCode.UNKNOWN_NAME
     assert "robot1" not in here.message
 
 
-def test_a_key_that_only_claims_its_fingerprint_opens_nothing() -> None:
+def test_key_that_only_claims_its_fingerprint_opens_nothing() -> None:
     header = operator_header(VERSION, "anna", "robot1", fingerprint_of(KEY))
     forged = pack_frame(header, NoiseHandshake(OPERATOR_SUITE, OTHER_KEY, header).write(b""))
     assert the(StreamRefused, make_engine().receive_data(forged)).code is RefusalCode.WRONG_KEY
@@ -163,7 +163,7 @@ def test_what_is_in_the_clear_is_bound(header: bytes) -> None:
     assert the(StreamRefused, make_engine().receive_data(changed)).code is RefusalCode.WRONG_KEY
 
 
-def test_an_engine_with_the_same_key_cannot_answer_for_another() -> None:
+def test_engine_with_same_key_cannot_answer_for_another() -> None:
     """Somebody on the way makes the first message fit another engine, which has the key, too: it does not open."""
     console = make_console(engine="robot1")
     offer = parse_operator(console.start()[LENGTH.size :])
@@ -216,7 +216,7 @@ def test_a_confirmation_with_content_is_none() -> None:
     the(Failed, engine.receive_data(console.send(b"not empty")))
 
 
-def test_a_long_record_in_the_place_of_the_confirmation_is_not_waited_for() -> None:
+def test_long_record_ends_wait_for_confirmation() -> None:
     engine = make_engine()
     engine.receive_data(make_console().start())
     the(Failed, engine.receive_data(LENGTH.pack(PREAMBLE_LIMIT + 1)))
@@ -225,19 +225,19 @@ def test_a_long_record_in_the_place_of_the_confirmation_is_not_waited_for() -> N
 # --- links and operators
 
 
-def test_a_link_is_none_of_an_operator_even_with_the_same_key() -> None:
+def test_link_is_no_operator_with_same_key() -> None:
     link, engine = make_client(), make_engine()
     the(Failed, engine.receive_data(link.start()))
     assert isinstance(link.receive_data(engine.data_to_send())[0], StreamRefused)
 
 
-def test_an_operator_has_no_link_even_with_the_same_key() -> None:
+def test_operator_has_no_link_even_with_same_key() -> None:
     console, server = make_console(), make_server()
     the(Failed, server.receive_data(console.start()))
     the(StreamRefused, console.receive_data(server.data_to_send()))
 
 
-def test_a_link_s_first_message_under_an_operator_s_header_does_not_open() -> None:
+def test_links_first_message_opens_for_no_operator() -> None:
     offer = parse_control(make_client(OPERATOR_SUITE).start()[LENGTH.size :])
     header = operator_header(VERSION, "anna", "robot1", offer.fingerprint)
     assert (
@@ -348,6 +348,6 @@ def test_a_sealed_record_without_content_is_refused() -> None:
     the(Failed, engine.receive_data(pack_frame(sealer_of(console).seal(b"", b""))))
 
 
-def test_what_one_side_sealed_is_not_taken_for_the_other_s() -> None:
+def test_sealed_bytes_belong_to_their_side() -> None:
     console, _ = attached()
     the(Failed, console.receive_data(console.send(b"mine")))

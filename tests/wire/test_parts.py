@@ -51,12 +51,12 @@ def test_so_are_those_of_a_list_of_topics() -> None:
     ],
     ids=["empty", "garbage", "too many", "too long"],
 )
-def test_a_list_that_is_damaged_or_too_long_is_refused(packed: bytes) -> None:
+def test_damaged_or_long_list_is_refused(packed: bytes) -> None:
     with pytest.raises((ProtocolError, msgspec.DecodeError)):
         next(topic_entries(packed))
 
 
-def test_an_entry_that_is_invalid_is_found_when_it_is_reached() -> None:
+def test_invalid_entry_is_found_when_reached() -> None:
     wrong = msgspec.to_builtins(Report(sent=(SENT,) * 500, received=()))
     wrong["sent"][-1]["route"] = 0
     parts = decode(msgspec.msgpack.encode({"message": "report", **wrong}))

@@ -18,7 +18,7 @@ def both() -> tuple[SampleTags, SampleTags]:
 
 
 @pytest.mark.parametrize("payload", [b"", b"x", bytes(1 << 20)], ids=len)
-def test_a_tag_proves_a_sample_to_the_other_side_only(payload: bytes) -> None:
+def test_tag_proves_sample_to_other_side_only(payload: bytes) -> None:
     near, far = both()
     tag = near.tag(1, 7, payload)
     assert len(tag) == TAG_LENGTH
@@ -26,7 +26,7 @@ def test_a_tag_proves_a_sample_to_the_other_side_only(payload: bytes) -> None:
     assert not near.proves(1, 7, payload, tag)
 
 
-def test_a_tag_is_of_one_kind_number_payload_stream_and_secret() -> None:
+def test_tag_depends_on_all_its_inputs() -> None:
     near, far = both()
     tag = near.tag(1, 7, b"payload")
     forged = [(2, 7, b"payload", tag), (1, 8, b"payload", tag), (1, 7, b"another", tag), (1, 7, b"payload", b""),
@@ -47,7 +47,7 @@ def test_both_sides_of_a_link_have_one_secret() -> None:
     assert (client.proven, client.at) == (True, "a" * 16)
 
 
-def test_a_fork_takes_an_answer_and_leaves_the_first_untouched() -> None:
+def test_fork_takes_answer_and_leaves_first_untouched() -> None:
     client, server = ready_to_accept()
     answer = server.data_to_send()
     for forged in (b"forged", answer[:-1] + bytes([answer[-1] ^ 1]), b"\0\0\0\5rsb\2\7", b"", answer + b"\0\0\0\1?"):
@@ -62,7 +62,7 @@ def test_a_fork_takes_an_answer_and_leaves_the_first_untouched() -> None:
     assert server.accepted
 
 
-def test_an_operator_and_an_engine_in_a_zenoh_network_have_one_secret() -> None:
+def test_operator_and_engine_share_zenoh_secret() -> None:
     at = "a" * 16
     console = OperatorConsole("anna", KEY, "robot1", version=7)
     engine = OperatorEngine("robot1", lambda _: Credential((KEY,), ReplayCache()), at)

@@ -77,7 +77,7 @@ def test_garbage_does_not_open(suite: CipherSuite, garbage: bytes) -> None:
 
 
 @SUITES
-def test_a_stream_opens_nothing_out_of_order_and_goes_on_after_it(suite: CipherSuite) -> None:
+def test_stream_refuses_wrong_order_and_goes_on(suite: CipherSuite) -> None:
     sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
     first, second = sealer.seal(b"1", b""), sealer.seal(b"2", b"")
     with pytest.raises(SealError):
@@ -115,7 +115,7 @@ def test_each_epoch_has_the_key_that_rekey_gives(suite: CipherSuite) -> None:
 
 
 @SUITES
-def test_memory_that_is_lent_is_sealed_and_opened_across_an_epoch_as_any_other(suite: CipherSuite) -> None:
+def test_lent_memory_seals_across_epochs(suite: CipherSuite) -> None:
     sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
     sealer.sequence = opener.sequence = EPOCH - 1
     for sequence in range(EPOCH - 1, EPOCH + 1):
@@ -147,7 +147,7 @@ def test_datagrams_open_across_an_epoch_in_any_order(suite: CipherSuite) -> None
 
 
 @SUITES
-def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite: CipherSuite) -> None:
+def test_datagram_too_many_epochs_ahead_is_refused_unopened(suite: CipherSuite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
     for sequence in ((EPOCHS_AHEAD + 1) * EPOCH, 2**64 - 1):
         with pytest.raises(SealError, match=pattern(InvalidSeal.EPOCH_TOO_FAR_AHEAD)):
@@ -173,7 +173,7 @@ def test_a_forged_datagram_moves_nothing(suite: CipherSuite) -> None:
     arrivals=st.lists(st.integers(0, 30), max_size=60),
     leap=st.sampled_from([0, EPOCH - 15, 5 * EPOCH]),
 )
-def test_each_sequence_opens_once_and_only_within_the_window(
+def test_each_sequence_opens_once_and_only_within_window(
     suite: CipherSuite, window: int, arrivals: list[int], leap: int
 ) -> None:
     opener = DatagramOpener(suite, key_for(suite), window)
@@ -294,7 +294,7 @@ def test_each_key_is_handed_out_once() -> None:
 
 
 @SUITES
-def test_attach_proof_holds_for_its_header_and_route_only(suite: CipherSuite) -> None:
+def test_attach_proof_holds_for_header_and_route(suite: CipherSuite) -> None:
     keys = session_keys(suite)
     proof = keys.attach_proof(b"header of 5", 5)
     session_keys(suite).check_attach_proof(b"header of 5", 5, proof)

@@ -76,7 +76,7 @@ def test_one_adapter_by_name_or_address(addresses: tuple[str, str], name: str) -
     assert list(found.channels) == [addresses[1], ANY_ADAPTER]
 
 
-def test_an_unknown_adapter_is_named_with_those_there_are(addresses: tuple[str, str]) -> None:
+def test_unknown_adapter_is_named_with_those_there_are(addresses: tuple[str, str]) -> None:
     found = look("hci7")
     assert found.problems == (
         ScanProblem.ADAPTER_UNKNOWN(adapter="hci7", known=f"hci0 ({addresses[0]}), hci1 ({addresses[1]})"),
@@ -117,7 +117,7 @@ def _set_power(adapter: str, value: str) -> None:
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
-def test_a_switched_off_adapter_says_how_to_switch_it_on(second_off: None) -> None:
+def test_switched_off_adapter_says_how_to_switch_on(second_off: None) -> None:
     found = look()
     assert [one.powered for one in found.adapters] == [True, False]
     assert found.problems == (ScanProblem.SWITCHED_OFF(adapter="hci1"),)
@@ -173,7 +173,7 @@ def _reload_bus() -> None:
     subprocess.run(command.split(), check=True, stdout=subprocess.DEVNULL)
 
 
-def test_a_user_who_may_not_ask_bluez_is_told_the_group(bluez_forbidden: None) -> None:
+def test_user_without_rights_on_bluez_is_told_group(bluez_forbidden: None) -> None:
     printed = scan_as_user()
     assert printed.startswith("True ")
     assert says(printed, ScanProblem.BLUEZ_FORBIDDEN)

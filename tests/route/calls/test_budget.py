@@ -25,7 +25,7 @@ def test_calls_under_way(budget: CallBudget) -> None:
     assert budget.held == (3, 3)
 
 
-def test_bytes_under_way_of_requests_and_then_of_answers(budget: CallBudget) -> None:
+def test_bytes_under_way_of_requests_then_answers(budget: CallBudget) -> None:
     assert budget.take(600, 0.0) is None
     assert budget.take(401, 0.0) is Refused.BYTES_UNDER_WAY
     assert budget.held == (1, 600)
@@ -46,7 +46,7 @@ def test_calls_a_second(budget: CallBudget) -> None:
     assert budget.take(1, 0.1) is None
 
 
-def test_what_expired_counts_on_for_as_long_as_dds_may_hold_it(budget: CallBudget) -> None:
+def test_expired_calls_count_while_dds_holds_them(budget: CallBudget) -> None:
     """A server that is stopped takes nothing; else a short timeout would let a peer fill this side's memory."""
     assert budget.take(700, 0.0) is None
     budget.give(700)

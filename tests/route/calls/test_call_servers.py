@@ -60,7 +60,7 @@ def cause(provided: Provision) -> Cause | None:
     return provided.unavailable.cause if provided.unavailable else None
 
 
-def test_an_action_is_there_with_all_its_services_and_its_topics_may_follow(graph: Graph) -> None:
+def test_action_needs_services_topics_may_follow(graph: Graph) -> None:
     for lane in LANES["action"][:3]:
         assert cause(found(graph, "action")) is Cause.NO_SERVER
         graph.serve_by("/go" + lane.suffix, "/navigator", lane.type_name or GOTO + lane.type_suffix)
@@ -86,7 +86,7 @@ def test_a_middleware_that_tells_no_hashes(graph: Graph) -> None:
     assert found(graph).entries == (LaneEntry(SET, ONE, 1),)
 
 
-def test_several_nodes_are_named_and_one_that_was_started_again_is_not(graph: Graph) -> None:
+def test_several_servers_are_named_restarted_one_is_not(graph: Graph) -> None:
     graph.serve_by("/go", "/teller")
     graph.serve_by("/go", "/teller")
     assert found(graph).warning is None
@@ -97,7 +97,7 @@ def test_several_nodes_are_named_and_one_that_was_started_again_is_not(graph: Gr
     assert "/other and /teller" in warning.text
 
 
-def test_why_none_may_be_called_is_said_by_whoever_knows(graph: Graph) -> None:
+def test_reason_against_call_is_told_by_knowing_side(graph: Graph) -> None:
     def servers_of(_: int) -> list[Endpoint]:
         raise UnavailableError(Cause.LOOP, "a circle")
 

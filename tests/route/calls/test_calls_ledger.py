@@ -12,7 +12,7 @@ CALLS = st.tuples(st.integers(0, MOST_TOOK) | st.integers(0, 10**10), st.floats(
 
 
 @given(st.lists(CALLS, min_size=1, max_size=50))
-def test_a_peer_cannot_say_that_its_node_took_longer_than_the_whole_call(calls: list[tuple[int, float]]) -> None:
+def test_node_cannot_take_longer_than_its_call(calls: list[tuple[int, float]]) -> None:
     """The peer reports it in ns; this side measures the whole call in s."""
     ledger = CallsLedger()
     for took, total in calls:
@@ -24,7 +24,7 @@ def test_a_peer_cannot_say_that_its_node_took_longer_than_the_whole_call(calls: 
         assert 0.0 <= figure <= longest * 1.05
 
 
-def test_what_the_node_took_and_what_the_way_took_are_the_whole() -> None:
+def test_time_in_node_and_on_way_are_whole() -> None:
     ledger = CallsLedger()
     ledger.timed(0.25, 1.0)
     ledger.tick()

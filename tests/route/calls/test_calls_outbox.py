@@ -69,7 +69,7 @@ def message(lane: int, content: bytes) -> CallFrame:
     return CallFrame(What.MESSAGE, lane, 0, 0, content)
 
 
-def test_frames_leave_in_order_and_calls_that_are_over_do_not(outbox: CallsOutbox, ended: set[int]) -> None:
+def test_frames_leave_in_order_without_finished_calls(outbox: CallsOutbox, ended: set[int]) -> None:
     frames = [call(1), message(FEEDBACK, b"one"), call(2), call(3), CallFrame(What.REFUSED, SEND_GOAL, 9, 0, b"paused")]
     for frame in frames:
         outbox.put(frame)
@@ -77,7 +77,7 @@ def test_frames_leave_in_order_and_calls_that_are_over_do_not(outbox: CallsOutbo
     assert flushed(outbox).frames() == [frames[0], frames[1], frames[3], frames[4]]
 
 
-def test_what_is_over_while_it_waits_is_not_sent(outbox: CallsOutbox, ended: set[int]) -> None:
+def test_finished_calls_are_not_sent(outbox: CallsOutbox, ended: set[int]) -> None:
     outbox.put(call(1))
     ended.add(1)
     assert not flushed(outbox).sent
@@ -93,7 +93,7 @@ def test_nothing_waits_of_a_call_that_is_over(outbox: CallsOutbox) -> None:
     assert [each.content for each in flushed(outbox).frames()] == [b"1", b"request 2", b"2", b"3"]
 
 
-def test_a_lane_keeps_as_many_messages_as_its_depth_and_the_oldest_go(outbox: CallsOutbox) -> None:
+def test_lane_keeps_its_depth_of_newest(outbox: CallsOutbox) -> None:
     for number in range(25):
         outbox.put(message(FEEDBACK, b"%d" % number))
         outbox.put(message(STATUS, b"status %d" % number))
@@ -117,7 +117,7 @@ def test_messages_that_wait_are_bounded_in_bytes(outbox: CallsOutbox, monkeypatc
     assert len(flushed(outbox).sent) == 2
 
 
-def test_a_large_message_has_as_many_go_as_it_takes(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_message_displaces_as_much_as_it_needs(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.OUTBOX_MESSAGE_BYTES.set(monkeypatch, 100)
     for size in (10, 10, 10, 90):
         outbox.put(message(FEEDBACK, bytes(size)))

@@ -127,7 +127,7 @@ def test_malformed_calls_are_named_by_their_field() -> None:
     assert "B_Request: name: too long" in judge_calls(facts).said(20.0)
 
 
-def test_a_node_that_does_not_answer_is_not_excused_by_a_lossy_path() -> None:
+def test_silent_node_is_not_excused_by_lossy_path() -> None:
     lossy = PathFault(LinkCause.LOSSY, "6 % of packets are lost")
     far, near = (
         judge_calls(FINE._replace(status=FINE.status._replace(sends=sends, path=lossy), expired=3, failing_since=0.0))

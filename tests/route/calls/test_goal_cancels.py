@@ -87,7 +87,7 @@ def cancels(route: ProvidingActionRoute) -> list[bytes]:
     return list(client_of(route).calls)
 
 
-def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[..., ProvidingActionRoute]) -> None:
+def test_end_of_arming_cancels_this_links_goals(make_route: Callable[..., ProvidingActionRoute]) -> None:
     route = make_route()
     assert not cancels(route)
     route.disarm(Disarmed.DEADMAN)
@@ -98,7 +98,7 @@ def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[...,
 
 
 @pytest.mark.parametrize("armed_again", [False, True])
-def test_a_goal_that_is_accepted_later_is_cancelled_then(
+def test_goal_that_is_accepted_later_is_cancelled_then(
     armed_again: bool, make_route: Callable[..., ProvidingActionRoute]
 ) -> None:
     """Nor does it run by the arming of the next operator."""
@@ -132,7 +132,7 @@ def test_the_more_careful_session_counts(
     assert len(cancels(route)) == cancelled
 
 
-def test_a_line_of_every_kind_is_for_those_that_it_suits() -> None:
+def test_line_of_kind_is_for_fitting_goals() -> None:
     demands = Demands(sources_of_names((ArmedName("/**", on_end="cancel"), ArmedName("/**", on_end="zero"))))
     found = {kind: demands.of(kind, "/dock") for kind in ("topic", "action", "service", "parameters")}
     assert {kind: each and each.on_end for kind, each in found.items()} == {
@@ -158,7 +158,7 @@ def reported(route: ProvidingActionRoute) -> int:
         (None, True),
     ],
 )
-def test_a_goal_whose_server_does_not_cancel_it_is_reported(
+def test_goal_that_is_not_cancelled_is_reported(
     answer: bytes | None, goes_on: bool, make_route: Callable[..., ProvidingActionRoute], loop: VirtualLoop
 ) -> None:
     route = make_route()
@@ -183,7 +183,7 @@ def test_a_goal_that_cannot_be_cancelled_is_reported(make_route: Callable[..., P
         assert reported(route) == 2
 
 
-def test_another_clients_answer_is_no_answer_to_a_cancel(make_route: Callable[..., ProvidingActionRoute]) -> None:
+def test_another_clients_answer_is_no_answer_to_cancel(make_route: Callable[..., ProvidingActionRoute]) -> None:
     route = make_route()
     route.disarm(Disarmed.LINK_LOST)
     respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)

@@ -75,14 +75,14 @@ def test_messages_that_overtake_each_other_lead_nowhere_back() -> None:
     assert states(goals) == {1: "canceling", 2: "succeeded"}
 
 
-def test_goals_of_other_callers_are_shown_while_they_run() -> None:
+def test_goals_of_other_callers_are_shown_while_running() -> None:
     goals = made((1, "executing"))
     listed(goals, (1, "executing"), (2, "executing"), (3, "succeeded"))
     assert states(goals) == {1: "executing", 2: "executing"}
     assert goals.running() == [goal(1)]
 
 
-def test_what_becomes_of_a_goal_whose_server_no_longer_lists_it_is_unknown() -> None:
+def test_goal_no_longer_listed_ends_unknown() -> None:
     goals = made((1, "executing"), (2, "executing"), (3, "succeeded"))
     goals.asked(goal(4))
     goals.answered(goal(4), accepted=True)
@@ -90,7 +90,7 @@ def test_what_becomes_of_a_goal_whose_server_no_longer_lists_it_is_unknown() -> 
     assert states(goals) == {1: "unknown", 2: "executing", 3: "succeeded", 4: "accepted"}, "4 was never listed"
 
 
-def test_a_server_that_goes_takes_what_is_known_with_it_until_it_is_back() -> None:
+def test_departed_server_takes_knowledge_until_it_returns() -> None:
     goals = made((1, "executing"), (2, "aborted"))
     goals.server_gone()
     assert states(goals) == {1: "unknown", 2: "aborted"}
@@ -99,7 +99,7 @@ def test_a_server_that_goes_takes_what_is_known_with_it_until_it_is_back() -> No
     assert states(goals) == {1: "executing", 2: "aborted"}
 
 
-def test_a_goal_whose_call_was_given_up_is_unknown_until_its_server_lists_it() -> None:
+def test_goal_of_lost_call_is_unknown_until_listed() -> None:
     goals = made((2, "executing"))
     goals.asked(goal(1))
     goals.unanswered(goal(1))
@@ -109,7 +109,7 @@ def test_a_goal_whose_call_was_given_up_is_unknown_until_its_server_lists_it() -
     assert states(goals) == {1: "executing", 2: "executing"}
 
 
-def test_those_that_are_not_over_come_first_and_the_newest_of_them() -> None:
+def test_running_goals_come_first_newest_first() -> None:
     goals = made((1, "succeeded"), (2, "executing"), (3, "aborted"), (4, "executing"))
     assert list(states(goals)) == [4, 2, 3, 1]
 

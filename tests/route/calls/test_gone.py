@@ -59,7 +59,7 @@ def looks(route: ProvidingRoute) -> Cause | None:
     return trouble.cause if trouble is not None else None
 
 
-def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[..., Context]) -> None:
+def test_unknown_server_has_not_gone(make_context: Callable[..., Context]) -> None:
     """DDS may tell of its node a moment after its endpoints."""
     ros = Graph()
     route = providing(ros, make_context)
@@ -74,9 +74,7 @@ def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[...,
     route.close("over")
 
 
-def test_a_call_may_have_reached_a_server_that_was_not_seen_yet(
-    make_context: Callable[..., Context], loop: VirtualLoop
-) -> None:
+def test_call_may_have_reached_unseen_server(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     """DDS matches a server before the graph is looked at again; only later ones can't have got the call."""
     ros = Graph()
     route = providing(ros, make_context)
@@ -92,9 +90,7 @@ def test_a_call_may_have_reached_a_server_that_was_not_seen_yet(
     route.close("over")
 
 
-def test_a_server_that_dds_does_not_match_is_looked_at_less_and_less_often(
-    make_context: Callable[..., Context], loop: VirtualLoop
-) -> None:
+def test_unmatched_server_is_looked_at_ever_less(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     """DDS shows a killed server for up to 40 s."""
     ros = Graph()
     ros.found, ros.client.ready = [LAMP], False

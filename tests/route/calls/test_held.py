@@ -50,7 +50,7 @@ UNREADABLE = b"\0\x0b" + GOAL[2:]
         (What.CALL, GET_RESULT, GOAL, False),
     ],
 )
-def test_only_what_could_begin_a_goal_is_held_up(
+def test_only_what_could_begin_goal_is_held_up(
     what: What, lane: int, content: bytes, held: bool, how: str, why: Refused, make_context: Callable[..., Context]
 ) -> None:
     route = providing(make_context(), **{how: True})
@@ -59,7 +59,7 @@ def test_only_what_could_begin_a_goal_is_held_up(
 
 
 @pytest.mark.parametrize(("what", "limited"), [(What.CALL, True), (What.AGAIN, False)])
-def test_a_goal_that_is_only_asked_about_is_within_no_limit(
+def test_question_about_goal_is_within_no_limit(
     what: What, limited: bool, make_context: Callable[..., Context]
 ) -> None:
     route = providing(make_context())
@@ -70,7 +70,7 @@ def test_a_goal_that_is_only_asked_about_is_within_no_limit(
 
 
 @pytest.mark.parametrize("paused", [False, True])
-def test_nobody_sends_a_goal_by_hand_that_has_to_be_armed_be_it_paused_or_not(
+def test_unarmed_goal_is_never_sent_by_hand(
     paused: bool, make_context: Callable[..., Context], loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     route = providing(make_context(), paused=paused, arm=True)
@@ -89,7 +89,7 @@ def test_nobody_sends_a_goal_by_hand_that_has_to_be_armed_be_it_paused_or_not(
         (Refused.LOST, True, False),
     ],
 )
-def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
+def test_goal_that_may_have_begun_is_not_rejected(
     why: Refused, again: bool, rejected: bool, make_context: Callable[..., Context]
 ) -> None:
     context = make_context()
@@ -106,7 +106,7 @@ def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
     assert [each.state for each in route.goals.snapshot(set())] == ["rejected" if rejected else "unknown"]
 
 
-def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+def test_old_goal_is_refused_whatever_delayed_it(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     context = make_context()
     route = providing(context, arm=True)
     lease = route.arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
@@ -131,9 +131,7 @@ def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..
     assert (refusal(newest), refusal(number)) == (Refused.PROVIDER_GONE, Refused.DISARMED)
 
 
-def test_what_is_armed_is_not_said_to_be_disarmed_while_the_link_is_silent(
-    make_context: Callable[..., Context], loop: VirtualLoop
-) -> None:
+def test_silent_link_does_not_say_disarmed(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     """The caller got the advice to arm an armed action."""
     context = make_context()
     route = providing(context, arm=True)

@@ -56,7 +56,7 @@ def test_what_questions_are_about() -> None:
         (GET_RESULT, RESULT),
     ],
 )
-def test_an_answer_that_came_while_the_link_was_down_is_there_when_it_is_asked_for(lane: int, answer: bytes) -> None:
+def test_answer_during_outage_waits_for_question(lane: int, answer: bytes) -> None:
     answers = interrupted_after_asking(asks(lane))
     assert answers.under_way
     assert answers.answered(lane, 7, answer, 110.0, linked=False) == (asks(lane), [])
@@ -66,7 +66,7 @@ def test_an_answer_that_came_while_the_link_was_down_is_there_when_it_is_asked_f
     assert not answers.under_way
 
 
-def test_an_answer_that_was_sent_is_kept_until_the_link_would_have_noticed_that_it_did_not_arrive() -> None:
+def test_sent_answer_is_kept_until_surely_arrived() -> None:
     answers = KeptAnswers()
     answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
     assert answers.answered(GET_RESULT, 7, RESULT, 10.0, linked=True) == (asks(GET_RESULT), [1])
@@ -87,13 +87,13 @@ def test_a_result_is_the_same_for_everybody() -> None:
 
 
 @pytest.mark.parametrize("lane", [SEND_GOAL, CANCEL_GOAL])
-def test_a_new_call_goes_to_the_server_whatever_it_answered_before(lane: int) -> None:
+def test_new_call_goes_to_server_despite_kept_answer(lane: int) -> None:
     answers = interrupted_after_asking(asks(lane))
     answers.answered(lane, 7, goal_response(False), 101.0, linked=False)
     assert answers.decide(asks(lane), 1, again=False) is AnswerAction.ASK
 
 
-def test_the_second_goal_of_an_id_does_not_hide_what_became_of_the_first() -> None:
+def test_second_goal_of_id_hides_no_result() -> None:
     answers = KeptAnswers()
     answers.asked(asks(SEND_GOAL), 7, SERVERS)
     answers.answered(SEND_GOAL, 7, goal_response(True), 0.0, linked=True)
@@ -104,14 +104,14 @@ def test_the_second_goal_of_an_id_does_not_hide_what_became_of_the_first() -> No
     assert answers.answer(asks(SEND_GOAL)) == goal_response(True)
 
 
-def test_that_a_server_does_not_know_a_goal_is_told_and_not_kept() -> None:
+def test_goal_unknown_to_server_is_told_not_kept() -> None:
     answers = KeptAnswers()
     answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
     assert answers.answered(GET_RESULT, 7, result_response("unknown"), 0.0, linked=True) == (asks(GET_RESULT), [1])
     assert answers.decide(asks(GET_RESULT), 2, again=True) is AnswerAction.ASK
 
 
-def test_a_new_server_is_asked_once_none_of_those_that_were_asked_is_left() -> None:
+def test_new_server_is_asked_once_old_ones_left() -> None:
     answers = KeptAnswers()
     answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
     assert answers.to_ask(SERVERS | NEW_SERVERS) == []

@@ -21,11 +21,11 @@ def result_of(number: int) -> KeptCall:
     return call(GET_RESULT, goal_request(goal(number)))
 
 
-def test_a_goal_that_was_not_under_way_does_not_begin_late() -> None:
+def test_unsent_goal_does_not_begin_late() -> None:
     assert not KeptCalls(TIMEOUT).keep(call(SEND_GOAL, goal_request(goal(1)), again=False), 0.0)
 
 
-def test_what_cannot_be_asked_about_again_is_not_kept() -> None:
+def test_unrepeatable_questions_are_not_kept() -> None:
     kept = KeptCalls(TIMEOUT)
     for lane in (SEND_GOAL, GET_RESULT):
         assert not kept.keep(call(lane, b"malformed"), 0.0)
@@ -42,7 +42,7 @@ def test_a_call_is_kept_for_an_hour() -> None:
     assert len(kept) == 0
 
 
-def test_a_cancel_of_all_goals_waits_as_long_as_any_call_does() -> None:
+def test_cancel_of_all_waits_like_any_call() -> None:
     """Later it would end goals that nobody meant."""
     kept = KeptCalls(TIMEOUT)
     everything, malformed = call(CANCEL_GOAL, cancel_request(), asked=5.0), call(CANCEL_GOAL, b"malformed", asked=5.0)

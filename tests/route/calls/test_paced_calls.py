@@ -125,7 +125,7 @@ class Patrol:
     def close(self) -> None: ...
 
 
-def test_results_wait_until_the_node_has_read_the_probe(loop: VirtualLoop) -> None:
+def test_results_wait_until_node_has_read_probe(loop: VirtualLoop) -> None:
     """A result comes when its goal is over, so that it does not show that the node has read anything."""
     node = Patrol()
     client = PacedClient(node, loop, b"probe")

@@ -67,7 +67,7 @@ def test_a_call_ends_once(held: Held) -> None:
     assert held.budget.held == (0, 0)
 
 
-def test_no_timer_is_left_once_all_are_given_up(held: Held) -> None:
+def test_no_timer_remains_without_calls(held: Held) -> None:
     held.begin(1, 1000.0)
     held.begin(2, None)
     assert [number for number, _ in held.calls.clear()] == [1, 2]
@@ -87,7 +87,7 @@ def test_calls_one_after_another_set_one_timer(held: Held) -> None:
     assert set_.call_count == 1
 
 
-def test_a_call_with_the_number_of_one_given_up_has_its_own_time(held: Held) -> None:
+def test_call_with_reused_number_has_own_time(held: Held) -> None:
     """In the route's next opening, numbers begin again."""
     held.begin(1, 5.0)
     held.calls.clear()
@@ -97,7 +97,7 @@ def test_a_call_with_the_number_of_one_given_up_has_its_own_time(held: Held) -> 
     assert [(number, round(at, 3)) for number, at in held.expired] == [(1, 8.0)]
 
 
-def test_a_timer_set_by_a_call_that_ended_expires_the_later_ones(held: Held) -> None:
+def test_timer_of_ended_call_expires_later_ones(held: Held) -> None:
     held.begin(1, 5.0)
     held.pass_time(1.0)
     held.begin(2, 5.0)
@@ -117,7 +117,7 @@ def test_an_answer_may_hold_more_than_its_request(held: Held) -> None:
     assert held.budget.held == (0, 0)
 
 
-def test_what_is_kept_of_ended_calls_does_not_grow(held: Held) -> None:
+def test_memory_of_ended_calls_does_not_grow(held: Held) -> None:
     """However long the timeout is, and however many calls are over before it."""
     random = Random(1)
     waiting: list[int] = []

@@ -160,7 +160,7 @@ def test_over_the_link_of_a_running_bridge(socket: Callable[..., str]) -> None:
         assert 1.0 < point.best.wire_per_byte < 1.2
 
 
-def test_both_directions_of_a_named_link_are_measured_and_drawn(socket: Callable[..., str], tmp_path: Path) -> None:
+def test_both_directions_of_link_are_measured_and_drawn(socket: Callable[..., str], tmp_path: Path) -> None:
     plot = tmp_path / "link.svg"
     options = ("--link", "robot1", "--direction", "both", "--transports", "tcp", "--plot", str(plot))
     leave = msgspec.structs.replace(LEAVE, seconds=600.0, megabytes=1000.0)
@@ -188,7 +188,7 @@ def test_a_line_of_progress_is_clean() -> None:
     assert is_clean(stream.getvalue().removeprefix("\r\x1b[K"))
 
 
-def test_ctrl_c_prints_what_was_measured_and_leaves_no_process(spare_domains: int) -> None:
+def test_ctrl_c_prints_results_and_leaves_no_process(spare_domains: int) -> None:
     near = spare_domains
     command = [sys.executable, "-m", "rsb_console", "bench", "--json", "--domains", f"{near},{near + 1}"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}

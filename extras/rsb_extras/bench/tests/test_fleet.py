@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[4]
 WITHIN = 90.0
 
 
-def test_a_fleet_links_flows_comes_back_and_bears_a_flood(spare_domains: int) -> None:
+def test_fleet_links_flows_comes_back_and_bears_flood(spare_domains: int) -> None:
     found = measure(3, domain=spare_domains, plan=Plan(settles=0.0, watched=1.0, down=0.7))
     assert found.routes == 3 * USUAL.routes
     assert 0 < found.linked.half <= found.linked.last <= found.flowing.last
@@ -42,7 +42,7 @@ def test_a_fleet_links_flows_comes_back_and_bears_a_flood(spare_domains: int) ->
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_nothing_of_a_bench_that_is_ended_runs_on(number: signal.Signals, tmp_path: Path, spare_domains: int) -> None:
+def test_nothing_of_bench_that_is_ended_runs_on(number: signal.Signals, tmp_path: Path, spare_domains: int) -> None:
     command = [sys.executable, "-m", "bench.fleet", "--robots", "2", "--domain", str(spare_domains)]
     bench = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, stdout=subprocess.DEVNULL)
     try:
@@ -68,7 +68,7 @@ def processes_of(folder: Path) -> list[str]:
     return found
 
 
-def test_a_battery_of_the_stand_in_is_a_message_whose_charge_falls() -> None:
+def test_battery_of_stand_in_loses_charge() -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2")
     from rclpy.serialization import deserialize_message
     from sensor_msgs.msg import BatteryState
@@ -95,7 +95,7 @@ def test_a_battery_of_the_stand_in_is_a_message_whose_charge_falls() -> None:
     assert read.message["percentage"] == first
 
 
-def test_what_a_node_publishes_reaches_subscriptions_and_what_it_hears_is_counted() -> None:
+def test_stand_in_carries_what_node_publishes_and_hears() -> None:
     ros = StandIn("robot1", [Talk("/scan", 5.0, 100)], ["/goal"])
     assert (len(ros.publishers("/scan")), len(ros.publishers("/goal"))) == (1, 0)
     assert (len(ros.subscriptions("/scan")), len(ros.subscriptions("/goal"))) == (0, 1)

@@ -32,7 +32,7 @@ def test_nobody_measures_without_leave(bridge: Bridge) -> None:
         assert not link(server).routes
 
 
-def test_nothing_that_a_peer_sends_to_measure_reaches_ros(bridge: Bridge, pc: Domain) -> None:
+def test_nothing_that_peer_sends_to_measure_reaches_ros(bridge: Bridge, pc: Domain) -> None:
     """A description of another type than the route's ends it."""
     entry = Client("robot1", key_file=bridge.key_file, features={LIMITS.name: BenchmarkLimits()})
     server = bridge.server(key_file=None, clients=(entry,))

@@ -49,7 +49,7 @@ def test_large_messages_go_one_by_one() -> None:
     assert sizes == [1] * 5
 
 
-def test_a_sender_that_does_not_keep_up_ends_and_says_how_fast_it_was() -> None:
+def test_slow_sender_ends_and_says_its_speed() -> None:
     clocks = Clocks()
 
     def slow(_: Sequence[RawMessage]) -> None:
@@ -78,7 +78,7 @@ def test_what_arrives_is_counted_with_its_latency() -> None:
     assert drain.arrived == (0, (0.0, 0.0, 0.0))
 
 
-def test_an_internal_route_has_ends_only_as_long_as_it_is_open_and_only_on_a_link_that_serves_it() -> None:
+def test_internal_route_has_ends_while_open_and_served() -> None:
     clocks, ends = Clocks(), InternalEnds[BenchSource, BenchDrain](BENCH)
     assert [each.type_name for each in ends.publishers(NAME) + ends.subscriptions(NAME)] == [BENCH.type_name] * 2
     for stranger in ("/scan", "/bench/tcp/transmit", "view/1", "bench", "bench/../scan"):

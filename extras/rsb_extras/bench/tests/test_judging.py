@@ -37,11 +37,11 @@ MEASURED = [point(1_000, 10_000.0), point(100_000, 1_000.0), point(1_000_000, 40
         (4_000_000, 10.0),  # above: by the byte
     ],
 )
-def test_the_capacity_between_and_beyond_the_sizes_that_were_measured(size: int, rate: float) -> None:
+def test_capacity_between_and_beyond_sizes_that_were_measured(size: int, rate: float) -> None:
     assert capacity(MEASURED, size) == pytest.approx(rate)
 
 
-def test_what_only_had_no_time_says_nothing_and_what_carried_nothing_does() -> None:
+def test_lack_of_time_says_nothing_silence_does() -> None:
     assert capacity([*MEASURED, point(10_000, None, limit="time")], 10_000) == pytest.approx(capacity(MEASURED, 10_000))
     assert capacity([point(1_000, 100.0), point(10_000, None)], 10_000) == 0.0
     assert capacity([], 1.0) == 0.0
@@ -57,7 +57,7 @@ def test_topics_are_carried_just_so_or_not() -> None:
 
 
 @pytest.mark.parametrize("limit", ["time", "leave"])
-def test_what_was_not_tried_is_not_said_to_be_too_much(limit: str) -> None:
+def test_untried_is_not_too_much(limit: str) -> None:
     measured = [point(1_000, 100.0), point(100_000, 10.0, limit=limit)]
     loads = [Load("/a", 1_000, 95.0), Load("/b", 100_000, 10.0), Load("/c", 100_000, 11.0), Load("/d", 1_000_000, 2.0)]
     judged = judge(loads, measured)
@@ -68,7 +68,7 @@ def test_what_was_not_tried_is_not_said_to_be_too_much(limit: str) -> None:
     assert any("/c" in line and "/d" in line and says(line, JudgingText.UNKNOWN) for line in words)
 
 
-def test_a_topic_is_judged_by_its_own_transport_and_direction() -> None:
+def test_topic_is_judged_by_its_transport_and_direction() -> None:
     both = [point(1_000, 100.0), point(1_000, 1_000.0, "udp"), point(1_000, 10.0, direction="receive")]
     assert judge([Load("/a", 1_000, 90.0, "tcp", "transmit")], both)[0].verdict == "barely"
     assert judge([Load("/a", 1_000, 90.0, "tcp", "receive")], both)[0].verdict == "not"
@@ -76,7 +76,7 @@ def test_a_topic_is_judged_by_its_own_transport_and_direction() -> None:
     assert judge([Load("/a", 1_000, 90.0, "bluetooth")], both)[0].transport == "udp"
 
 
-def test_the_verdict_names_what_is_carried_and_what_is_not() -> None:
+def test_verdict_names_carried_and_not_carried() -> None:
     judged = judge([Load("/camera", 1_200_000, 20.0), Load("/points", 9_000_000, 10.0)], MEASURED)
     first, *_ = in_words(judged, "this link", together=True)
     assert "/camera" in first.partition(", not ")[0]
@@ -98,7 +98,7 @@ def snapshot(role: str, link: str) -> Snapshot:
     return cast("Snapshot", SimpleNamespace(role=role, routes=[route]))
 
 
-def test_a_topic_between_two_bridges_of_this_machine_is_one_topic() -> None:
+def test_topic_between_two_local_bridges_is_one() -> None:
     assert len(loads_of_all([snapshot("client", "robot1"), snapshot("server", "robot1")])) == 1
     assert len(loads_of_all([snapshot("server", "robot1"), snapshot("server", "robot2")])) == 2
     assert len(loads_of_all([snapshot("client", "robot1"), snapshot("client", "robot1")])) == 2

@@ -14,14 +14,14 @@ SERVER = {"name": "pc", "role": "server", "server_ip": "127.0.0.1", "server_port
 BENCHES = Here().bench
 
 
-def test_nobody_may_measure_without_leave_whatever_else_is_allowed() -> None:
+def test_nobody_may_measure_without_leave() -> None:
     for client in (Client("robot1"), Client("robot1", allow=("*", "bench/*"))):
         for sends in (True, False):
             refusal = BENCHES.denial(rights_of_client(client, "pc"), sends=sends)
             assert "add bench: {}" in str(refusal)
 
 
-def test_with_leave_a_peer_measures_whatever_else_is_denied() -> None:
+def test_with_leave_peer_measures_whatever_else_is_denied() -> None:
     client = Client("robot1", allow=("/scan",), deny=("*",), features={LIMITS.name: BenchmarkLimits(max_rate=50.0)})
     rights = rights_of_client(client, "pc")
     for sends in (True, False):
@@ -30,7 +30,7 @@ def test_with_leave_a_peer_measures_whatever_else_is_denied() -> None:
     assert rights.refusal(Use("/bench/tcp/transmit", "publish", "tcp")) is not None
 
 
-def test_a_client_s_session_gives_leave_to_the_server() -> None:
+def test_client_s_session_gives_leave_to_server() -> None:
     session = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=7060, key_file="k")
     assert BENCHES.denial(rights_of_server(session), sends=True) is not None
     features = {LIMITS.name: BenchmarkLimits()}
@@ -38,7 +38,7 @@ def test_a_client_s_session_gives_leave_to_the_server() -> None:
     assert BENCHES.denial(rights_of_server(given), sends=True) is None
 
 
-def test_it_is_read_from_the_file_and_its_mistakes_are_found() -> None:
+def test_leave_is_read_from_file_and_checked() -> None:
     session, problems = build({**SERVER, "clients": [{"name": "robot1", "key_file": "k", "bench": {"seconds": 10}}]})
     assert not problems
     assert LIMITS.of(session.listed_clients[0]) == BenchmarkLimits(seconds=10)
@@ -48,7 +48,7 @@ def test_it_is_read_from_the_file_and_its_mistakes_are_found() -> None:
         assert problems, wrong
 
 
-def test_a_server_s_own_leave_is_for_its_only_client() -> None:
+def test_servers_leave_is_for_its_only_client() -> None:
     session, problems = build({**SERVER, "bench": {}})
     assert not problems
     assert LIMITS.of(session.accepted_clients[0]) == BenchmarkLimits()
@@ -63,7 +63,7 @@ class Clock:
         self.now = 1000.0
 
 
-def test_the_budget_is_of_time_rate_and_bytes_and_begins_anew_after_an_hour() -> None:
+def test_budget_limits_time_rate_bytes_each_hour() -> None:
     clock, leave = Clock(), BenchmarkLimits(seconds=10.0, max_rate=100.0, megabytes=1.0)
     budget = BenchBudget(lambda: clock.now)
     assert budget.refusal(None)

@@ -148,7 +148,7 @@ def test_messages_cross_both_ways_and_are_counted(pair: Callable[..., Pair]) -> 
 
 
 @pytest.mark.parametrize("first_heard", ["the proposal", "the run"])
-def test_a_run_whose_topic_is_opened_again_has_no_figures(
+def test_run_with_reopened_topic_has_no_figures(
     first_heard: str, pair: Callable[..., Pair], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For example where the link is lost, and back soon: the other side has counted from 0 since.
@@ -195,9 +195,7 @@ def test_a_server_measures_its_client_with_leave(pair: Callable[..., Pair]) -> N
 
 
 @pytest.mark.usefixtures("patient")
-def test_two_clients_that_measure_at_once_have_their_own_figures(
-    tmp_path: Path, linked: Callable[..., list[Engine]]
-) -> None:
+def test_clients_that_measure_at_once_have_own_figures(tmp_path: Path, linked: Callable[..., list[Engine]]) -> None:
     """Their routes have one name on the server."""
     keys = {name: f"{name}.key" for name in ("robot1", "robot2")}
     for key in keys.values():
@@ -255,13 +253,13 @@ def test_more_bytes_than_the_leave_has_are_refused(pair: Callable[..., Pair], di
     assert "bench.megabytes" in both.refused(both.client, direction=direction, transport="udp", size=50_000)
 
 
-def test_a_higher_rate_than_the_leave_has_is_not_made(pair: Callable[..., Pair]) -> None:
+def test_higher_rate_than_leave_has_is_not_made(pair: Callable[..., Pair]) -> None:
     both = pair(to_client=BenchmarkLimits(max_rate=50.0))
     for direction in ("transmit", "receive"):
         assert "50 messages a second" in both.refused(both.client, direction=direction, rate=60.0)
 
 
-def test_who_sends_faster_all_the_same_is_cut_off(pair: Callable[..., Pair]) -> None:
+def test_who_sends_faster_all_same_is_cut_off(pair: Callable[..., Pair]) -> None:
     both = pair(to_client=BenchmarkLimits(max_rate=100.0))
     both.run(both.client, rate=50.0, count=5)
     internal = inside(both.client).context.internal[BENCH.name]
@@ -270,7 +268,7 @@ def test_who_sends_faster_all_the_same_is_cut_off(pair: Callable[..., Pair]) -> 
     eventually(lambda: not both.server.snapshot().routes, WITHIN)
 
 
-def test_the_peer_orders_no_runs_on_a_topic_that_is_not_its_own(pair: Callable[..., Pair]) -> None:
+def test_peer_orders_runs_on_its_own_topic_only(pair: Callable[..., Pair]) -> None:
     both = pair(to_client=LEAVE)
     both.run(both.client)
 

@@ -78,7 +78,7 @@ def publish(drain: Any, messages: int, size: int = 100) -> None:
         drain.publish(bytes(size))
 
 
-def test_a_peer_that_has_it_counted_from_0_again_is_held_to_its_leave() -> None:
+def test_peer_that_counts_anew_keeps_to_its_leave() -> None:
     here = Here()
     drain = here.open(UP)
     publish(drain, 500)
@@ -87,7 +87,7 @@ def test_a_peer_that_has_it_counted_from_0_again_is_held_to_its_leave() -> None:
     assert "100 messages a second" in here.denied[0]
 
 
-def test_a_peer_that_opens_its_topic_again_and_again_is_held_to_its_leave() -> None:
+def test_peer_that_reopens_topic_keeps_to_its_leave() -> None:
     here = Here()
     for _ in range(6):
         drain = here.open(UP)
@@ -107,7 +107,7 @@ def test_the_rate_is_of_all_topics_together() -> None:
     assert "100 messages a second" in here.denied[0]
 
 
-def test_what_the_peer_was_asked_to_send_is_not_charged_to_it() -> None:
+def test_peer_is_not_charged_for_what_was_asked() -> None:
     here = Here()
     drain = here.open(DOWN)
     here.own.add(drain)
@@ -133,7 +133,7 @@ def test_one_run_at_a_time_whatever_the_topics() -> None:
             source.close()
 
 
-def test_a_peer_whose_count_goes_on_growing_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_growing_count_of_peer_is_not_awaited_forever(monkeypatch: pytest.MonkeyPatch) -> None:
     here, received = Here(), 0
 
     async def sleep(seconds: float) -> None:
@@ -151,7 +151,7 @@ def test_a_peer_whose_count_goes_on_growing_is_not_waited_for_for_ever(monkeypat
     assert asyncio.run(here.bench._settled_there(cast("Route", None), 1, order)).received == received
 
 
-def test_no_message_of_any_size_beyond_the_limit_is_taken() -> None:
+def test_message_beyond_limit_is_refused() -> None:
     here = Here()
     drain = here.open(UP)
     publish(drain, 10, 100_000)

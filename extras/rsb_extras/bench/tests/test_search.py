@@ -15,7 +15,7 @@ def search(link: SimulatedLink, *, first: float = 5000.0, size: int = 2500) -> F
 
 
 @given(capacity=st.floats(3.0, 1e6), first=st.floats(1.0, 1e6))
-def test_it_finds_the_capacity_to_a_tenth_wherever_it_begins(capacity: float, first: float) -> None:
+def test_it_finds_capacity_to_tenth_wherever_it_begins(capacity: float, first: float) -> None:
     link = SimulatedLink(1e12, capacity)
     found = search(link, first=first)
     assert found.limit == "loss"
@@ -51,7 +51,7 @@ def test_one_loss_is_tried_again() -> None:
 
 
 @pytest.mark.parametrize("trials", [1, 3])
-def test_it_ends_when_the_time_is_up_with_what_was_found(trials: int) -> None:
+def test_search_ends_when_time_is_up(trials: int) -> None:
     link = SimulatedLink(1e12, 1e9)
     found = highest_lossless(
         lambda rate: link.send(rate, 1.0, 100), first=10.0, goes_on=lambda: len(link.tried) < trials

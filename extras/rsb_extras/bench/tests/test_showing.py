@@ -25,7 +25,7 @@ def report() -> BenchReport:
 
 
 @pytest.mark.parametrize("width", [20, 80, 200])
-def test_the_plot_keeps_to_the_terminal_s_width_and_to_plain_characters(report: BenchReport, width: int) -> None:
+def test_plot_keeps_to_width_and_plain_characters(report: BenchReport, width: int) -> None:
     lines = in_terminal(report.points, width)
     assert all(len(line) <= max(width, 66) for line in lines)
     assert all(line.isascii() for line in lines)
@@ -33,7 +33,7 @@ def test_the_plot_keeps_to_the_terminal_s_width_and_to_plain_characters(report: 
     assert "udp" in lines[-1]
 
 
-def test_the_svg_is_well_formed_and_has_a_line_for_each_transport(report: BenchReport) -> None:
+def test_svg_is_well_formed_with_line_per_transport(report: BenchReport) -> None:
     root = ET.fromstring(as_svg(report.points, report.over))
     assert root.tag == f"{SVG}svg"
     assert len(root.findall(f"{SVG}polyline")) == 2
@@ -41,7 +41,7 @@ def test_the_svg_is_well_formed_and_has_a_line_for_each_transport(report: BenchR
     assert root.findtext(f"{SVG}title") == report.over
 
 
-def test_without_a_figure_there_is_a_well_formed_svg_and_no_plot() -> None:
+def test_without_figures_svg_is_well_formed_without_plot() -> None:
     assert ET.fromstring(as_svg([], "nothing")) is not None
     assert in_terminal([], 80) == []
 

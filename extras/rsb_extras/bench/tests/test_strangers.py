@@ -10,7 +10,7 @@ from tests.support.long import long
 @pytest.mark.parametrize(
     "flood", [*long(SHORT[0]), SHORT[1], *long(SHORT[2])], ids=[flood.transport for flood in SHORT]
 )
-def test_a_flood_leaves_the_memory_as_it_was_and_a_robot_links(flood: Flood, spare_domains: int) -> None:
+def test_flood_leaves_memory_and_link_as_they_were(flood: Flood, spare_domains: int) -> None:
     if flood.transport == "zenoh":
         pytest.importorskip("zenoh")
     row = measure(flood, spare_domains, spare_domains + 1)

@@ -17,7 +17,7 @@ def measured(place: SimulatedPlace, plan: Plan = QUICK) -> BenchReport:
     return report
 
 
-def test_every_size_of_every_transport_is_measured_and_what_it_finds_is_right() -> None:
+def test_every_size_of_every_transport_is_measured() -> None:
     links = {"tcp": SimulatedLink(), "udp": SimulatedLink(5e6)}
     report = measured(SimulatedPlace(links))
     assert [(each.transport, each.size) for each in report.points] == [
@@ -43,13 +43,13 @@ def test_it_keeps_within_its_time(plan: Plan) -> None:
     assert len(report.points) == 2 * len(plan.sizes)
 
 
-def test_latencies_are_measured_at_each_rate_that_is_carried() -> None:
+def test_latency_is_measured_at_each_carried_rate() -> None:
     report = measured(SimulatedPlace({"tcp": SimulatedLink(100e6, 12_000.0)}), replace(FULL, sizes=(256, 10_000)))
     assert [[run.rate for run in each.paced] for each in report.points] == [[1_000, 5_000, 10_000], [1_000, 5_000]]
     assert all(run.lossless for each in report.points for run in each.paced)
 
 
-def test_without_a_sight_of_the_wire_nothing_more_is_sent_for_it() -> None:
+def test_without_wire_count_no_more_is_sent() -> None:
     class Blind(SimulatedLink):
         def wire(self, *_: float) -> None:  # type: ignore[override]
             return
@@ -58,21 +58,21 @@ def test_without_a_sight_of_the_wire_nothing_more_is_sent_for_it() -> None:
     assert all(point.best is not None and point.best.wire is None for point in report.points)
 
 
-def test_when_the_time_is_up_each_transport_has_had_its_share() -> None:
+def test_each_transport_has_its_share_of_time() -> None:
     place = SimulatedPlace({"tcp": SimulatedLink(), "udp": SimulatedLink()})
     report = measured(place, replace(FULL, most=40.0, many=()))
     assert {each.transport for each in report.points} == {"tcp", "udp"}
     assert place.time < 60.0
 
 
-def test_a_transport_that_is_not_there_is_noted_and_the_others_go_on() -> None:
+def test_missing_transport_is_noted_others_go_on() -> None:
     links = {"tcp": SimulatedLink(), "bluetooth": SimulatedLink(), "udp": SimulatedLink()}
     report = measured(SimulatedPlace(links, fails=("bluetooth",)))
     assert {each.transport for each in report.points} == {"tcp", "udp"}
     assert len(report.notes) == 1
 
 
-def test_a_peer_that_stops_it_ends_everything_and_what_was_measured_stays() -> None:
+def test_stopping_peer_ends_run_and_keeps_its_results() -> None:
     links = {"tcp": SimulatedLink(), "udp": SimulatedLink()}
     report = measured(SimulatedPlace(links, stops=("udp",)), replace(QUICK, many=(1,)))
     assert report.ended == "stopped"

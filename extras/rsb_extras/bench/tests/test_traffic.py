@@ -10,7 +10,7 @@ from rsb_extras.bench import measured_stream
 from rsb_extras.bench.measured_stream import Arrivals
 
 
-def test_what_an_earlier_run_has_left_does_not_count_for_the_next() -> None:
+def test_leftovers_of_earlier_run_do_not_count() -> None:
     arrivals, late = Arrivals(), stamped_string(100)
     arrivals.add(late)
     assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
@@ -38,7 +38,7 @@ class _Publishing:
 
 
 @pytest.mark.parametrize("rate", [100_000, 1_000_000])
-def test_each_message_has_a_stamp_of_its_own_at_every_rate(rate: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_message_has_own_stamp_at_every_rate(rate: int, monkeypatch: pytest.MonkeyPatch) -> None:
     surroundings.set_stdin(monkeypatch, f"send {rate} 1000 2500\n")
     node = _Publishing()
     measured_stream.talk(node, ["/topic"])

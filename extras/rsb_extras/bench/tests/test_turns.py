@@ -16,20 +16,20 @@ def figures_of(**values: list[float | None]) -> Figures:
     return figures
 
 
-def test_ratios_hold_where_a_busy_round_doubles_the_figures() -> None:
+def test_ratios_hold_where_busy_round_doubles_figures() -> None:
     figures = figures_of(relay=[10, 20, 40], tcp=[15, 30, 60])
     assert figures.ratio("tcp", "CPU", "relay") == Spread(1.5, 1.5, 1.5)
     assert figures.added("tcp", "CPU", "relay") == Spread(10, 5, 20)
     assert figures.spread("tcp", "CPU") == Spread(30, 15, 60)
 
 
-def test_a_round_in_which_one_of_the_two_lost_messages_does_not_count() -> None:
+def test_round_with_one_lost_message_does_not_count() -> None:
     figures = figures_of(relay=[10, None, 10, 10], tcp=[20, 500, None, 40])
     assert figures.ratio("tcp", "CPU", "relay") == Spread(3, 2, 4)
     assert figures.added("tcp", "CPU", "relay") == Spread(20, 10, 30)
 
 
-def test_each_bed_is_first_once_and_none_is_left_out() -> None:
+def test_each_bed_is_first_once() -> None:
     orders = [in_turn(DEFAULT_BEDS, turn) for turn in range(len(DEFAULT_BEDS))]
     assert {order[0] for order in orders} == set(DEFAULT_BEDS)
     assert all(sorted(order) == sorted(DEFAULT_BEDS) for order in orders)

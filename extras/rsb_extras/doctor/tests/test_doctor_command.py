@@ -116,7 +116,7 @@ def test_it_runs_nothing_of_its_folder(planted: Path) -> None:
     assert not planted.exists()
 
 
-def test_it_draws_ascii_where_the_terminal_has_no_more() -> None:
+def test_it_draws_ascii_where_terminal_has_no_more() -> None:
     environ = {"LANG": "C", "LC_ALL": "", "LC_CTYPE": "", "TERM": "vt100"}
     with Terminal("rsb_console", "doctor", environ=environ, forked=True) as terminal:
         terminal.exit_code()

@@ -46,7 +46,7 @@ def test_what_a_udp_socket_may_hold(given: int, grade: Grade, tmp_path: Path, mo
     assert (str(RECEIVE_BUFFER) in finding.remedy) == (grade == Grade.WARNING)
 
 
-def test_a_udp_socket_is_asked_as_the_bridge_asks_it(tmp_path: Path) -> None:
+def test_udp_socket_is_asked_as_bridge_asks_it(tmp_path: Path) -> None:
     """Root, and a process with CAP_NET_ADMIN, get more than net.core.rmem_max."""
     with socket.socket(type=socket.SOCK_DGRAM) as asking:
         enlarge_buffers(asking)
@@ -55,7 +55,7 @@ def test_a_udp_socket_is_asked_as_the_bridge_asks_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("used", "grade"), [("bbr", Grade.OK), ("cubic", Grade.NOTE)])
-def test_a_congestion_control_that_takes_loss_for_a_full_link(
+def test_congestion_control_that_takes_loss_for_full_link(
     used: str, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     doctor_places.CONGESTION_CONTROL.set(monkeypatch, lambda _: used)
@@ -64,9 +64,7 @@ def test_a_congestion_control_that_takes_loss_for_a_full_link(
     assert ("tcp_bbr" in finding.remedy) == (grade == Grade.NOTE)
 
 
-def test_files_of_killed_programs_are_counted_and_those_of_running_ones_are_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_are_counted_once_their_program_was_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "dev/shm"
     folder.mkdir(parents=True)
     for name in ("fastrtps_0a", "fastdds_0b", "fastdds_port7411"):
@@ -198,9 +196,7 @@ def test_a_full_disk_and_a_foreign_folder(tmp_path: Path, monkeypatch: pytest.Mo
     assert "read-only" in finding.text
 
 
-def test_no_remedy_takes_a_folder_above_the_missing_one_from_its_owner(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_remedy_takes_away_folder_above_missing_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A service's user may have a home that does not exist: the nearest folder that does is ``/``."""
     surroundings.forbid_access(monkeypatch)
     folder = tmp_path / "missing home" / "rsb-console"

@@ -41,7 +41,7 @@ def test_the_real_self_test() -> None:
         ('print(\'{"error": "it differs", "seconds": 0}\')', "it differs"),
     ],
 )
-def test_what_ends_or_stops_the_self_test_is_found(program: str, within: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_ends_or_stops_self_test_is_found(program: str, within: str, monkeypatch: pytest.MonkeyPatch) -> None:
     doctor_places.ROS_SETUP_WITHIN.set(monkeypatch, 0.5 if "sleep" in program else 20.0)
     (finding,) = found("ros", program=program)
     assert finding.grade == Grade.ERROR
@@ -131,7 +131,7 @@ def test_the_environment(environ: dict[str, str], grades: list[Grade]) -> None:
     assert findings[0].facts == environ
 
 
-def test_a_sessions_own_domain_counts_more_than_the_environments() -> None:
+def test_sessions_own_domain_counts_more_than_environments() -> None:
     checks = ros_setup.checks({"ROS_DOMAIN_ID": "five"}, own_domain=3)
     (finding,) = examine(check for check in checks if check.code == "ros_domain")
     assert finding.grade == Grade.OK

@@ -73,7 +73,7 @@ def test_the_clocks_of_a_running_bridges_peers(offset: float, grade: Grade, tmp_
     assert found("clock", session(), tmp_path / "of a bridge that does not run", machine.environ) == []
 
 
-def test_a_port_that_another_program_has_over_ipv4_only(tmp_path: Path) -> None:
+def test_port_that_another_program_has_over_ipv4_only(tmp_path: Path) -> None:
     if not socket.has_dualstack_ipv6():
         pytest.skip("needs IPv6")
     server = session(server_ip="::")
@@ -182,7 +182,7 @@ def test_whether_the_base_stops_by_itself(said: str, grade: Grade, tmp_path: Pat
 
 
 @pytest.mark.parametrize("topic", [Topic("/cmd_vel", "transmit", arm=True), Topic("/cmd_vel", "receive")])
-def test_no_base_is_asked_where_nothing_is_armed_that_comes_here(topic: Topic, tmp_path: Path) -> None:
+def test_base_is_asked_only_where_something_arrives_armed(topic: Topic, tmp_path: Path) -> None:
     robot = session(role="client", topics=(topic,))
     checks = session_needs.checks(robot, tmp_path / "robot.yaml", {}, tmp_path, ("false",))
     assert not list(examine(check for check in checks if check.code == "base"))

@@ -73,9 +73,7 @@ DISARMED = replace(
         ({"max_age": 0.0}, DriveText.NOT_DRIVEN),
     ],
 )
-def test_only_an_armed_velocity_without_old_messages_is_driven(
-    changes: dict[str, Any], reason: DriveText | None
-) -> None:
+def test_only_armed_velocity_without_old_messages_is_driven(changes: dict[str, Any], reason: DriveText | None) -> None:
     found = why_not_driven(replace(ARMED, **changes))
     assert says(found, reason, topic="/cmd_vel") if reason else found == ""
 
@@ -172,9 +170,7 @@ ZERO = velocity(TWIST, 0.0, 0.0)
 
 
 @driven()
-async def test_commands_go_out_while_a_key_counts_and_zeros_after_it(
-    app: ConsoleApp, pilot: Pilot[None], clock: Clock
-) -> None:
+async def test_commands_go_out_while_key_counts_then_zeros(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     await pressed(pilot, clock, "u")
     await until(pilot, lambda: ZERO in velocities(app), "the end of the key")
     count = await rests(app, pilot, clock)
@@ -293,9 +289,7 @@ async def test_it_shows_whether_the_topic_is_armed(app: ConsoleApp, pilot: Pilot
 
 
 @driven()
-async def test_it_is_disarmed_at_once_and_armed_after_a_question(
-    app: ConsoleApp, pilot: Pilot[None], clock: Clock
-) -> None:
+async def test_disarming_is_immediate_arming_asks(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     await pilot.press("A")
     await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
     put(app, DISARMED)
@@ -341,9 +335,7 @@ async def test_another_driver_is_named(app: ConsoleApp, pilot: Pilot[None], cloc
 
 
 @driven()
-async def test_what_was_armed_before_the_bridge_was_lost_is_not_shown_as_armed(
-    app: ConsoleApp, pilot: Pilot[None], clock: Clock
-) -> None:
+async def test_lost_bridge_leaves_nothing_shown_as_armed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     put(app, replace(ARMED, arming=replace(arming(), velocity=(0.2, 0.0))))
     await shown(pilot, DriveText.MOVING, forward=0.2)
     engine_of(app).unreachable = "no router answers"
@@ -365,9 +357,7 @@ async def test_no_velocity_is_shown_while_disarmed(app: ConsoleApp, pilot: Pilot
     landmark="/cmd_vel",
     make_engine=robot_of(ARMED, replace(ARMED, key="other", link="robot2")),
 )
-async def test_other_robots_that_a_topic_moves_are_named_and_asked_for(
-    app: ConsoleApp, pilot: Pilot[None], clock: Clock
-) -> None:
+async def test_other_moved_robots_are_named_and_asked_for(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     await pilot.press("D")
     await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
     await shown(pilot, "robot1 and robot2")
@@ -380,9 +370,7 @@ async def test_other_robots_that_a_topic_moves_are_named_and_asked_for(
 
 
 @driven(DISARMED)
-async def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(
-    app: ConsoleApp, pilot: Pilot[None], clock: Clock
-) -> None:
+async def test_only_keys_on_arming_screen_keep_armed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     kept: list[bool] = []
     engine_of(app).kept = kept
     await pilot.press("A", "y")
@@ -405,7 +393,7 @@ async def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(
     [(Topic("/cmd_vel", "transmit", type="Twist"), True), (Topic("/cmd_vel", "transmit"), False)],
 )
 @on_main(landmark="/cmd_vel", make_engine=robot_of(ARMED))
-async def test_the_type_may_have_a_short_name_or_be_known_to_the_bridge_only(
+async def test_type_may_be_short_or_known_to_bridge(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock, spec: Topic, known: bool
 ) -> None:
     put(app, replace(ARMED, type_name="", spec=spec))
@@ -486,7 +474,7 @@ ASKED = replace(ARMED, arming=QUESTION)
     ("key", "command"), [("y", "ask_holder"), ("t", "take_arming"), ("A", "disarm"), ("n", ""), ("escape", "")]
 )
 @driven(ELSEWHERE)
-async def test_what_another_console_holds_is_asked_for_taken_or_disarmed(
+async def test_topic_of_other_console_is_asked_taken_disarmed(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock, key: str, command: str
 ) -> None:
     """Also if it was armed on this side."""
@@ -502,9 +490,7 @@ async def test_what_another_console_holds_is_asked_for_taken_or_disarmed(
 
 
 @driven(ELSEWHERE)
-async def test_what_its_holder_has_let_go_is_not_armed_by_the_yes_for_a_question(
-    app: ConsoleApp, pilot: Pilot[None], clock: Clock
-) -> None:
+async def test_yes_arms_nothing_that_holder_has_released(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     engine_of(app).holds = ()
     await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
     await pilot.press("A")
@@ -515,7 +501,7 @@ async def test_what_its_holder_has_let_go_is_not_armed_by_the_yes_for_a_question
 
 
 @driven(DISARMED)
-async def test_a_second_key_disarms_what_the_first_has_just_armed(
+async def test_second_key_disarms_what_first_has_just_armed(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(app.deadman, "keep", lambda *_: None)  # no answer says yet that this console holds it
@@ -567,7 +553,7 @@ async def test_leaving_the_screen_asks_no_longer(app: ConsoleApp, pilot: Pilot[N
 
 @pytest.mark.parametrize(("key", "gives"), [("y", True), ("n", False)])
 @driven()
-async def test_the_holder_sees_the_question_while_driving_and_answers(
+async def test_holder_sees_question_while_driving_and_answers(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock, key: str, gives: bool
 ) -> None:
     """The keys that drive and stop do so meanwhile. A key that came before the question is no answer."""
@@ -594,7 +580,7 @@ async def test_the_holder_sees_the_question_while_driving_and_answers(
 
 
 @driven(ELSEWHERE)
-async def test_a_refusal_is_gone_once_another_operator_holds_the_topic(
+async def test_refusal_is_gone_once_another_operator_holds_topic(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock
 ) -> None:
     """It names the holder of before, and this console may be the holder now."""
@@ -620,9 +606,7 @@ LIMITED = replace(ARMED, limits=VelocityLimits(0.1, 0.3), limited_by=("robot.yam
 
 
 @driven(LIMITED)
-async def test_what_is_asked_is_within_the_limits_and_their_line_is_shown(
-    app: ConsoleApp, pilot: Pilot[None], clock: Clock
-) -> None:
+async def test_speed_is_within_limits_whose_line_is_shown(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     """The bridge reduces what is beyond limits that this console does not know yet."""
     await shown(pilot, DriveText.LIMITED, limits=VelocityLimits(0.1, 0.3), lines="robot.yaml:14")
     await pressed(pilot, clock, "o")
@@ -639,7 +623,7 @@ async def test_what_is_asked_is_within_the_limits_and_their_line_is_shown(
     await until(pilot, lambda: velocity(TWIST, SPEED / 1.25**5, 0.0) in velocities(app), "a slower command")
 
 
-def test_the_smallest_limits_of_all_robots_on_the_topic_count() -> None:
+def test_smallest_limits_of_all_robots_on_topic_count() -> None:
     slow = replace(ARMED, key="2", link="robot2", limits=VelocityLimits(0.05), limited_by=("pc.yaml:3",))
     elsewhere = replace(LIMITED, key="3", topic="/other", limits=VelocityLimits(0.01), limited_by=("pc.yaml:9",))
     snapshot = replace(PublishingEngine(SESSION).snapshot(), routes=(LIMITED, slow, elsewhere))

@@ -77,7 +77,7 @@ def test_subscriptions_without_a_known_cause_may_still_match(cause: str, settled
     assert landing.is_settled(now, LINKS) is settled
 
 
-def test_routes_that_are_new_and_those_of_other_topics() -> None:
+def test_new_routes_and_those_of_other_topics() -> None:
     landing = Landing("/cmd", snapshot())
     others = (route("/other", outgoing=True), route("/cmd", key="back"), call_route("service", "/cmd"))
     assert landing.reports(snapshot(*others), LINKS) == []

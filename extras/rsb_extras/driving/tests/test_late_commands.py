@@ -72,7 +72,7 @@ def published_with(*answers: Published | EngineError) -> tuple[Published, list[i
     return result, [each.ticket for each in sent]  # type: ignore[attr-defined]
 
 
-def test_a_command_is_repeated_with_the_ticket_of_its_answer() -> None:
+def test_command_is_repeated_with_ticket_of_its_answer() -> None:
     assert published_with(DONE) == (DONE, [0])
     assert published_with(OLD, DONE) == (DONE, [0, 7])
     assert published_with(OLD, OLD, DONE) == (DONE, [0, 7, 7])

@@ -44,7 +44,7 @@ def drive(engine: Engine, fields: str) -> None:
 
 @pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("whose", ["robot", "pc"])
-def test_a_hand_is_held_to_the_limits_of_either_side(
+def test_hand_is_held_to_limits_of_either_side(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, whose: str
 ) -> None:
     """A message beyond them is refused; keys drive at the limit."""
@@ -66,7 +66,7 @@ def test_a_hand_is_held_to_the_limits_of_either_side(
     holds(lambda: all(abs(forward) <= 0.5 and abs(turn) <= 1.0 for forward, turn in twists(motors)), 0.3)
 
 
-def test_a_hand_on_the_robots_side_is_held_to_them_too(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_hand_on_robots_side_is_limited_too(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Without arming, and by a message that is to follow."""
     motors = robot.listener("/cmd", Twist)
     pc.publisher("/cmd", Twist)
@@ -80,7 +80,7 @@ def test_a_hand_on_the_robots_side_is_held_to_them_too(bridge: Bridge, robot: Do
 
 
 @pytest.mark.usefixtures("long_lease")
-def test_what_follows_a_message_is_held_to_them_too(
+def test_what_follows_message_is_held_to_them_too(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
     motors = robot.listener("/cmd", Twist)
@@ -92,7 +92,7 @@ def test_what_follows_a_message_is_held_to_them_too(
 
 
 @pytest.mark.usefixtures("long_lease")
-def test_arming_is_asked_first_then_the_holder_the_deadman_the_limits_and_the_ticket(
+def test_refusals_come_in_order_of_arming_to_ticket(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
     """The first command has none of them, and each of the next ones one more."""
@@ -127,7 +127,7 @@ def test_a_stamped_velocity_has_limits_too(bridge: Bridge, robot: Domain, pc: Do
     eventually(lambda: [deserialize_message(each, TwistStamped).twist.linear.x for each in motors.payloads] == [0.4])
 
 
-def test_limits_of_what_has_no_velocity_let_no_hand_pass(bridge: Bridge, robot: Domain) -> None:
+def test_limits_without_velocity_let_no_hand_pass(bridge: Bridge, robot: Domain) -> None:
     """Its type was not known when the session was checked."""
     listener = robot.listener("/cmd")
     client = bridge.client(Topic("/cmd", "receive", limits=LIMITS))

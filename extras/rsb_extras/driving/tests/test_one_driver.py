@@ -107,7 +107,7 @@ class Hands(Drivers):
 
 
 @pytest.mark.parametrize(("seed", "protocol"), [(7, "tcp"), (2, "udp"), *long_cases((3, "tcp"), (4, "udp"))])
-def test_one_person_drives_at_a_time_and_the_robot_rests_in_between(seed: int, protocol: Protocol) -> None:
+def test_one_person_drives_with_rest_between(seed: int, protocol: Protocol) -> None:
     drivers = Hands(seed, protocol)
     drivers.play()
     assert drivers.changes >= _CHANGES
@@ -185,7 +185,7 @@ def test_the_holder_decides(asker: int, gives: bool) -> None:
 
 
 @pytest.mark.parametrize("asker", [1, 2], ids=["beside", "from the robot's side"])
-def test_a_disarm_lasts_though_somebody_asks_for_the_topic(asker: int) -> None:
+def test_disarm_lasts_though_somebody_asks_for_topic(asker: int) -> None:
     """A node drives all the time: after the disarm its robot hears a rest, and no motion."""
     drivers = Hands(1, "tcp")
     anna, other = drivers.drivers[0], drivers.drivers[asker]

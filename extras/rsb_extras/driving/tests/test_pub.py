@@ -89,7 +89,7 @@ def test_one_message(ran: Any, engine: PublishingEngine) -> None:
     assert (command.ticket, command.rest) == (0, "")
 
 
-def test_the_message_of_standard_input_and_the_type_of_a_new_topic(
+def test_message_from_standard_input_with_new_topics_type(
     ran: Any, engine: PublishingEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine.published = [TAKEN]
@@ -98,7 +98,7 @@ def test_the_message_of_standard_input_and_the_type_of_a_new_topic(
     assert [(each.fields, each.type_name) for each in sent(engine)] == [("data: hello\n", STRING)]
 
 
-def test_no_more_of_standard_input_is_read_than_a_message_may_have(
+def test_standard_input_is_read_up_to_message_limit(
     ran: Any, engine: PublishingEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine.published = [EngineError("too long")]
@@ -108,7 +108,7 @@ def test_no_more_of_standard_input_is_read_than_a_message_may_have(
 
 
 @pytest.mark.parametrize(("options", "every"), [((), 1.0), (("--rate", "4"), 0.25)])
-def test_some_messages_once_a_second_or_at_a_rate(
+def test_some_messages_once_second_or_at_rate(
     ran: Any, engine: PublishingEngine, clock: Clock, options: tuple[str, ...], every: float
 ) -> None:
     engine.published = [TAKEN] * 3
@@ -130,7 +130,7 @@ def test_some_messages_once_a_second_or_at_a_rate(
         ("0.5", True, "zero", ("", 0.5)),
     ],
 )
-def test_messages_at_a_rate_end_with_what_stops_the_robot(
+def test_messages_at_rate_end_with_what_stops_robot(
     rate: str, armed: bool, on_end: str, end: tuple[str, float], ran: Any, engine: PublishingEngine, clock: Clock
 ) -> None:
     """The engine publishes it, so that it comes even if the command is killed."""
@@ -141,7 +141,7 @@ def test_messages_at_a_rate_end_with_what_stops_the_robot(
     assert {(each.rest, each.rest_after) for each in sent(engine)} == {end}
 
 
-def test_messages_that_are_late_are_not_made_up_for(
+def test_late_messages_are_not_made_up_for(
     ran: Any, engine: PublishingEngine, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine.published = [TAKEN] * 4
@@ -156,7 +156,7 @@ def test_messages_that_are_late_are_not_made_up_for(
     assert clock.slept == [0.0, 0.25, 0.25]
 
 
-def test_without_a_count_a_rate_lasts_until_it_is_interrupted(engine: PublishingEngine, clock: Clock) -> None:
+def test_without_count_rate_lasts_until_it_is_interrupted(engine: PublishingEngine, clock: Clock) -> None:
     clock.most = 7
     engine.published = [TAKEN] * 7
     done = rsb_console("pub", "/words", "data: hello", "--rate", "10")

@@ -103,9 +103,7 @@ def test_the_last_message_or_the_defaults_are_offered(is_last: bool) -> None:
 
 
 @on(drafts={})
-async def test_without_the_type_the_form_has_the_reason_and_can_be_filled_in(
-    app: ConsoleApp, pilot: Pilot[None]
-) -> None:
+async def test_untyped_form_has_reason_and_is_filled(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await shown(pilot, PublishText.FIELDS_UNKNOWN)
     assert all(line.isprintable() for line in text(app).split("\n"))
     await fill(pilot, message="data: hello", type=STRING)
@@ -232,7 +230,7 @@ async def test_nobody_gets_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 
 @on()
-async def test_a_refusal_is_shown_and_can_be_tried_again(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_refusal_is_shown_and_can_be_tried_again(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: message(app), "the message")
     engine_of(app).published = [EngineError("no luck [red]\x1b[2J"), TAKEN]
     await publish(app, pilot)

@@ -36,7 +36,7 @@ def test_a_message_expires() -> None:
 
 
 @pytest.mark.parametrize(("rest", "life"), [("", OLD_AFTER), ("{}", TICKET_LIFE)])
-def test_a_refused_velocity_is_repeated_only_for_a_moment(
+def test_refused_velocity_is_repeated_only_for_moment(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, rest: str, life: float
 ) -> None:
     """The console, or its connection to the bridge, hangs between the command and its refusal."""

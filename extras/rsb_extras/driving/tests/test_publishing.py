@@ -152,7 +152,7 @@ def test_a_route_stays_as_its_nodes_have_it(bridge: Bridge, robot: Domain, pc: D
 
 
 @pytest.mark.usefixtures("patient")
-def test_many_come_in_order_and_each_operator_is_recorded_once(bridge: Bridge, pc: Domain) -> None:
+def test_many_come_in_order_operators_recorded_once(bridge: Bridge, pc: Domain) -> None:
     """The last arrives; of those before it, DDS keeps 10 for a subscription whose process gets no time."""
     listener = pc.listener("/text")
     server, client = bridge.both(Topic("/text", "transmit"))
@@ -361,7 +361,7 @@ def test_no_motion_begins_that_no_rest_can_follow(
 
 @pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("type_name", ["auto", "Twist"])
-def test_a_topic_is_driven_whose_type_only_the_robot_knows(
+def test_topic_is_driven_whose_type_only_robot_knows(
     bridge: Bridge, robot: Domain, consoles: Consoles, type_name: str
 ) -> None:
     """Documented: ``{topic: /cmd_vel, direction: receive, arm: true}``, and no publisher on the control PC."""
@@ -406,7 +406,7 @@ def test_a_base_that_cannot_hear_is_not_driven(
 
 
 @pytest.mark.parametrize("from_server", [True, False], ids=["receive", "transmit"])
-def test_a_message_has_the_sessions_type_and_names_who_has_another(
+def test_message_has_sessions_type_and_names_others(
     bridge: Bridge, robot: Domain, pc: Domain, from_server: bool
 ) -> None:
     base = (robot if from_server else pc).listener("/cmd", TwistStamped)
@@ -440,9 +440,7 @@ def test_a_message_names_who_cannot_hear_it(bridge: Bridge, robot: Domain, pc: D
 
 
 @pytest.mark.usefixtures("long_lease")
-def test_a_motion_that_nobody_goes_on_with_ends_with_a_new_stamp(
-    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
-) -> None:
+def test_abandoned_motion_ends_with_new_stamp(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
     """The rest was made with the command before it; a controller drops what is older than its timeout, often 0.5 s."""
     motors = robot.listener("/cmd", TwistStamped)
     server, _ = driven(bridge, pc, consoles, replace(DRIVEN, type=TWIST_STAMPED), TwistStamped)
@@ -569,9 +567,7 @@ def test_only_the_holder_drives(bridge: Bridge, robot: Domain, pc: Domain, conso
 
 
 @pytest.mark.usefixtures("long_lease")
-def test_an_arming_by_a_shell_is_for_the_commands_of_its_operator(
-    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
-) -> None:
+def test_arming_by_shell_is_for_its_operator(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
     """Names are not compared: an account on this machine is no operator with a key, and two keys are two operators."""
     motors = robot.listener("/cmd", Twist)
     pc.publisher("/cmd", Twist)
@@ -601,7 +597,7 @@ def test_a_bridge_that_stops_ends_a_motion(bridge: Bridge, robot: Domain, pc: Do
 
 
 @pytest.mark.usefixtures("long_lease")
-def test_all_robots_of_a_name_have_to_be_driven(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_all_robots_of_name_have_to_be_driven(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """A robot that gets messages without arming, and of any age, might not stop."""
     others = robot.listener("/other", Twist)
     pc.publisher("/cmd", Twist)
@@ -671,9 +667,7 @@ def test_an_operator_leaves_room_for_the_next(bridge: Bridge, robot: Domain, may
 # --- beginnings
 
 
-def test_a_draft_has_the_fields_of_a_message_that_passes_or_the_types_defaults(
-    bridge: Bridge, robot: Domain, pc: Domain
-) -> None:
+def test_draft_has_fields_of_message_or_defaults(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     publisher = robot.publisher("/goal", PoseStamped, LATCHED)
     message = PoseStamped()
     message.header.frame_id, message.header.stamp.sec = "map", 7
@@ -693,7 +687,7 @@ def test_a_draft_has_the_fields_of_a_message_that_passes_or_the_types_defaults(
     assert publish(client, made.fields, "/nobody", type_name=made.type_name).audience.count == 0
 
 
-def test_the_type_of_the_other_sides_subscription_is_taken(bridge: Bridge, pc: Domain) -> None:
+def test_type_of_other_sides_subscription_is_taken(bridge: Bridge, pc: Domain) -> None:
     listener = pc.listener("/text")
     _, client = bridge.both(Topic("/text", "transmit"))
 
@@ -709,9 +703,7 @@ def test_the_type_of_the_other_sides_subscription_is_taken(bridge: Bridge, pc: D
 
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("from_server", [False, True], ids=["sender", "receiver"])
-def test_the_type_of_a_publisher_that_left_is_forgotten(
-    bridge: Bridge, robot: Domain, pc: Domain, from_server: bool
-) -> None:
+def test_type_of_publisher_that_left_is_forgotten(bridge: Bridge, robot: Domain, pc: Domain, from_server: bool) -> None:
     """The remaining subscription's type counts, on the side of the publisher and on its own."""
     base = pc.listener("/cmd", TwistStamped)
     node = robot.publisher("/cmd", Twist)
@@ -731,7 +723,7 @@ def test_the_type_of_a_publisher_that_left_is_forgotten(
     eventually(lambda: base.payloads or not publish(engine, "twist: {linear: {x: 0.1}}"))
 
 
-def test_while_the_other_side_is_not_heard_nobody_is_told_to_arm_what_is_armed(
+def test_silent_peer_makes_nobody_arm_again(
     both_armed: tuple[Engine, Engine], relay: Relay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     constants.LEASE_GIVEN_UP_AFTER.set(monkeypatch, 60.0)

@@ -105,7 +105,7 @@ def test_two_keys_that_repeat_are_no_burst() -> None:
         assert not steering.came_late(10.0 + number / 80)
 
 
-def test_keys_that_waited_for_a_console_that_stood_still_do_not_drive() -> None:
+def test_keys_that_waited_for_stalled_console_drive_nothing() -> None:
     steering = Steering()
     assert steering.at(0.0) == (0.0, 0.0)
     steering.press("up", 0.1)

@@ -117,9 +117,7 @@ def _held(listener: Listener) -> list[dict[str, object]] | None:
 
 
 @pytest.mark.usefixtures("long_lease")
-def test_nodes_hear_who_holds_which_topic_when_it_changes(
-    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
-) -> None:
+def test_nodes_hear_who_holds_which_topic(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
     """On both sides; latched, for late subscribers."""
     here, there = robot.listener("/rsb/driver", qos=LATCHED), pc.listener("/rsb/driver", qos=LATCHED)
     server, client = bridge.both(
@@ -139,9 +137,7 @@ def test_nodes_hear_who_holds_which_topic_when_it_changes(
     assert len(there.payloads) == 3
 
 
-def test_no_session_has_a_topic_of_holders_by_itself_and_a_reload_begins_one(
-    bridge: Bridge, pc: Domain, tmp_path: Path
-) -> None:
+def test_reload_begins_topic_of_holders(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
     listener = pc.listener("/held", qos=LATCHED)
     server = bridge.server()
     assert DRIVER_TOPIC.of(server.session) is None
@@ -153,7 +149,7 @@ def test_no_session_has_a_topic_of_holders_by_itself_and_a_reload_begins_one(
 
 
 @pytest.mark.parametrize("side", ["server", "client"])
-def test_the_topic_of_holders_is_bridged_by_neither_side(bridge: Bridge, side: str) -> None:
+def test_topic_of_holders_is_bridged_by_neither_side(bridge: Bridge, side: str) -> None:
     """A topic that is added while the bridge runs, and one that the other side proposes: both get the reason."""
     own: dict[str, Any] = {side: {"features": {"driver_topic": "/rsb/driver"}}}
     server = bridge.server(clients=(Client("robot1"),), **own.get("server", {}))
@@ -169,9 +165,7 @@ def test_the_topic_of_holders_is_bridged_by_neither_side(bridge: Bridge, side: s
     assert find(has_it, "/rsb/driver") is None
 
 
-def test_a_reload_onto_a_bridged_topic_publishes_no_holders_until_it_is_removed(
-    bridge: Bridge, pc: Domain, tmp_path: Path
-) -> None:
+def test_reload_onto_bridged_topic_publishes_no_holders(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
     listener = pc.listener("/held", qos=LATCHED)
     server, client = bridge.both(Topic("/held", "transmit", type="std_msgs/msg/String"))
     eventually(lambda: find(server, "/held"))
@@ -181,9 +175,7 @@ def test_a_reload_onto_a_bridged_topic_publishes_no_holders_until_it_is_removed(
     eventually(lambda: _held(listener) == [])
 
 
-def test_a_topic_of_holders_that_nodes_have_with_another_type_is_not_published_until_they_are_gone(
-    bridge: Bridge, pc: Domain
-) -> None:
+def test_topic_of_holders_with_foreign_type_waits(bridge: Bridge, pc: Domain) -> None:
     pc.listener("/rsb/driver", Twist)
     server = bridge.server(features={"driver_topic": "/rsb/driver"})
     text, types = DriverTopicText.OTHER_TYPE, "geometry_msgs/msg/Twist"

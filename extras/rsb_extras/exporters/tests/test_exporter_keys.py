@@ -96,13 +96,13 @@ values = st.fixed_dictionaries(
 
 
 @given(values)
-def test_a_session_with_these_keys_loads_again_as_it_was(features: dict[str, Any]) -> None:
+def test_session_with_these_keys_is_loaded_as_saved(features: dict[str, Any]) -> None:
     session = replace(SESSION, **features)
     assert validate(session) == []
     assert parse(dump(session), Path("robot1.yaml")) == session
 
 
-def test_an_attached_console_gets_these_keys_in_their_types() -> None:
+def test_attached_console_gets_these_keys_in_their_types() -> None:
     session = replace(SESSION, on_fault=("./tell.sh", "the operator"), metrics="[::1]:9464")
     plain = msgspec.msgpack.decode(msgspec.msgpack.encode(session), type=Session)
     assert plain != session, "a tuple came as a list"
@@ -135,7 +135,7 @@ def test_check_cleans_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert is_clean((done.out + done.err).replace("\n", ""))
 
 
-def test_check_names_the_command_and_warns_if_it_cannot_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_check_names_command_and_warns_unless_it_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     rsb_console("keygen")
     path, program = Path("robot1.yaml"), Path("tell.sh")

@@ -26,7 +26,7 @@ from rsb_extras.exporters.fault_command import command_words, program_path, prog
         ("echo $HOME `id`", ("echo", "$HOME", "`id`")),
     ],
 )
-def test_it_is_split_into_words_and_no_shell_reads_it(command: str | tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_command_is_split_without_shell(command: str | tuple[str, ...], words: tuple[str, ...]) -> None:
     assert command_words(command) == words
 
 
@@ -38,7 +38,7 @@ def test_what_is_no_command_is_refused(command: str | tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("value", ["7", "true", "{a: b}", "[1, 2]"])
-def test_what_is_neither_text_nor_a_list_is_refused(value: str) -> None:
+def test_what_is_neither_text_nor_list_is_refused(value: str) -> None:
     assert [problem.location for problem in problems(f"{dump(SESSION)}on_fault: {value}\n")] == ["on_fault"]
 
 
@@ -55,9 +55,7 @@ def program(path: Path, mode: int = 0o755) -> Path:
     return path
 
 
-def test_a_path_is_relative_to_the_sessions_folder_and_a_name_is_in_path(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_path_is_relative_to_session_name_to_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "bin").mkdir()
     here, there = program(tmp_path / "tell"), program(tmp_path / "bin" / "notify")
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
@@ -102,7 +100,7 @@ def test_check_warns(command: str, count: int, tmp_path: Path) -> None:
     assert len([*FEATURE.advice(session, path)]) == count
 
 
-def test_check_warns_of_a_session_file_that_others_may_change(tmp_path: Path) -> None:
+def test_check_warns_of_session_that_others_may_change(tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
     session = msgspec.structs.replace(SESSION, features={"on_fault": "/bin/true"})
     save(session, path)
@@ -111,7 +109,7 @@ def test_check_warns_of_a_session_file_that_others_may_change(tmp_path: Path) ->
     assert [*FEATURE.advice(msgspec.structs.replace(session, features={}), path)] == []
 
 
-def test_the_log_of_a_reload_does_not_have_the_command_line() -> None:
+def test_log_of_reload_does_not_have_command_line() -> None:
     before, after = (
         msgspec.structs.replace(SESSION, features={"on_fault": f"/bin/true secret{each}"}) for each in (1, 2)
     )

@@ -135,7 +135,7 @@ def runs(pid_file: Path) -> bool:
     return stat.rpartition(")")[2].split()[0] != "Z"
 
 
-def test_it_is_told_of_the_begin_another_cause_and_the_end(hooked: Hooked) -> None:
+def test_command_hears_begin_other_cause_and_end(hooked: Hooked) -> None:
     hooked.open()
     for routes, count in ((SLOW, 1), (STOPPED, 2), (route("/scan"), 3)):
         hooked.sees(routes)
@@ -157,7 +157,7 @@ def test_without_a_command_there_is_no_thread(hooked: Hooked) -> None:
     hooked.hook.tick(Snapshot(NOW, "robot1", "client", "", 0, running=True))
 
 
-def test_it_runs_in_the_sessions_folder_without_what_is_the_bridges(
+def test_command_runs_in_sessions_folder_without_bridges_descriptors(
     hooked: Hooked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("LD_LIBRARY_PATH", "PYTHONPATH", "NOTIFY_SOCKET", "WATCHDOG_USEC", "NTFY_TOPIC"):
@@ -179,7 +179,7 @@ def test_nothing_of_a_peer_is_in_its_arguments(hooked: Hooked) -> None:
     assert not (hooked.folder / "wicked").exists()
 
 
-def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_runs_at_once_waiting_ones_merge(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
     exporter_places.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # the clock is set forward
     hooked.open("mkdir alone || echo twice >> told; cat >> told; while [ ! -e go ]; do sleep 0.05; done; rmdir alone")
     hooked.sees(SLOW)
@@ -198,7 +198,7 @@ def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch
     assert (second["event"], second["cause"], second["previous_cause"]) == ("changed", "cause3", "slow")
 
 
-def test_one_that_takes_too_long_is_ended_with_its_children(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_takes_long_ends_with_its_children(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
     exporter_places.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 100.0)
     exporter_places.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.3)
     hooked.open("trap '' TERM\nsleep 1000 & echo $! > child; echo $$ > parent; cat >> told; while :; do sleep 1; done")
@@ -212,7 +212,7 @@ def test_one_that_takes_too_long_is_ended_with_its_children(hooked: Hooked, monk
 
 
 @pytest.mark.filterwarnings("ignore:subprocess .* is still running:ResourceWarning")
-def test_one_that_cannot_be_ended_holds_up_no_other(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_never_ends_holds_up_no_other(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
     """A process that waits for a disk takes no signal."""
     exporter_places.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.1)
     hooked.open("cat >> told; exec cat go")
@@ -260,7 +260,7 @@ def test_one_that_cannot_run_is_told_once(hooked: Hooked, name: str) -> None:
     assert len(hooked.warnings()) == 1
 
 
-def test_one_that_fails_is_told_once_and_again_after_it_has_worked(hooked: Hooked) -> None:
+def test_failing_one_is_told_once_until_it_works(hooked: Hooked) -> None:
     hooked.open("cat >> told; echo no network; [ -e works ]")
 
     def reported(cause: str) -> None:
@@ -319,7 +319,7 @@ def kinds(changes: Iterable[FaultChange]) -> list[tuple[str, str, str]]:
     return [(*change.key, change.kind) for change in changes]
 
 
-def test_a_limited_number_of_changes_waits_and_the_rest_is_counted() -> None:
+def test_limited_number_of_changes_waits_rest_is_counted() -> None:
     waiting = WaitingChanges()
     for number in range(WAITING + 50):
         waiting.add(changed(number))
@@ -341,7 +341,7 @@ def test_of_one_topic_the_newest_change_waits() -> None:
     assert waiting.merged == 1
 
 
-def test_nothing_is_over_that_was_not_told_to_have_begun() -> None:
+def test_end_is_told_only_after_begin() -> None:
     waiting = WaitingChanges()
     waiting.add(changed(0))
     waiting.add(changed(0, ChangeKind.OVER))
@@ -364,7 +364,7 @@ def test_links_come_first_though_many_topics_failed_before() -> None:
     assert len(waiting) == WAITING
 
 
-def test_many_at_once_are_one_command_with_a_list(hooked: Hooked) -> None:
+def test_many_at_once_are_one_command_with_list(hooked: Hooked) -> None:
     hooked.open()
     topics = [replace(SLOW, key=f"/topic{number}", topic=f"/topic{number}") for number in range(30)]
     hooked.sees(*topics)
@@ -376,7 +376,7 @@ def test_many_at_once_are_one_command_with_a_list(hooked: Hooked) -> None:
     assert (told["ongoing"], told["merged"]) == (30, 0)
 
 
-def test_it_starts_once_a_second_and_ten_times_a_minute() -> None:
+def test_it_starts_once_second_and_ten_times_minute() -> None:
     limit = StartLimit()
     starts = [second / 4 for second in range(4 * 60 * 10) if limit.take(second / 4)]
     assert all(later - earlier >= EVERY for earlier, later in itertools.pairwise(starts))

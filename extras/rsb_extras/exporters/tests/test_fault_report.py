@@ -62,7 +62,7 @@ def test_a_link_and_its_warning() -> None:
     ]  # fmt: skip
 
 
-def test_the_fault_of_a_link_that_is_up_begins_with_its_warning() -> None:
+def test_fault_of_running_link_begins_with_its_warning() -> None:
     full = replace(LINK, cause=LinkCause.FULL, warning="link full", warning_since=NOW - 7)
     assert report(FaultChange(ChangeKind.BEGUN, full))["since"] == NOW - 7
     assert report(FaultChange(ChangeKind.OVER, LINK))["since"] == LINK.since

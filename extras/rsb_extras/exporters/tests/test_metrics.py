@@ -121,7 +121,7 @@ def test_the_document_says_their_labels() -> None:
 LAST = "rsb_route_last_message_timestamp_seconds", ("in", "topic", "/scan")
 
 
-def test_last_message_of_an_idle_route_does_not_move(scraped: Scraped) -> None:
+def test_last_message_of_idle_route_does_not_move(scraped: Scraped) -> None:
     """Such a route is not renewed in a new snapshot."""
     idle = route("/scan", last_at=NOW - 4.0)
     assert scraped.samples(idle)[LAST] == NOW - 4.0
@@ -150,14 +150,14 @@ def test_the_figures_are_the_snapshots(scraped: Scraped) -> None:
     assert not [name for name, labels in found if name.startswith("rsb_calls") and "/scan" in labels]
 
 
-def test_a_message_that_was_lost_and_came_after_all_makes_no_counter_smaller(scraped: Scraped) -> None:
+def test_late_message_makes_no_counter_smaller(scraped: Scraped) -> None:
     assert scraped.dropped(Ledger(10, 7, dropped={"lost on the way": 3})) == {"lost on the way": 3}
     assert scraped.dropped(Ledger(10, 10)) == {"lost on the way": 3}
     assert scraped.dropped(Ledger(20, 16, dropped={"lost on the way": 4})) == {"lost on the way": 4}
     assert scraped.dropped(Ledger(2, 1, dropped={"lost on the way": 1})) == {"lost on the way": 1}, "a new life"
 
 
-def test_what_is_unknown_and_what_was_missed_are_counters_of_their_own(scraped: Scraped) -> None:
+def test_unknown_and_missed_have_counters_of_their_own(scraped: Scraped) -> None:
     found = scraped.samples(
         route("/scan", ledger=Ledger(10, 7, dropped={"queue full": 1}, unknown=2, missed_while_down=40))
     )
@@ -184,7 +184,7 @@ def test_a_peer_makes_up_no_labels(scraped: Scraped) -> None:
         max_size=5,
     )
 )
-def test_a_counter_becomes_smaller_only_where_everything_begins_anew(ledgers: list[Ledger]) -> None:
+def test_counter_becomes_smaller_only_where_everything_begins_anew(ledgers: list[Ledger]) -> None:
     scraped, offered, before = Scraped(), 0, dict[tuple[str, tuple[str, ...]], float]()
     for ledger in ledgers:
         now = scraped.samples(route("/scan", ledger=ledger))
@@ -196,7 +196,7 @@ def test_a_counter_becomes_smaller_only_where_everything_begins_anew(ledgers: li
         offered, before = ledger.offered, counters
 
 
-def test_topics_that_become_one_on_this_side_are_told_apart(scraped: Scraped) -> None:
+def test_topics_with_one_local_name_are_told_apart(scraped: Scraped) -> None:
     """Prometheus takes no two samples with the same labels; `Scraped.samples` sees to that."""
     ways = [route("/all", key=name, remote_topic=name) for name in ("/a", "/b")]
     found = scraped.samples(*ways, route("/alone"))
@@ -219,7 +219,7 @@ def test_events_are_counted_though_they_are_not_kept(scraped: Scraped) -> None:
     assert found["rsb_events_total", ("ERROR",)] == 0
 
 
-def test_every_cause_that_this_version_counts_by_has_its_own_label() -> None:
+def test_every_cause_has_its_own_label() -> None:
     causes = set(re.findall(r"``([a-z ]+)``", (Ledger.__doc__ or "").partition("each cause:")[2]))
     assert causes
     assert causes <= DROPPED

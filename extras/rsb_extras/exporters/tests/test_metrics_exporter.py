@@ -67,7 +67,7 @@ def told(engine: Engine, level: Level) -> int:
     return sum((event.code, event.level) == (ExporterCode.METRICS, level) for event in engine.events())
 
 
-def test_both_sides_serve_what_crosses_and_what_does_not(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_both_sides_serve_crossed_and_dropped(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     here, there = address(), address("[::1]")
     chat, out = pc.listener("/chat"), robot.publisher("/chat")
     server, client = bridge.server(features={"metrics": there}), bridge.client(ONE, features={"metrics": here})
@@ -117,7 +117,7 @@ def test_another_address_and_none(bridge: Bridge, tmp_path: Path) -> None:
     eventually(lambda: not scrape(second))
 
 
-def test_a_port_that_is_taken_ends_nothing_and_is_tried_again(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_port_in_use_is_tried_again(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     exporter_places.METRICS_RETRIED_EVERY.set(monkeypatch, 0.05)
     where = address()
     with socket.create_server(("127.0.0.1", int(where.rpartition(":")[2]))):
@@ -127,7 +127,7 @@ def test_a_port_that_is_taken_ends_nothing_and_is_tried_again(bridge: Bridge, mo
     assert told(server, Level.ERROR) == 1
 
 
-def test_without_the_extra_the_bridge_says_what_to_install(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_extra_bridge_says_what_to_install(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
     monkeypatch.delitem(sys.modules, "rsb_extras.exporters.metrics", raising=False)
     # One alone: of two threads that import a module at once, the second gets half of it when the first one fails.
@@ -138,7 +138,7 @@ def test_without_the_extra_the_bridge_says_what_to_install(bridge: Bridge, monke
 
 
 @pytest.mark.usefixtures("long_lease")
-def test_a_scrape_does_not_delay_the_end_of_a_motion(
+def test_scrape_does_not_delay_end_of_motion(
     bridge: Bridge, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     exporter_places.METRICS_END_WITHIN.set(monkeypatch, 60.0)
@@ -215,7 +215,7 @@ def served() -> Iterator[Served]:
         yield made
 
 
-def test_a_few_that_say_nothing_are_borne_and_more_are_closed(served: Served) -> None:
+def test_few_silent_connections_are_borne_more_are_closed(served: Served) -> None:
     silent = [socket.create_connection(("127.0.0.1", served.port), timeout=30) for _ in range(8)]
     answer = b""
     with contextlib.suppress(ConnectionError):  # closed in either way

@@ -51,7 +51,7 @@ def queries() -> Iterator[str]:
 
 
 @pytest.mark.parametrize("query", list(queries()))
-def test_a_query_names_metrics_labels_and_values_that_there_are(query: str) -> None:
+def test_query_names_existing_metrics_labels_and_values(query: str) -> None:
     found = [match for match in _SELECTOR.finditer(query) if match[1] not in ("label_values", "$__rate_interval")]
     named = [match for match in found if not match[1].startswith("__") and match[1] != "__rate_interval"]
     assert named

@@ -65,9 +65,7 @@ def test_a_link_that_is_down_and_comes_up(bridge: Bridge, tmp_path: Path) -> Non
     assert (last["previous_state"], last["previous_cause"], last["ongoing"]) == ("down", first["cause"], 0)
 
 
-def test_a_topic_whose_publisher_goes_and_comes_back_on_both_sides(
-    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
-) -> None:
+def test_publisher_leaves_and_returns_on_both_sides(bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path) -> None:
     """One side has the pattern that made the topic, and the other one only what that proposes."""
     here, there = Told(tmp_path, "here"), Told(tmp_path, "there")
     chat = pc.listener("/chat")
@@ -104,9 +102,7 @@ def test_a_topic_whose_publisher_goes_and_comes_back_on_both_sides(
             raise AssertionError(f"it is not over: {told.all()}") from None
 
 
-def test_a_topic_that_is_still_silent_after_a_reconnection_is_not_over(
-    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
-) -> None:
+def test_silent_topic_after_reconnection_is_not_over(bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path) -> None:
     """Its publisher went meanwhile."""
     told = Told(tmp_path)
     chat, out = pc.listener("/chat"), robot.publisher("/chat")
@@ -141,7 +137,7 @@ def test_a_topic_that_is_still_silent_after_a_reconnection_is_not_over(
     assert [event for event, _ in told.about("/chat")[before:]].count("over") == 1
 
 
-def test_a_pattern_that_the_other_side_cannot_follow_and_its_end(
+def test_pattern_that_peer_cannot_follow_and_its_end(
     bridge: Bridge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     constants.DEAD_AFTER.set(monkeypatch, 60.0)  # the client keeps silent
@@ -158,7 +154,7 @@ def test_a_pattern_that_the_other_side_cannot_follow_and_its_end(
         eventually(lambda: told.about(pattern.topic)[1:] == [("over", "removed")])
 
 
-def test_a_reload_of_the_file_names_another_command_and_none(bridge: Bridge, tmp_path: Path) -> None:
+def test_reload_of_file_names_another_command_and_none(bridge: Bridge, tmp_path: Path) -> None:
     one, two = Told(tmp_path, "one"), Told(tmp_path, "two")
     client = bridge.client()
     file = Edited(client, tmp_path / "robot1.yaml")
@@ -172,9 +168,7 @@ def test_a_reload_of_the_file_names_another_command_and_none(bridge: Bridge, tmp
     assert len(one.all()) == len(two.all()) == 1
 
 
-def test_no_operator_elsewhere_reads_the_command_and_who_may_look_reloads_none(
-    bridge: Bridge, machine: Machine, tmp_path: Path
-) -> None:
+def test_operators_elsewhere_neither_read_nor_reload_command(bridge: Bridge, machine: Machine, tmp_path: Path) -> None:
     told = Told(tmp_path)
     server = bridge.server()
     file = Edited(server, tmp_path / "robot1.yaml")

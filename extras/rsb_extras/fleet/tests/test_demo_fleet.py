@@ -69,7 +69,7 @@ def later(robot: SimulatedPart, messages: int) -> None:
     eventually(lambda: robot.published["/battery_state"] >= before + messages, WITHIN)
 
 
-def test_a_listener_hears_the_robots_and_a_muted_topic_stops(tmp_path: Path) -> None:
+def test_listener_hears_robots_and_muted_topic_stops(tmp_path: Path) -> None:
     domain = own_domain()
     robot = SimulatedPart.start("robot", domain, tmp_path)
     listener = SimulatedPart.start("listener", domain, tmp_path, "/battery_state", "/pose")
@@ -105,9 +105,7 @@ class Looks:
 
 
 @pytest.mark.parametrize(("as_they_are", "expected"), [(False, RobotState.OK), (True, RobotState.WAITING)])
-def test_engines_that_a_busy_machine_holds_up_are_waited_for(
-    as_they_are: bool, expected: RobotState, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_engines_are_awaited(as_they_are: bool, expected: RobotState, monkeypatch: pytest.MonkeyPatch) -> None:
     """Until each has reported; and until it is ok, unless something is meant to be wrong."""
     fleet_places.DEMO_LOOK_EVERY.set(monkeypatch, 0.0)
     ok, fault, waiting = RobotState.OK, RobotState.FAULT, RobotState.WAITING
@@ -118,7 +116,7 @@ def test_engines_that_a_busy_machine_holds_up_are_waited_for(
 
 
 @pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
-def test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all(tmp_path: Path, temporary: Path) -> None:
+def test_screen_opens_leads_to_robot_and_back(tmp_path: Path, temporary: Path) -> None:
     with Tmux(tmp_path, str(COMMAND), "demo", "--fleet", "--robots", "2") as tmux:
         tmux.wait_for("robot2", WITHIN)
         demo = int(tmux("display-message", "-p", "#{pane_pid}"))
@@ -139,7 +137,7 @@ def test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all(tmp_path: Path,
 
 
 @pytest.mark.parametrize(("seen", "how"), [*long_cases(("starting", signal.SIGTERM)), ("robot1", signal.SIGHUP)])
-def test_nothing_of_it_is_left_where_a_signal_ends_it(seen: str, how: signal.Signals, temporary: Path) -> None:
+def test_signal_leaves_nothing_behind(seen: str, how: signal.Signals, temporary: Path) -> None:
     with Terminal(str(COMMAND), "demo", "--fleet", "--robots", "1") as terminal:
         terminal.wait_for(seen, WITHIN)
         started = descendants(terminal.pid)
@@ -162,7 +160,7 @@ def test_nothing_of_it_is_left_where_a_signal_ends_it(seen: str, how: signal.Sig
     ids=["console", "headless", "fleet", "headless-fleet"],
 )
 def test_no_process_outlives_a_demo_that_is_killed(options: tuple[str, ...], seen: str) -> None:
-    """A child of every kind has `ChildProcess`: `test_a_child_that_ignores_its_parents_end_is_killed`."""
+    """A child of every kind has `ChildProcess`: `test_child_that_ignores_its_parents_end_is_killed`."""
     with Terminal(str(COMMAND), "demo", *options) as terminal:
         terminal.wait_for(seen, WITHIN)
         started = descendants(terminal.pid)
@@ -194,7 +192,7 @@ sys.stdin.read()
 """
 
 
-def test_a_child_that_ignores_its_parents_end_is_killed(tmp_path: Path) -> None:
+def test_child_that_ignores_its_parents_end_is_killed(tmp_path: Path) -> None:
     (tmp_path / "deaf.py").write_text(DEAF)
     environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     with subprocess.Popen(
@@ -207,7 +205,7 @@ def test_a_child_that_ignores_its_parents_end_is_killed(tmp_path: Path) -> None:
     eventually(lambda: not running({child}), WITHIN, "the end of the child")
 
 
-def test_what_libraries_print_in_a_child_does_not_reach_its_parent(tmp_path: Path) -> None:
+def test_output_of_childs_libraries_stays_in_child(tmp_path: Path) -> None:
     (tmp_path / "prints.py").write_text("import os\nos.write(1, b'theirs')\nprint('ours')\n")
     child = ChildProcess(
         "prints", stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ | {"PYTHONPATH": str(tmp_path)}

@@ -216,7 +216,7 @@ def test_a_change_after_a_yes(engine: ServerEngine, fleet: Fleet, monkeypatch: p
     assert len(engine.commands) == 1
 
 
-def test_nobody_is_asked_and_what_is_no_change_is_refused(
+def test_nobody_is_asked_and_no_change_is_refused(
     engine: ServerEngine, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     surroundings.set_stdin(monkeypatch, "")
@@ -254,7 +254,7 @@ def test_it_stops_and_says_the_way_back(machine: Machine, fleet: Fleet) -> None:
     assert "fleet edit robot2 robot1 /camera max_rate=\n" in ran.err
 
 
-def test_it_stops_after_the_robot_at_which_it_is_interrupted(machine: Machine, fleet: Fleet) -> None:
+def test_rollout_stops_after_robot_where_interrupted(machine: Machine, fleet: Fleet) -> None:
     def edited(route: RouteSnapshot) -> RouteSnapshot:
         signal.raise_signal(signal.SIGINT)
         return replace(route, state=State.OK, reason="")

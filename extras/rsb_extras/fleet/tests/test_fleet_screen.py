@@ -134,7 +134,7 @@ def _now(monkeypatch: pytest.MonkeyPatch) -> None:
     surroundings.set_wall_clock(monkeypatch, lambda: NOW)
 
 
-def test_every_action_has_its_handler_and_keys_of_its_own() -> None:
+def test_every_action_has_handler_and_own_keys() -> None:
     app = Bed().app
     for action in FLEET_ACTIONS:
         owner: object = {Group.MOVE: app.main.table, Group.CONSOLE: app}.get(action.group, app.main)
@@ -153,7 +153,7 @@ async def test_the_worst_first_and_why(bed: Bed) -> None:
     await bed.shown("battery 14%")
 
 
-def test_what_crosses_a_link_is_counted_at_one_end() -> None:
+def test_what_crosses_link_is_counted_at_one_end() -> None:
     async def steps(bed: Bed) -> None:
         (first, *_) = text(bed.app).splitlines()
         assert "from 300 kB/s │ to 4.0 kB/s" in first
@@ -221,7 +221,7 @@ async def test_groups_fold(bed: Bed) -> None:
 
 
 @on_fleet(lambda: Bed(robot("robot1", group="hall"), robot("robot2", group="hall"), view=FleetView(grouped=True)))
-async def test_of_a_group_that_is_well_it_is_said(bed: Bed) -> None:
+async def test_of_group_that_is_well_it_is_said(bed: Bed) -> None:
     assert bed.listed == ["[hall]", "robot1", "robot2"]
     assert bed.cursor == ""
     await bed.shown("nothing is wrong")
@@ -457,7 +457,7 @@ def test_a_change_is_picked(size: tuple[int, int]) -> None:
 
 
 @on_fleet(with_different_cameras)
-async def test_values_of_a_choice_are_picked_with_the_arrows(bed: Bed) -> None:
+async def test_values_of_choice_are_picked_with_arrows(bed: Bed) -> None:
     screen = await picking(bed)
     await bed.press(*"/camera priority=")
     await bed.until(lambda: "value high" in change_of(screen).list.keys, "values")
@@ -510,9 +510,7 @@ def test_a_robot_that_does_not_answer_is_named() -> None:
 
 
 @on_fleet(lambda: with_cameras("robot1", "robot2"))
-async def test_a_key_that_may_be_old_changes_no_robot_without_a_question(
-    bed: Bed, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_old_key_changes_no_robot_without_question(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
     """A change may resume topics, or end a demand; a line that hung delivers the y of somebody who has gone on."""
     screen = await planned_for_the_worse(bed, monkeypatch)
     bed.app.input_gate.is_young = False
@@ -527,7 +525,7 @@ async def test_a_key_that_may_be_old_changes_no_robot_without_a_question(
 
 
 @on_fleet(lambda: with_cameras("robot1", "robot2"))
-async def test_a_change_that_makes_it_worse_is_put_back(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_change_that_makes_it_worse_is_put_back(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
     screen = await planned_for_the_worse(bed, monkeypatch)
     await bed.press("y")
     await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
@@ -590,7 +588,7 @@ async def test_read_only(bed: Bed) -> None:
 # --- the console on one robot
 
 
-def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: Machine) -> None:
+def test_console_on_robot_is_left_with_escape(machine: Machine) -> None:
     machine.serve(ServerEngine("robot1", "robot2"))
     fleet = ServerFleet("control", machine.folder / "control.sock")
     app = RobotApp(None, None, theme="dark", attach_to=lambda: fleet.open("robot2", read_only=False))
@@ -612,7 +610,7 @@ def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: M
     assert app.return_value is None
 
 
-def test_the_console_on_a_robot_leaves_no_memory_behind() -> None:
+def test_console_on_robot_leaves_no_memory_behind() -> None:
     async def run() -> weakref.ref[RobotApp]:
         app = RobotApp(SESSION, None, theme="dark", make_engine=ScriptedEngine)
         async with app.run_test(size=NARROW):

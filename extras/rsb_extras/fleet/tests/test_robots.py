@@ -31,7 +31,7 @@ def test_the_worst_come_first_and_then_by_number() -> None:
     assert names([*fleet_of(source).robots()]) == ["y", "z", "x", "a", "robot2", "robot10"]
 
 
-def test_a_robot_that_has_gone_stays_until_it_is_dismissed() -> None:
+def test_departed_robot_stays_until_dismissed() -> None:
     source = ScriptedSource(robot("robot1", group="hall"), robot("robot2"))
     fleet = fleet_of(source)
     fleet.robots()
@@ -60,7 +60,7 @@ def test_what_is_remembered_outlives_the_console(tmp_path: Path) -> None:
     assert len(json.loads(path.read_text())) == 1
 
 
-def test_one_that_has_never_been_there_is_not_missing() -> None:
+def test_robot_never_there_is_not_missing() -> None:
     waiting = robot("robot1", RobotState.WAITING, seen=None)
     assert fleet_of(ScriptedSource(waiting)).robots()[0].summary == waiting
 
@@ -100,7 +100,7 @@ def test_a_damaged_memory_is_empty(tmp_path: Path, content: str) -> None:
     assert Memory(path).of("control") == []
 
 
-def test_what_a_memory_says_is_fit_for_a_screen(tmp_path: Path) -> None:
+def test_what_memory_says_is_fit_for_screen(tmp_path: Path) -> None:
     path = tmp_path / "fleet.json"
     path.write_bytes(msgspec.json.encode([Remembered("control", "robot1", 1.0, host="\x1b[2J" + "x" * 999)]))
     (kept,) = Memory(path).of("control")
@@ -125,7 +125,7 @@ def test_rates_are_those_of_the_last_minute() -> None:
     assert fleet.rates(one) == tuple(float(second + 1) for second in range(140, 200, 5))
 
 
-def test_a_source_that_does_not_start_ends_the_others() -> None:
+def test_source_that_does_not_start_ends_others() -> None:
     first, second = ScriptedSource(), ScriptedSource(name="yard")
     second.fails = "nobody is there"
     with pytest.raises(EngineError, match="nobody"):
@@ -164,7 +164,7 @@ def test_a_server_is_no_robot() -> None:
     assert [each.is_server for each in fleet.robots()] == [True, False]
 
 
-def test_one_that_has_gone_is_meant_only_where_it_is_asked_for() -> None:
+def test_departed_robot_is_meant_only_on_request() -> None:
     source = ScriptedSource(robot("robot1"), robot("robot2"))
     fleet = fleet_of(source)
     fleet.robots()

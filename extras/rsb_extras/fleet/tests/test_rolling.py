@@ -209,7 +209,7 @@ def test_a_topic_that_does_not_come_back() -> None:
     assert bed.now == pytest.approx(SETTLE + PATIENCE, abs=1)
 
 
-def test_one_that_changes_all_the_time_does_not_settle() -> None:
+def test_one_that_changes_all_time_does_not_settle() -> None:
     bed = Bed("robot1")
     bed.meanwhile = lambda: bed.source.put("robot1", state=RobotState.WARN if bed.now % 6 < 2 else RobotState.OK)
     _, outcome = bed.run("/camera", "max_rate=5")
@@ -217,14 +217,14 @@ def test_one_that_changes_all_the_time_does_not_settle() -> None:
     assert bed.now == pytest.approx(SETTLE + PATIENCE, abs=1)
 
 
-def test_what_is_paused_flows_no_more_and_that_is_meant() -> None:
+def test_paused_topic_flows_no_more_on_purpose() -> None:
     bed = Bed("robot1")
     bed.meanwhile = lambda: bed.source.put("robot1", flowing=2)
     _, outcome = bed.run("/camera", "paused=true")
     assert names(outcome.done) == ["robot1"]
 
 
-def test_a_robot_that_was_bad_before_does_not_stop_it() -> None:
+def test_robot_bad_before_does_not_stop_rollout() -> None:
     bed = Bed("robot1", "robot2")
     bed.source.put("robot1", state=RobotState.FAULT, why="/scan DOWN")
     _, outcome = bed.run("/camera", "max_rate=5")
@@ -241,7 +241,7 @@ def test_a_refusal_stops_it() -> None:
 
 
 @pytest.mark.parametrize(("then", "was_changed"), [("done", True), ("unknown", None), ("not done", False)])
-def test_a_robot_whose_answer_was_lost_is_asked_for_its_topic(then: str, was_changed: bool | None) -> None:
+def test_robot_with_lost_answer_is_asked_again(then: str, was_changed: bool | None) -> None:
     """The rollout's undo must not leave it out."""
     bed = Bed("robot1", "robot2")
     bed.source.engines["robot1"] = LosingEngine(bed, then)

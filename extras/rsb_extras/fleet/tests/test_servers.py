@@ -77,7 +77,7 @@ def test_an_opened_robot_is_all_there_is(robot2: RobotEngine, engine: ServerEngi
     assert [event.link for event in robot2.remembered_events(1.0)][-2:] == ["robot2", ""]
 
 
-def test_what_is_added_is_added_to_the_opened_robot(robot2: RobotEngine, engine: ServerEngine) -> None:
+def test_what_is_added_is_added_to_opened_robot(robot2: RobotEngine, engine: ServerEngine) -> None:
     topic = Topic("/map", "transmit")
     robot2.add_topic(topic).result(30)
     robot2.retry().result(30)

@@ -90,7 +90,7 @@ def test_a_peers_text_is_clean_and_bounded(tmp_path: Path) -> None:
     assert line["link"] == "�evil"
 
 
-def test_a_path_that_is_no_utf_8_ends_nothing(tmp_path: Path) -> None:
+def test_path_that_is_no_utf_8_ends_nothing(tmp_path: Path) -> None:
     world = World("/scan")
     disk = disk_of(world, tmp_path)
     say(world, "caf\udce9.yaml is read again", who="an\udce9")
@@ -130,7 +130,7 @@ def test_a_damaged_line_costs_no_other(tmp_path: Path, damage: bytes) -> None:
     assert [event.text for event in history_files.read_events(path, 0.0)] == ["before", "after"]
 
 
-def test_a_file_that_is_moved_away_is_begun_anew(tmp_path: Path) -> None:
+def test_file_that_is_moved_away_is_begun_anew(tmp_path: Path) -> None:
     file = EventFile(tmp_path / "robot1.jsonl")
     file.write([Event(1, 1.0, Level.INFO, "x.y", "before")])
     (tmp_path / "robot1.jsonl").rename(tmp_path / "taken.jsonl")
@@ -148,7 +148,7 @@ def no_room() -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_is_said_once_and_writing_goes_on_later(tmp_path: Path, no_room: None) -> None:
+def test_full_disk_is_told_once_then_retried(tmp_path: Path, no_room: None) -> None:
     world = World("/scan")
     disk = disk_of(world, tmp_path)
     for number in range(100):
@@ -169,7 +169,7 @@ def test_a_full_disk_is_said_once_and_writing_goes_on_later(tmp_path: Path, no_r
     assert texts.count(told.text) == 1
 
 
-def test_a_time_line_that_was_not_saved_is_tried_again_soon(tmp_path: Path) -> None:
+def test_unsaved_time_line_is_soon_tried_again(tmp_path: Path) -> None:
     world = World("/scan")
     disk = disk_of(world, tmp_path)
     disk.turn()
@@ -202,7 +202,7 @@ def test_events_that_were_lost_meanwhile_are_counted(tmp_path: Path) -> None:
     assert "2,001 events are missing" in world.events.after(0)[-1].text, "the warning among them"
 
 
-def test_the_last_events_of_a_killed_process_are_not_forgotten(tmp_path: Path) -> None:
+def test_last_events_of_killed_process_are_not_forgotten(tmp_path: Path) -> None:
     world = World("/scan")
     disk = disk_of(world, tmp_path)
     world.go(60)
@@ -221,7 +221,7 @@ def test_the_last_events_of_a_killed_process_are_not_forgotten(tmp_path: Path) -
     assert [round(gap.seconds) for gap in report.gaps] == [61], "it ran until its last event"
 
 
-def test_it_is_saved_soon_after_something_happened_else_seldom(tmp_path: Path) -> None:
+def test_time_line_is_saved_soon_after_events(tmp_path: Path) -> None:
     world = World("/scan")
     disk = disk_of(world, tmp_path)
     path = tmp_path / "robot1.history"
@@ -249,7 +249,7 @@ def test_it_is_saved_soon_after_something_happened_else_seldom(tmp_path: Path) -
         (b"\x28\xb5\x2f\xfd\xe0" + (1 << 40).to_bytes(8, "little") + b"\1\0\0", "too large"),
     ],
 )
-def test_a_bad_file_is_set_aside_with_a_warning(tmp_path: Path, content: bytes, why: str) -> None:
+def test_bad_file_is_set_aside_with_warning(tmp_path: Path, content: bytes, why: str) -> None:
     path = tmp_path / "robot1.history"
     path.write_bytes(content)
     world = World("/scan")
@@ -262,7 +262,7 @@ def test_a_bad_file_is_set_aside_with_a_warning(tmp_path: Path, content: bytes, 
 
 
 @pytest.mark.parametrize("within", [60, 6000])
-def test_a_clock_that_is_days_behind_at_the_start_is_waited_for(tmp_path: Path, within: int) -> None:
+def test_clock_days_behind_at_start_is_awaited(tmp_path: Path, within: int) -> None:
     world = World("/scan")
     world.put("/scan", State.DOWN, "no publisher")
     world.go(100)
@@ -298,7 +298,7 @@ def test_a_torn_file_is_noticed(tmp_path: Path) -> None:
         history_files.read_history(path)
 
 
-def test_a_file_that_cannot_be_replaced_is_read_all_the_same(tmp_path: Path) -> None:
+def test_irreplaceable_file_is_read_all_the_same(tmp_path: Path) -> None:
     world = World("/scan")
     world.go(60)
     world.put("/scan", State.DOWN, "no publisher")
@@ -311,7 +311,7 @@ def test_a_file_that_cannot_be_replaced_is_read_all_the_same(tmp_path: Path) -> 
     assert brief(again.outages())[0] == ("/scan", 60, "down", "no publisher")
 
 
-def test_two_bridges_of_one_name_have_files_of_their_own(tmp_path: Path) -> None:
+def test_bridges_of_one_name_have_own_files(tmp_path: Path) -> None:
     client, server = Claim(tmp_path, "robot1", "client"), Claim(tmp_path, "robot1", "server")
     assert (client.files.stem, server.files.stem) == ("robot1", "robot1-2")
     client.close()

@@ -30,7 +30,7 @@ def out(report: HistoryReport, topic: str = "") -> Outage | None:
     return next((each for each in report.outages if each.topic == topic), None)
 
 
-def test_an_outage_of_a_real_link_is_remembered_and_kept(
+def test_outage_of_real_link_is_remembered_and_kept(
     bridge: Bridge, robot: Domain, pc: Domain, machine: Machine, tmp_path: Path
 ) -> None:
     state = tmp_path / "state"

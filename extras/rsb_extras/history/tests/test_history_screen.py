@@ -40,7 +40,7 @@ def spans(engine: ScriptedEngine) -> list[object]:
 
 
 @on_main(*long(WIDE), NARROW)
-async def test_it_shows_outages_and_actions_with_cause_and_length(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_outages_and_actions_have_cause_and_length(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("h")
     await shown(pilot, "linked 93.6 % of the time; 1 outage, 3 min 50 s in all")
     await shown(pilot, "4 min 28 s …")
@@ -76,7 +76,7 @@ async def test_columns_are_as_wide_as_their_texts(
 
 
 @on_main()
-async def test_one_line_that_has_no_room_is_one_line(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_long_line_stays_one_line(app: ConsoleApp, pilot: Pilot[None]) -> None:
     links = [replace(REMEMBERED.tracks[0], link=f"robot{number}") for number in (2, 3)]
     tracks = (*REMEMBERED.tracks, *links)
     answers()[ReportHistory] = partial(answer, report=replace(REMEMBERED, tracks=tracks, outages_left_out=1))

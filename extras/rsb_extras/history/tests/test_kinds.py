@@ -72,7 +72,7 @@ def test_they_are_told_apart_after_a_restart(tmp_path: Path) -> None:
     )
 
 
-def test_text_csv_json_and_the_time_line_say_which() -> None:
+def test_text_csv_json_and_time_line_say_which() -> None:
     world = lived()
     world.put_link(State.DOWN, "no answer")
     world.go(20)

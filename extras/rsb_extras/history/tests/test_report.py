@@ -92,9 +92,7 @@ def test_a_cell_is_never_a_formula(text: str, cell: str) -> None:
     assert row["cause"] == cell
 
 
-def test_of_a_bridge_that_does_not_run_it_comes_from_its_files(
-    ran: Any, state: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_report_of_stopped_bridge_reads_its_files(ran: Any, state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     world = World("/scan")
     world.go(600)
     world.put("/scan", State.DOWN, "no publisher of /scan")
@@ -154,7 +152,7 @@ def test_what_only_waited_was_neither_up_nor_out() -> None:
     assert "waited" not in "".join(text_report(replace(report, tracks=(short,))))
 
 
-def test_the_day_is_said_where_it_is_another_one() -> None:
+def test_day_is_said_where_it_is_another_one() -> None:
     began = NOW - 10 * 3600
     night = replace(REMEMBERED, span=12 * 3600.0, outages=(replace(REMEMBERED.outages[0], start=began),))
     lines = list(text_report(night))
@@ -183,9 +181,7 @@ def test_values_are_said_once() -> None:
     assert did(replace(called, old="", new="failed")) == called.text
 
 
-def test_files_from_the_future_say_so_and_one_event_from_the_future_moves_nothing(
-    ran: Any, state: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_from_future_say_so(ran: Any, state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     world = World("/scan")
     world.go(60)
     history_files.write_history(state / "robot1.history", world.recorder.save())

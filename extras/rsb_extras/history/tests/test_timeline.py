@@ -26,7 +26,7 @@ from rsb_extras.history.track_record import MinuteSeries
 HOUR = 3600.0
 
 
-def test_an_outage_has_a_beginning_a_length_and_a_cause() -> None:
+def test_outage_has_beginning_length_and_cause() -> None:
     world = World("/scan", "/map")
     world.go(600)
     world.put("/scan", State.STALE, "nothing for 15 s")
@@ -44,7 +44,7 @@ def test_an_outage_has_a_beginning_a_length_and_a_cause() -> None:
     assert world.outages(200) == (), "it is longer ago"
 
 
-def test_the_worst_state_and_the_first_and_the_last_words_count() -> None:
+def test_worst_state_and_first_and_last_words_count() -> None:
     world = World("/scan")
     world.go(100)
     for seconds in (15, 16, 17):
@@ -58,7 +58,7 @@ def test_the_worst_state_and_the_first_and_the_last_words_count() -> None:
     assert brief(world.outages())[0][2:] == ("down", "nothing for 15 s; then: no publisher of /scan")
 
 
-def test_what_opens_at_once_or_is_paused_is_no_outage() -> None:
+def test_opening_and_pause_are_no_outage() -> None:
     world = World()
     world.begin("/scan", State.WAITING, "asking the peer")
     world.begin("/map", State.WAITING, "no publisher")
@@ -72,7 +72,7 @@ def test_what_opens_at_once_or_is_paused_is_no_outage() -> None:
     assert (scan.up, scan.out, scan.waiting, scan.waits_for) == (290, 0, 10, "")
 
 
-def test_one_that_does_not_open_is_out_from_its_beginning() -> None:
+def test_topic_that_never_opens_is_out_from_beginning() -> None:
     world = World()
     world.begin("/map", State.DOWN, "refused")
     world.go(600)
@@ -81,7 +81,7 @@ def test_one_that_does_not_open_is_out_from_its_beginning() -> None:
     assert (world.track("/map").out, world.track("/map").waiting) == (600, 0)
 
 
-def test_a_topic_without_a_first_message_waits_and_is_not_out() -> None:
+def test_topic_without_first_message_is_not_out() -> None:
     world = World()
     world.begin("/map", State.WAITING, "no publisher of /map")
     world.go(600)
@@ -97,7 +97,7 @@ def test_a_topic_without_a_first_message_waits_and_is_not_out() -> None:
     assert restored.report(world.clock.wall, HOUR, running=False).tracks[-1].waiting == 600
 
 
-def test_a_short_wait_after_an_outage_belongs_to_it_and_a_long_one_ends_it() -> None:
+def test_short_wait_belongs_to_outage_long_ends_it() -> None:
     world = World("/scan")
     world.go(100)
     world.put("/scan", State.DOWN, "refused")
@@ -146,7 +146,7 @@ def test_a_topic_that_nobody_hears_is_not_out() -> None:
     assert (scan.up, scan.out, scan.outages) == (250, 50, 1)
 
 
-def test_topics_that_go_down_and_come_back_with_their_link_say_so() -> None:
+def test_topics_that_follow_their_link_say_so() -> None:
     world = World("/scan", "/map")
     world.go(100)
     world.put_link(State.DOWN, "the server does not answer")
@@ -166,7 +166,7 @@ def test_topics_that_go_down_and_come_back_with_their_link_say_so() -> None:
     )
 
 
-def test_a_topic_that_waits_is_not_out_because_of_its_link() -> None:
+def test_waiting_topic_is_not_out_by_link() -> None:
     world = World()
     world.begin("/scan", State.WAITING, "no publisher")
     world.link = replace(world.link, state=State.DOWN, reason="no answer")
@@ -177,7 +177,7 @@ def test_a_topic_that_waits_is_not_out_because_of_its_link() -> None:
 
 
 @pytest.mark.parametrize("ahead", [0.0, 1e8])
-def test_a_removed_topic_keeps_its_history_for_a_day(ahead: float) -> None:
+def test_removed_topic_keeps_its_history_for_day(ahead: float) -> None:
     world = World("/scan")
     world.clock.wall += ahead
     world.go(100)
@@ -223,7 +223,7 @@ def test_a_day_is_kept_and_no_more() -> None:
 
 
 @pytest.mark.long
-def test_a_fifth_of_500_topics_takes_a_fifth_of_30_mb() -> None:
+def test_fifth_of_topics_takes_fifth_of_space() -> None:
     names = [f"/robot/topic_{number}" for number in range(100)]
     world, now = World(*names), EPOCH
     remembered = Timeline("robot1", "client")
@@ -277,7 +277,7 @@ def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
     assert len(world.records) == 11
 
 
-def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_link_with_invented_names_displaces_nobodys(monkeypatch: pytest.MonkeyPatch) -> None:
     """A robot's history stays, and its next topic is recorded, in spite of another client's many names."""
     history_places.MOST_TRACKS.set(monkeypatch, 20)
     world = World("/scan", "/gone")
@@ -294,7 +294,7 @@ def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest
     assert len(known) <= 20
 
 
-def test_what_finds_no_room_costs_one_walk_a_look(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_finds_no_room_costs_one_walk_look(monkeypatch: pytest.MonkeyPatch) -> None:
     """One walk for all of them: thousands of topics may exceed the kept ones."""
     history_places.MOST_TRACKS.set(monkeypatch, 20)
     walks = []
@@ -328,7 +328,7 @@ def test_operators_actions_are_remembered() -> None:
 
 
 @pytest.mark.parametrize("jump", [3 * HOUR, -3 * HOUR])
-def test_a_clock_that_is_set_moves_what_this_run_has_seen(jump: float) -> None:
+def test_setting_clock_moves_this_runs_records(jump: float) -> None:
     world = World("/scan")
     world.go(600)
     world.put("/scan", State.DOWN, "no publisher")
@@ -353,7 +353,7 @@ def test_a_clock_that_is_set_moves_what_this_run_has_seen(jump: float) -> None:
     assert track.rates[-1] == 10
 
 
-def test_sleep_is_a_gap_and_no_outage_goes_on_through_it() -> None:
+def test_sleep_is_gap_that_ends_outages() -> None:
     world = World("/scan", "/map")
     world.go(600)
     world.put("/map", State.DOWN, "no publisher")
@@ -370,7 +370,7 @@ def test_sleep_is_a_gap_and_no_outage_goes_on_through_it() -> None:
     assert world.track("/scan", 3 * HOUR).out == 0
 
 
-def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
+def test_hung_or_ended_engine_is_not_fine() -> None:
     world = World("/scan")
     world.go(60)
     for _ in range(100):
@@ -401,7 +401,7 @@ def next_process(world: World, away: float) -> World:
     return new
 
 
-def test_a_restart_is_a_gap_and_everything_else_is_still_there() -> None:
+def test_restart_is_gap_with_everything_else_kept() -> None:
     world = World("/scan", "/map")
     world.go(600)
     world.put("/scan", State.DOWN, "no publisher")
@@ -421,7 +421,7 @@ def test_a_restart_is_a_gap_and_everything_else_is_still_there() -> None:
     assert (scan.up, scan.out) == (660 + 600, 60)
 
 
-def test_a_machine_that_starts_with_an_old_time_is_set_right_later() -> None:
+def test_machine_with_old_time_is_corrected_later() -> None:
     world = World("/scan")
     world.go(600)
     world.put("/scan", State.DOWN, "no publisher")

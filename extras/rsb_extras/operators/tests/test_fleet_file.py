@@ -20,7 +20,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_what_it_says_is_read_and_its_files_are_beside_it(tmp_path: Path) -> None:
+def test_fleet_file_is_read_with_files_beside_it(tmp_path: Path) -> None:
     key = write_key(tmp_path / "anna.key")
     file = load_fleet(written(tmp_path, ZENOH + ANNA))
     assert (file.zenoh.connect, file.zenoh.fleet) == (("tcp/hub:7447",), "lab")

@@ -51,7 +51,7 @@ def as_operator(fleet: Fleet, capsys: pytest.CaptureFixture[str], name: str) -> 
     return run
 
 
-def test_a_command_is_for_the_engine_that_is_named(fleet: Fleet, anna: Run) -> None:
+def test_command_is_for_engine_that_is_named(fleet: Fleet, anna: Run) -> None:
     fleet.add("robot1")
     fleet.add("robot2")
     assert anna("retry", "robot2").code == 0
@@ -63,7 +63,7 @@ def test_a_command_is_for_the_engine_that_is_named(fleet: Fleet, anna: Run) -> N
     assert fleet.engines["robot1"].commands == [("pause", "/goal_pose", True)]
 
 
-def test_who_is_not_there_and_who_is_not_named_have_codes_of_their_own(fleet: Fleet, anna: Run) -> None:
+def test_absent_and_unnamed_robots_have_own_codes(fleet: Fleet, anna: Run) -> None:
     fleet.add("robot1")
     assert anna("retry").code == 0, "there is but one"
     fleet.add("robot2")
@@ -79,7 +79,7 @@ def test_who_may_look_is_refused(fleet: Fleet, bob: Run) -> None:
     assert fleet.engines["robot1"].commands == []
 
 
-def test_a_key_that_an_engine_does_not_take_is_said(fleet: Fleet, anna: Run) -> None:
+def test_key_that_engine_does_not_take_is_said(fleet: Fleet, anna: Run) -> None:
     fleet.add("robot1")
     fleet.accesses["robot1"].grant(granted("anna", BOB))
     refused = anna("status", "robot1")
@@ -87,7 +87,7 @@ def test_a_key_that_an_engine_does_not_take_is_said(fleet: Fleet, anna: Run) -> 
     assert says(refused.err, RefusalText.KEYS_DIFFER, name="anna")
 
 
-def test_a_router_that_is_lost_is_said_by_every_command(fleet: Fleet, anna: Run) -> None:
+def test_every_command_tells_of_lost_router(fleet: Fleet, anna: Run) -> None:
     fleet.router.kill()
     for command in ("status robot1", "fleet --json", "fleet exec --all"):
         said = anna(command, *(("--", "topics") if "exec" in command else ()))
@@ -116,7 +116,7 @@ def test_all_robots_are_reported(fleet: Fleet, anna: Run) -> None:
     assert {robot["server"] for robot in robots.values()} == {"lab"}
 
 
-def test_a_robot_that_is_not_reached_is_not_done(fleet: Fleet, anna: Run) -> None:
+def test_robot_that_is_not_reached_is_not_done(fleet: Fleet, anna: Run) -> None:
     fleet.add("robot1")
     fleet.add("robot2")
     fleet.accesses["robot2"].grant({})

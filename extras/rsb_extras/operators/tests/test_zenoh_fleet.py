@@ -70,7 +70,7 @@ def seen_with(fleet: Fleet, *names: str) -> ZenohFleet:
     return seen
 
 
-def test_how_long_it_has_been_so_is_by_the_engines_own_clock(fleet: Fleet) -> None:
+def test_durations_are_by_engines_own_clock(fleet: Fleet) -> None:
     fleet.add("robot1")
     own = decode(SummaryBuilder(fleet.engines["robot1"], "0.1.0")())
     assert own.seen is not None
@@ -85,7 +85,7 @@ def test_how_long_it_has_been_so_is_by_the_engines_own_clock(fleet: Fleet) -> No
     assert found.seen - found.since == pytest.approx(own.seen - own.since, abs=1e-3)
 
 
-def test_an_operator_attaches_by_name_and_does_what_the_engine_lets_them(fleet: Fleet) -> None:
+def test_operator_attaches_by_name_within_rights(fleet: Fleet) -> None:
     seen = seen_with(fleet, "robot1", "robot2")
     fleet.attach("robot2").retry().result(60)
     came = [each for each in fleet.accesses["robot2"].events.after(0) if each.code == EventCode.ATTACH_OPERATOR]
@@ -99,7 +99,7 @@ def test_an_operator_attaches_by_name_and_does_what_the_engine_lets_them(fleet: 
     assert (through.bridge.name, through.read_only) == ("robot1", True)
 
 
-def test_who_is_not_there_is_said_with_who_is(fleet: Fleet) -> None:
+def test_absent_robot_is_told_with_present_ones(fleet: Fleet) -> None:
     seen_with(fleet, "robot1", "robot2")
     with pytest.raises(
         EngineError, match=pattern(EngineChoice.UNKNOWN, engine="robot3", known="; there are robot1 and robot2")
@@ -109,7 +109,7 @@ def test_who_is_not_there_is_said_with_who_is(fleet: Fleet) -> None:
         fleet.attach("")
 
 
-def test_a_wrong_key_is_said_on_the_robots_line(fleet: Fleet) -> None:
+def test_wrong_key_is_said_on_robots_line(fleet: Fleet) -> None:
     fleet.add("robot1")
     seen = fleet.seen_by("anna", BOB)
     eventually(lambda: is_in(seen, "robot1", RobotState.FAULT))
@@ -119,7 +119,7 @@ def test_a_wrong_key_is_said_on_the_robots_line(fleet: Fleet) -> None:
     assert found.seen is None
 
 
-def test_two_engines_of_a_name_are_two_lines_until_one_goes(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_engines_of_name_are_two_lines(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.TRIALS_OTHERS.set(monkeypatch, 60.0)  # one may prove the key much later than the other
     seen = seen_with(fleet, "robot1")
     first = fleet.servers["robot1"]
@@ -132,7 +132,7 @@ def test_two_engines_of_a_name_are_two_lines_until_one_goes(fleet: Fleet, monkey
     eventually(lambda: not is_in(seen, "robot1", RobotState.MISSING))
 
 
-def test_the_screen_says_that_the_router_is_lost_and_all_come_back(fleet: Fleet) -> None:
+def test_lost_router_is_told_and_all_return(fleet: Fleet) -> None:
     seen = seen_with(fleet, "robot1")
     before = robot(seen, "robot1")
     assert before is not None
@@ -144,7 +144,7 @@ def test_the_screen_says_that_the_router_is_lost_and_all_come_back(fleet: Fleet)
     eventually(lambda: is_in(seen, "robot1", before.state))
 
 
-def test_a_network_that_is_not_there_is_said_at_once(fleet: Fleet) -> None:
+def test_absent_network_is_told_at_once(fleet: Fleet) -> None:
     fleet.router.kill()
     with pytest.raises(EngineError, match=pattern(Unreachable.NOBODY_LISTENS)):
         fleet.seen_by()
@@ -176,13 +176,13 @@ def test_announcements_that_are_none_are_passed_over(fleet: Fleet) -> None:
 
 
 @pytest.mark.parametrize("name", ["*?#$%2F/ Käfer", "机" * 85], ids=ascii)
-def test_a_name_may_be_any_that_a_session_may_have(fleet: Fleet, name: str) -> None:
+def test_name_may_be_any_that_session_may_have(fleet: Fleet, name: str) -> None:
     seen_with(fleet, name)
     fleet.attach(name).retry().result(60)
     assert fleet.engines[name].commands == [("retry", "")]
 
 
-def test_a_console_waits_for_the_first_word_of_each_engine_and_not_for_a_link(fleet: Fleet) -> None:
+def test_console_awaits_first_word_of_engines_only(fleet: Fleet) -> None:
     for name in ("robot1", "robot2"):
         fleet.add(name)
     fleet.accesses["robot2"].grant({})
@@ -192,7 +192,7 @@ def test_a_console_waits_for_the_first_word_of_each_engine_and_not_for_a_link(fl
     assert is_in(seen, "robot2", RobotState.FAULT)
 
 
-def test_robots_that_come_and_go_under_new_names_have_a_budget(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_robots_under_ever_new_names_have_budget(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     operator_places.FLEET_MOST.set(monkeypatch, 3)
     operator_places.FLEET_KEPT.set(monkeypatch, 600.0)
     seen = seen_with(fleet, "robot1")
@@ -210,9 +210,7 @@ def test_robots_that_come_and_go_under_new_names_have_a_budget(fleet: Fleet, mon
 
 
 @pytest.mark.parametrize("count", [30, *long(300)])
-def test_many_engines_of_a_name_without_a_key_keep_no_operator_out(
-    fleet: Fleet, count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_engines_without_key_keep_no_operator_out(fleet: Fleet, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """To wait for one of them would take longer than any machine needs for the others."""
     constants.ANSWERS_WITHIN.set(monkeypatch, 120.0)
     replaced.FLEET_TRIALS.set(monkeypatch, functools.partial(Trials, patience=120.0))
@@ -237,7 +235,7 @@ def test_many_engines_of_a_name_without_a_key_keep_no_operator_out(
         del tokens
 
 
-def test_an_engine_that_is_called_like_others_is_named_where_none_proves_the_key(fleet: Fleet) -> None:
+def test_namesake_engine_is_named_where_unproved(fleet: Fleet) -> None:
     with stranger(fleet.router) as somebody, stranger(fleet.router) as another:
         live = somebody.liveliness()
         key = "rsb_console/lab/here/engine/{:016x}/client%200.1%20robot1"
@@ -269,7 +267,7 @@ def forged_for(somebody: Any) -> list[Any]:
     return heard
 
 
-def test_an_operator_attaches_though_a_stranger_answers_each_stream(fleet: Fleet) -> None:
+def test_operator_attaches_though_stranger_answers_each_stream(fleet: Fleet) -> None:
     fleet.add("robot1")
     attached: list[RemoteEngine] = []
     with stranger(fleet.router) as somebody, closing(Attacker(fleet.router.endpoint, "answers", fleet="lab")):
@@ -300,7 +298,7 @@ def test_an_operator_stays_attached_under_forged_samples(fleet: Fleet, attack: s
         eventually(stands_all, what="3 s of the attack, and enough of it")
 
 
-def test_what_an_operator_has_armed_is_disarmed_by_a_doubt(fleet: Fleet) -> None:
+def test_what_operator_has_armed_is_disarmed_by_doubt(fleet: Fleet) -> None:
     """The doubt is wrong here: the console stays attached, and may arm again."""
     fleet.add("robot1")
     remote = fleet.attach("robot1")
@@ -313,7 +311,7 @@ def test_what_an_operator_has_armed_is_disarmed_by_a_doubt(fleet: Fleet) -> None
         attacker.stop()
 
 
-def test_a_robot_that_is_started_again_has_its_line_and_its_console_again(fleet: Fleet) -> None:
+def test_restarted_robot_keeps_its_line_and_console(fleet: Fleet) -> None:
     seen = seen_with(fleet, "robot1")
     remote = fleet.attach("robot1")
     fleet.servers["robot1"].close()
@@ -327,7 +325,7 @@ def test_a_robot_that_is_started_again_has_its_line_and_its_console_again(fleet:
     assert fleet.engines["robot1"].commands == [("retry", "")]
 
 
-def test_an_operators_rights_and_keys_are_those_of_now(fleet: Fleet) -> None:
+def test_operators_rights_and_keys_are_those_of_now(fleet: Fleet) -> None:
     seen = seen_with(fleet, "robot1")
     remote = fleet.attach("robot1")
     access = fleet.accesses["robot1"]

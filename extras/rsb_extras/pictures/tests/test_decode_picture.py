@@ -133,7 +133,7 @@ def test_control_characters_of_a_row_are_replaced() -> None:
     assert content.rows == ("\ufffd[2J\ufffd\ufffd\ufffd", "ok")
 
 
-def test_bytes_that_are_too_many_are_refused_before_they_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_bytes_are_refused_unread(monkeypatch: pytest.MonkeyPatch) -> None:
     picture_places.PICTURE_DECODER.set(monkeypatch, None)
     with pytest.raises(PictureError):
         decode_picture(bytes(PICTURE_LIMIT + 1))

@@ -67,7 +67,7 @@ def is_one_value(frame: str) -> None:
     assert fields["header"] == {"stamp": "now", "frame_id": frame}
 
 
-def test_a_goal_on_a_map_of_any_scale_has_a_cell() -> None:
+def test_goal_on_map_of_any_scale_has_cell() -> None:
     goal = Goal("map", 1e302, -1e302)
     for size in (1e-300, 1.0, 1e300):
         assert all(abs(each) < 1e5 for each in goal.cell(Scale("map", -1e300, 1e300, size, size)))

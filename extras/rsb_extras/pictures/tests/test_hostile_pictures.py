@@ -87,7 +87,7 @@ def test_each_place_of_a_scale_has_a_cell(name: str, value: float) -> None:
 
 
 @pytest.mark.parametrize("zoom", [0.01, 1000.0])
-def test_the_widest_and_the_nearest_view_have_a_scale(zoom: float) -> None:
+def test_widest_and_nearest_view_have_scale(zoom: float) -> None:
     for extent in ((-1e7, -1e7, 1e7, 1e7), (0.0, 0.0, 0.0, 0.0)):
         scale = _Paper(extent, Wish(zoom=zoom, x=1e9, y=-1e9)).scale("map")
         decode_picture(encoded(Cells(("x",), scale=scale)))

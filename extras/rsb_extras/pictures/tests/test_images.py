@@ -100,7 +100,7 @@ def test_numbers_have_colours_from_least_to_most(encoding: str) -> None:
 
 
 @pytest.mark.parametrize("encoding", sorted(DEPTHS))
-def test_near_and_far_differ_and_invalid_depths_are_black(encoding: str) -> None:
+def test_near_and_far_differ_invalid_is_black(encoding: str) -> None:
     dtype, unit = DEPTHS[encoding]
     metres = np.full((8, 8), 1.0)
     metres[:, 4:] = 5.0
@@ -119,7 +119,7 @@ def test_webp_for_a_viewer_that_reads_it() -> None:
     assert np.abs(read.astype(int) - BLUE).max() <= 3
 
 
-def test_padding_at_the_ends_of_rows_is_left_out() -> None:
+def test_padding_at_ends_of_rows_is_left_out() -> None:
     row = bytes(GREEN) * 8 + b"\xff" * 5
     assert (pixels(drawn(WISH, image("rgb8", row * 8, step=29))) == GREEN).all()
 

@@ -104,7 +104,7 @@ def test_stale_diagnostics() -> None:
     assert "STALE" in rows(picture)[0]
 
 
-def test_log_lines_by_level_and_text_and_repeated_ones_counted() -> None:
+def test_log_lines_by_level_repeated_are_counted() -> None:
     lines = [Log(level=20, name="a", msg="started"), *[Log(level=40, name="b", msg="broken\nagain")] * 3]
     shown = rows(drawn(WISH, *lines))
     assert len(shown) == 2
@@ -126,7 +126,7 @@ def test_no_fix() -> None:
     assert has_text(drawn(WISH, message).problem, TrackProblem.NO_FIX)
 
 
-def test_frames_with_many_parents_are_drawn_once_below_one_of_them() -> None:
+def test_frames_are_drawn_below_one_parent() -> None:
     layers = [[f"f{depth}_{at}" for at in range(8)] for depth in range(20)]
     pairs = [(one, other) for above, below in itertools.pairwise(layers) for one in above for other in below]
     view = TfTree()

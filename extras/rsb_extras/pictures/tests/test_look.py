@@ -148,7 +148,7 @@ def looks(engine: LookingEngine) -> list[tuple[Any, ...]]:
 
 
 @pytest.mark.parametrize("options", [["--once"], []], ids=["once", "no terminal"])
-def test_it_prints_a_picture_and_how_old_it_is(ran: Any, engine: LookingEngine, options: list[str]) -> None:
+def test_it_prints_picture_and_how_old_it_is(ran: Any, engine: LookingEngine, options: list[str]) -> None:
     engine.viewed = [viewed()]
     done = ran("/scan", *options)
     assert done.code == 0
@@ -430,7 +430,7 @@ def test_a_damaged_image_is_refused(ran: Any, engine: LookingEngine, tmp_path: P
     assert ran("/scan", "--output", str(tmp_path / "a.png")).code == 1
 
 
-def test_nothing_in_a_picture_reaches_the_terminal_as_a_command(
+def test_nothing_in_picture_reaches_terminal_as_command(
     ran: Any, engine: LookingEngine, terminal: Callable[..., None]
 ) -> None:
     terminal(TERM="xterm", COLORTERM="truecolor")

@@ -75,13 +75,13 @@ def styles(of: Picture | Drawn) -> dict[str, list[int]]:
     return found
 
 
-def test_an_occupied_row_is_drawn_once_and_at_the_top() -> None:
+def test_occupied_row_is_drawn_once_and_at_top() -> None:
     found = styles(picture(grid()))
     assert len(set(found["occupied"])) <= 2
     assert max(found["occupied"]) < min(found["free"]) + 2
 
 
-def test_a_thin_wall_of_a_large_grid_is_seen() -> None:
+def test_thin_wall_of_large_grid_is_seen() -> None:
     assert "occupied" in styles(picture(grid(2000, 0.05)))
 
 
@@ -95,7 +95,7 @@ def test_a_thin_wall_of_a_large_grid_is_seen() -> None:
         (0.0, "◆", PoseStamped),
     ],
 )
-def test_the_robot_with_its_heading_and_a_goal_are_at_their_places(yaw: float, mark: str, kind: type) -> None:
+def test_robot_heading_and_goal_are_in_place(yaw: float, mark: str, kind: type) -> None:
     assert place(picture(grid(), pose(2.0, -1.0, yaw, kind)), mark) == pytest.approx((2.0, -1.0), abs=0.5)
 
 
@@ -112,7 +112,7 @@ def test_a_scan_goes_along_with_the_robot() -> None:
     assert abs(cells.scale.top - (row + 0.5) * cells.scale.row - 2.0) < 1.0
 
 
-def test_a_frame_that_tf_has_is_not_moved_by_an_odometry() -> None:
+def test_frame_of_tf_is_not_moved_by_odometry() -> None:
     view = MapView()
     transform: Message = {"header": {"frame_id": "odom"}, "child_frame_id": "base_link"}
     shown: tuple[tuple[str, Message], ...] = (
@@ -169,7 +169,7 @@ def test_unknown_cells_of_a_costmap_are_not_occupied() -> None:
     assert max(found["occupied"]) <= max(found["free"]) + 1, "below are the unknown ones"
 
 
-def test_a_path_to_and_fro_is_drawn_in_bounded_time() -> None:
+def test_repeated_path_is_drawn_in_bounded_time() -> None:
     canvas = Canvas(400, 150)
     for _ in range(5000):
         canvas.line(0, 0, 799, 599, "path")

@@ -75,7 +75,7 @@ def test_svg_has_no_characters_that_xml_lacks() -> None:
     assert spans(Cells(("a\ufffe\uffffb",))) == [[("a\ufffd\ufffdb", "#d0d0d0")]]
 
 
-def test_text_has_no_blanks_at_the_ends_of_lines() -> None:
+def test_text_has_no_blanks_at_ends_of_lines() -> None:
     assert picture_file(Cells(("é ▀  ", "", "x")), ".txt").decode() == "é ▀\n\nx\n"
     assert picture_file(Cells(()), ".txt") == b""
 
@@ -90,7 +90,7 @@ def test_csv_has_the_columns_with_values() -> None:
 
 
 @pytest.mark.parametrize("name", ['a"b', "a,b", '=HYPERLINK("x")', "@x", "+1", "-1"])
-def test_a_name_in_csv_is_one_cell_and_no_formula(name: str) -> None:
+def test_name_in_csv_is_one_harmless_cell(name: str) -> None:
     series = Series(0.0, 1.0, (Curve(name, (1.0,), (1.0,)),))
     head, row = csv.reader(io.StringIO(picture_file(series, ".csv").decode()))
     assert len(head) == len(row) == 3
@@ -111,7 +111,7 @@ def test_a_plot_without_curves_is_a_head() -> None:
 
 
 @pytest.mark.parametrize("content", [PIXELS, CELLS, SERIES])
-def test_a_picture_is_written_in_its_formats_and_in_no_others(content: Cells | Pixels | Series) -> None:
+def test_picture_is_written_in_its_formats_only(content: Cells | Pixels | Series) -> None:
     own = formats_of(content)
     assert own
     for suffix in FORMATS:

@@ -41,24 +41,24 @@ def test_a_cell_shows_one_pixel_above_another(pixels: Pixels, expected: list[tup
     assert picture_rows(pixels, 80, 24) == expected
 
 
-def test_without_colours_a_character_is_as_bright_as_its_two_pixels() -> None:
+def test_character_without_colours_keeps_brightness() -> None:
     greys = bytes(level for level in range(0, 260, 26) for _ in range(3))
     assert rows(Pixels(10, 2, greys * 2), colours=0) == [RAMP]
     assert rows(Pixels(2, 2, BLACK + WHITE + BLACK + WHITE), colours=0) == [RAMP[0] + RAMP[-1]]
     assert rows(Pixels(1, 2, WHITE + BLACK), colours=0) == [RAMP[len(RAMP) // 2 - 1]]
 
 
-def test_green_is_brighter_than_red_and_red_than_blue() -> None:
+def test_green_outshines_red_outshines_blue() -> None:
     (row,) = rows(Pixels(3, 1, GREEN + RED + BLUE), colours=0)
     assert [*row] == sorted(row, key=RAMP.index, reverse=True)
     assert len(set(row)) == 3
 
 
-def test_an_odd_last_row_is_as_bright_as_its_only_pixels() -> None:
+def test_odd_last_row_is_bright_as_its_pixels() -> None:
     assert rows(Pixels(2, 3, BLACK * 4 + WHITE * 2), colours=0) == [RAMP[0] * 2, RAMP[-1] * 2]
 
 
-def test_without_colours_there_is_ascii_only_and_no_style() -> None:
+def test_without_colours_ascii_has_no_style() -> None:
     drawn = picture_rows(Pixels(16, 9, bytes(range(216)) * 2), 80, 24, colours=0)
     assert all(part.text.isascii() and part[1:] == ("", "") for row in drawn for part in row)
 
@@ -137,7 +137,7 @@ def test_any_webp_image_is_shown_or_refused(at: int, instead: bytes) -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("side", [10_000, 14_000])
-def test_a_huge_webp_image_is_refused_before_it_is_read(side: int) -> None:
+def test_huge_webp_image_is_refused_unread(side: int) -> None:
     file = io.BytesIO()
     Image.new("RGB", (1, 1)).save(file, "WEBP", lossless=True)
     bomb = bytearray(file.getvalue())
@@ -148,7 +148,7 @@ def test_a_huge_webp_image_is_refused_before_it_is_read(side: int) -> None:
         rgb_of(Pixels(64, 48, bytes(bomb), "webp"))
 
 
-def test_an_image_that_nobody_asked_for_takes_no_time() -> None:
+def test_image_that_nobody_asked_for_takes_no_time() -> None:
     with pytest.raises(UnreadableError):
         picture_rows(Pixels(LONGEST_SIDE, LONGEST_SIDE, b"", "webp"), 80, 24)
 
@@ -183,7 +183,7 @@ def test_a_mark_outside_changes_nothing(column: int, row: int) -> None:
 
 
 @pytest.mark.parametrize("brightness", [0, 30, 85, 128, 170, 200, 255])
-def test_with_few_colours_greys_are_as_bright_as_the_image_on_the_whole(brightness: int) -> None:
+def test_few_colours_keep_brightness_of_greys(brightness: int) -> None:
     side = 16
     drawn = picture_rows(Pixels(side, side, bytes([brightness] * 3) * side * side), 80, 24, colours=16)
     greys = [
@@ -198,7 +198,7 @@ def test_with_few_colours_greys_are_as_bright_as_the_image_on_the_whole(brightne
     assert sum(greys) / len(greys) == pytest.approx(brightness, abs=8)
 
 
-def test_with_few_colours_a_colour_is_as_bright_as_it_looks() -> None:
+def test_few_colours_keep_brightness_of_colours() -> None:
     def brightness(colour: bytes) -> float:
         (row,) = picture_rows(Pixels(4, 2, colour * 8), 80, 24, colours=16)
         return sum(int(colour[1:3], 16) * len(part.text) for part in row for colour in (part.style, part.background))

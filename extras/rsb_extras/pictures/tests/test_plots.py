@@ -54,7 +54,7 @@ def test_usual_fields() -> None:
     assert all("covariance" not in curve.name for curve in series(drawn(WISH, Odometry())).curves)
 
 
-def test_a_misspelt_field_is_named_with_the_next_ones() -> None:
+def test_misspelt_field_is_named_with_next_ones() -> None:
     wish = Wish(width=20, height=10, how="plot", fields=("pose.pose.positon.x",))
     picture = drawn(wish, Odometry())
     assert has_text(picture.problem, PlotProblem.UNKNOWN_FIELD)

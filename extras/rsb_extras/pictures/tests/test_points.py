@@ -96,7 +96,7 @@ def test_rows_with_a_wrong_step_follow_each_other(row_step: int) -> None:
     assert marked(drawn(WISH, cloud(points, width=2, height=2, row_step=row_step))) == marked(right)
 
 
-def test_the_age_is_of_the_points_that_are_drawn() -> None:
+def test_age_is_of_points_that_are_drawn() -> None:
     artist = Artist()
     good, bad = task(WISH, cloud([(1.0, 0.0, 0.0)]), at=1000.0), task(WISH, cloud([], "xy"), at=1001.0)
     first, second = artist.do(good), artist.do(bad)

@@ -27,7 +27,7 @@ def tree(view: int, x: float = 0.0) -> Task:
     return task(Wish(how="tree"), *[Vector3(x=x)] * view, view=view)
 
 
-async def test_a_view_never_gets_the_picture_of_one_that_ended_while_it_was_drawn(renderer: Renderer) -> None:
+async def test_view_never_gets_picture_of_ended_one(renderer: Renderer) -> None:
     ended = asyncio.create_task(renderer.draw(tree(1)))
     await asyncio.to_thread(eventually, lambda: renderer.pid)
     ended.cancel()

@@ -213,7 +213,7 @@ async def test_the_wish_follows_the_size_of_the_terminal(app: ConsoleApp, pilot:
 
 
 @looking()
-async def test_the_screen_asks_again_after_an_answer_without_a_picture(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_screen_asks_again_after_answer_without_picture(app: ConsoleApp, pilot: Pilot[None]) -> None:
     for answer in (None, viewed(), None):
         await comes(pilot, answer)
     await shown(pilot, "the picture")  # the last one stays
@@ -261,7 +261,7 @@ async def test_a_refusal_stands_in_an_empty_pane(app: ConsoleApp, pilot: Pilot[N
     ],
 )
 @on_list(NARROW, landmark=SCAN)
-async def test_the_keys_of_a_picture_have_room_on_a_narrow_screen(
+async def test_keys_of_picture_have_room_on_narrow_screen(
     app: ConsoleApp, pilot: Pilot[None], type_name: str, keys: tuple[str, ...], others: tuple[str, ...]
 ) -> None:
     put(app, route("/first", type_name=type_name), route("/path", type_name="nav_msgs/msg/Path"))
@@ -344,7 +344,7 @@ async def test_text_and_back(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 
 @on_list(landmark=SCAN)
-async def test_topics_of_the_robot_can_be_laid_over_a_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_topics_of_robot_can_be_laid_over_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(
         app,
         route("/map", type_name="nav_msgs/msg/OccupancyGrid"),
@@ -364,7 +364,7 @@ async def test_topics_of_the_robot_can_be_laid_over_a_map(app: ConsoleApp, pilot
 
 
 @on_list(landmark=SCAN)
-async def test_a_topic_that_is_not_bridged_can_be_chosen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_topic_that_is_not_bridged_can_be_chosen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("V")
     await shown(pilot, SUGGESTION.topic)
     await shown(pilot, "the server")  # a client's link has the client's own name
@@ -390,7 +390,7 @@ def goal_of(app: ConsoleApp) -> Goal:
 
 
 @looking()
-async def test_a_goal_begins_in_the_middle_and_is_moved_by_cells(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_goal_begins_in_middle_and_moves_by_cells(app: ConsoleApp, pilot: Pilot[None]) -> None:
     before = await comes(pilot, viewed(MAP))
     await pilot.press("g")
     column, row = before.width / 2, before.height / 2
@@ -496,7 +496,7 @@ SIDES: list[tuple[tuple[RouteSnapshot, ...], str]] = [
 
 
 @looking()
-async def test_a_goal_goes_to_the_side_of_the_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_goal_goes_to_side_of_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
     for routes, topic in SIDES:
         await comes(pilot, viewed(MAP))
         put(app, route("/robot2/scan"), *routes)
@@ -519,7 +519,7 @@ async def test_a_goal_needs_a_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 
 @looking()
-async def test_another_frame_or_another_kind_of_picture_drops_the_goal(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_other_frame_or_picture_drops_goal(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Its coordinates mean another place there."""
     await comes(pilot, viewed(MAP))
     await pilot.press("g")
@@ -532,7 +532,7 @@ async def test_another_frame_or_another_kind_of_picture_drops_the_goal(app: Cons
 
 
 @looking()
-async def test_a_goal_far_outside_of_the_picture_is_not_drawn(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_goal_far_outside_of_picture_is_not_drawn(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await comes(pilot, viewed(MAP))
     await pilot.press("g")
     near = Scale("map", -1e7, 1e7, 1e-9, 1e-9)
@@ -541,7 +541,7 @@ async def test_a_goal_far_outside_of_the_picture_is_not_drawn(app: ConsoleApp, p
 
 
 @looking(readonly=True)
-async def test_a_read_only_console_sets_no_goal_and_moves_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_read_only_console_sets_no_goal_moves_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route(SCAN), DRIVEN)
     await comes(pilot, viewed(MAP))
     await pilot.press("g", "d")
@@ -558,7 +558,7 @@ DRIVEN = route(
 
 @pytest.mark.skipif("drive" not in BY_ID, reason="the core alone")
 @looking()
-async def test_an_action_on_the_robot_gets_its_topics_only(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_action_on_robot_gets_its_topics_only(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route(SCAN), replace(DRIVEN, topic="/robot2/cmd_vel", key="2", link="robot2"))
     await comes(pilot, viewed())
     await pilot.resize_terminal(*WIDE)
@@ -644,9 +644,7 @@ async def test_an_image_is_written_in_its_own_resolution(app: ConsoleApp, pilot:
 
 
 @looking()
-async def test_without_an_image_in_full_the_one_in_sight_is_written(
-    app: ConsoleApp, pilot: Pilot[None], folder: Path
-) -> None:
+async def test_without_full_image_visible_one_is_written(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     await comes(pilot, viewed(IMAGE))
     await until(pilot, lambda: has_picture(app), "the picture")
     await written(pilot, EngineError("4 views of this link are open already"))

@@ -58,7 +58,7 @@ def drawn(renderer: Renderer, of: Task) -> Picture:
     return asyncio.run(renderer.draw(of))
 
 
-def test_a_view_of_another_package_draws_its_type_in_the_confined_process(renderer: Renderer) -> None:
+def test_view_of_other_package_draws_confined(renderer: Renderer) -> None:
     picture = drawn(renderer, task(Wish(), KeyValue(key="k", value="v")))
     assert (picture.notes, picture.problem) == (("keys: k",), "")
 
@@ -83,7 +83,7 @@ def test_the_console_opens_them_as_pictures() -> None:
     ],
     ids=["its own", "at import", "while it draws"],
 )
-def test_a_missing_module_of_another_packages_view_names_both(
+def test_missing_module_of_another_packages_view_names_both(
     module: str, source: str | None, package: Path, renderer: Renderer
 ) -> None:
     (package / "added_view.py").unlink()

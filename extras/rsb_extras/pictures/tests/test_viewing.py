@@ -159,7 +159,7 @@ def pair(both: tuple[Engine, Engine], robot: Domain, pc: Domain) -> Iterator[tup
 
 
 @pytest.mark.parametrize("viewer_is_server", [True, False])
-def test_a_topic_that_is_not_bridged_is_drawn_by_its_side(
+def test_unbridged_topic_is_drawn_by_its_side(
     pair: tuple[Engine, Engine], robot: Domain, pc: Domain, viewer_is_server: bool
 ) -> None:
     """The view is in no snapshot and in no session."""
@@ -202,7 +202,7 @@ def test_a_silent_topic_names_its_publishers(pair: tuple[Engine, Engine], pc: Do
     assert "best effort" in viewed.picture.waiting
 
 
-def test_a_bridged_topic_is_drawn_where_its_messages_are(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_bridged_topic_is_drawn_where_its_messages_are(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     talker = Talker(robot, "/pose")
     listener = pc.listener("/pose", PoseStamped)
     server, client = bridge.both(Topic("/pose", "transmit"))
@@ -273,7 +273,7 @@ def test_looking_is_less_than_reading(bridge: Bridge, robot: Domain) -> None:
     )
 
 
-def test_a_right_that_is_taken_away_ends_the_view(bridge: Bridge, robot: Domain) -> None:
+def test_right_that_is_taken_away_ends_view(bridge: Bridge, robot: Domain) -> None:
     talker = Talker(robot, "/pose")
     server, client = bridge.server(), bridge.client()
     eventually(lambda: linked(client) and linked(server))
@@ -352,7 +352,7 @@ def test_a_peer_names_topics_as_rights_do(bridge: Bridge, robot: Domain, monkeyp
         assert not views_drawn_by(link)
 
 
-def test_an_operator_names_topics_in_full_and_that_somebody_publishes(pair: tuple[Engine, Engine]) -> None:
+def test_operator_names_published_topics_in_full(pair: tuple[Engine, Engine]) -> None:
     server, _ = pair
     for name in NO_NAMES:
         with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
@@ -362,7 +362,7 @@ def test_an_operator_names_topics_in_full_and_that_somebody_publishes(pair: tupl
 
 
 @pytest.mark.parametrize("link", ["robot1", ""], ids=["there", "here"])
-def test_a_view_that_was_given_up_while_it_opened_is_opened_again(
+def test_view_given_up_while_opening_opens_again(
     pair: tuple[Engine, Engine], robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch, link: str
 ) -> None:
     """Its console has lost the bridge for a moment."""
@@ -381,7 +381,7 @@ def test_a_view_that_was_given_up_while_it_opened_is_opened_again(
     assert looked_while(talker, server, "/pose", link=link)
 
 
-def test_a_view_that_cannot_be_opened_leaves_no_route(
+def test_view_that_cannot_be_opened_leaves_no_route(
     pair: tuple[Engine, Engine], robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     talker = Talker(robot, "/pose")
@@ -395,7 +395,7 @@ def test_a_view_that_cannot_be_opened_leaves_no_route(
     looked_while(talker, server, "/pose")
 
 
-def test_a_viewer_that_finds_the_route_open_before_the_sender_has_subscribed_gets_a_picture(
+def test_early_viewer_gets_picture_after_sender_subscribes(
     pair: tuple[Engine, Engine], robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It was refused: this route carries no pictures."""
@@ -411,7 +411,7 @@ def test_a_viewer_that_finds_the_route_open_before_the_sender_has_subscribed_get
     assert next(looks) > 3
 
 
-def test_a_view_that_is_ended_makes_room_for_the_next_one(pair: tuple[Engine, Engine], robot: Domain) -> None:
+def test_ended_view_makes_room_for_next(pair: tuple[Engine, Engine], robot: Domain) -> None:
     talker = Talker(robot, "/pose")
     server, client = pair
     for number in range(VIEWS_OF_PEER + 2):
@@ -423,7 +423,7 @@ def test_a_view_that_is_ended_makes_room_for_the_next_one(pair: tuple[Engine, En
     assert not [event for event in said if VIEW.route_name() in f"{event.text} {event.topic}"]
 
 
-def test_a_view_that_is_ended_while_it_opens_leaves_nothing(pair: tuple[Engine, Engine], robot: Domain) -> None:
+def test_view_ended_while_opening_leaves_nothing(pair: tuple[Engine, Engine], robot: Domain) -> None:
     publisher = robot.publisher("/pose", PoseStamped)
     server, client = pair
     asked = look_at(server, "me", ("/pose",), WISH, "robot1")
@@ -432,7 +432,7 @@ def test_a_view_that_is_ended_while_it_opens_leaves_nothing(pair: tuple[Engine, 
     eventually(lambda: not views(server) and not views(client))
 
 
-def test_one_viewer_that_asks_for_two_topics_at_once_leaves_nothing(pair: tuple[Engine, Engine], robot: Domain) -> None:
+def test_viewer_that_asks_for_two_leaves_nothing(pair: tuple[Engine, Engine], robot: Domain) -> None:
     talkers = [Talker(robot, topic) for topic in ("/pose", "/other")]
     server, client = pair
     futures = [look_at(server, "me", (topic,), WISH, "robot1") for topic in ("/pose", "/other")]
@@ -447,7 +447,7 @@ def test_one_viewer_that_asks_for_two_topics_at_once_leaves_nothing(pair: tuple[
 
 
 @pytest.mark.usefixtures("asks_soon_again")
-def test_a_picture_is_of_the_topic_that_was_asked_for_last(pair: tuple[Engine, Engine], pc: Domain) -> None:
+def test_picture_is_of_topic_asked_for_last(pair: tuple[Engine, Engine], pc: Domain) -> None:
     talker, publisher = Talker(pc, "/pose"), pc.publisher("/text")
     server, _ = pair
     looked_while(talker, server, "/pose")
@@ -489,9 +489,7 @@ def test_a_view_goes_on_over_a_new_connection(pair: tuple[Engine, Engine], robot
 
 
 @pytest.mark.usefixtures("asks_soon_again")
-def test_kept_messages_come_again_for_a_new_process_and_for_another_kind_of_picture(
-    pair: tuple[Engine, Engine], robot: Domain
-) -> None:
+def test_kept_messages_return_for_new_process_or_kind(pair: tuple[Engine, Engine], robot: Domain) -> None:
     robot.publisher("/latched", qos=LATCHED).publish(String(data="kept"))
     server, client = pair
     eventually(partial(agree, robot.id, "/latched"))
@@ -503,7 +501,7 @@ def test_kept_messages_come_again_for_a_new_process_and_for_another_kind_of_pict
     assert "kept" in rows(looked(server, "/latched", msgspec.structs.replace(WISH, how="")))
 
 
-def test_messages_are_counted_from_the_beginning_of_the_view(pair: tuple[Engine, Engine], pc: Domain) -> None:
+def test_messages_are_counted_from_beginning_of_view(pair: tuple[Engine, Engine], pc: Domain) -> None:
     talker = Talker(pc, "/pose")
     server, _ = pair
     looked_while(talker, server, "/pose")
@@ -521,7 +519,7 @@ def test_messages_are_counted_from_the_beginning_of_the_view(pair: tuple[Engine,
     assert unreliable.topic_name == "/pose"
 
 
-def test_a_view_that_ends_before_it_begins_leaves_no_subscription(pair: tuple[Engine, Engine], pc: Domain) -> None:
+def test_view_that_ends_early_leaves_no_subscription(pair: tuple[Engine, Engine], pc: Domain) -> None:
     Talker(pc, "/pose")()
     server, _ = pair
     context = inside(server).context
@@ -543,7 +541,7 @@ def test_a_view_that_ends_before_it_begins_leaves_no_subscription(pair: tuple[En
     assert not feeds(view)
 
 
-def test_topics_that_change_while_a_view_looks_them_up(pair: tuple[Engine, Engine], pc: Domain) -> None:
+def test_topics_that_change_while_view_looks_them_up(pair: tuple[Engine, Engine], pc: Domain) -> None:
     for topic in ("/pose", "/other"):
         Talker(pc, topic)()
     server, _ = pair

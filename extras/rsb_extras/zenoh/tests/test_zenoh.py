@@ -130,7 +130,7 @@ def test_a_second_router_takes_over(bridge: Bridge) -> None:
         second.close()
 
 
-def test_without_a_router_both_sides_say_so_and_link_once_there_is_one(bridge: Bridge, router: Router) -> None:
+def test_link_comes_once_there_is_router(bridge: Bridge, router: Router) -> None:
     router.kill()
     server, client = bridge.server(**over(router)), bridge.client(**over(router))
     eventually(lambda: link(client).cause == LinkCause.UNREACHABLE)
@@ -152,7 +152,7 @@ def test_without_a_server_the_client_says_so(bridge: Bridge, router: Router) -> 
     both_linked(server, client)
 
 
-def test_servers_of_one_fleet_are_named_on_both_and_may_have_other_clients(bridge: Bridge, router: Router) -> None:
+def test_servers_of_one_fleet_are_named_on_both(bridge: Bridge, router: Router) -> None:
     """The second of two servers with one key does not listen: the client could not tell them apart."""
     first, client = bridge.both(**over(router))
     twin = bridge.server(**over(router))
@@ -167,7 +167,7 @@ def test_servers_of_one_fleet_are_named_on_both_and_may_have_other_clients(bridg
     assert linked(client)
 
 
-def test_a_server_with_two_keys_of_a_client_finds_the_one_with_the_former_key(bridge: Bridge, router: Router) -> None:
+def test_server_finds_client_by_former_key(bridge: Bridge, router: Router) -> None:
     """The client may still use that key, and could not tell the two servers apart."""
     first = bridge.server(**over(router))
     eventually(lambda: happened(first, EventCode.ENGINE_LISTENING))
@@ -175,7 +175,7 @@ def test_a_server_with_two_keys_of_a_client_finds_the_one_with_the_former_key(br
     eventually(lambda: happened(twin, EventCode.ENGINE_NOT_LISTENING))
 
 
-def test_a_client_that_is_killed_is_missed_at_once(bridge: Bridge, router: Router, programs: Programs) -> None:
+def test_client_that_is_killed_is_missed_at_once(bridge: Bridge, router: Router, programs: Programs) -> None:
     """Its token goes with it: the server does not wait until it has been silent for long."""
     server = bridge.server(**over(router))
     program = programs.start(bridge.client_session(**over(router)))
@@ -193,7 +193,7 @@ def test_a_wrong_key_is_named_on_both_sides(bridge: Bridge, router: Router) -> N
     assert says(link(client).reason, RefusalText.KEYS_DIFFER, name="robot1")
 
 
-def test_datagrams_that_the_network_drops_are_in_the_ledger(
+def test_datagrams_that_network_drops_are_in_ledger(
     bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there, out = pc.listener("/drop", qos=BEST_EFFORT), robot.publisher("/drop")
@@ -221,7 +221,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
     eventually(lambda: route(server, "/drop").ledger == ledger)
 
 
-def test_a_stream_that_misses_a_sample_says_why_and_its_topic_goes_on(
+def test_stream_that_misses_sample_goes_on(
     bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there, out = pc.listener("/odom"), robot.publisher("/odom")
@@ -252,7 +252,7 @@ def test_a_stream_that_misses_a_sample_says_why_and_its_topic_goes_on(
     assert ledger.delivered == len(there.payloads)
 
 
-def test_a_stranger_who_floods_and_replays_moves_no_budget(
+def test_stranger_who_floods_and_replays_moves_no_budget(
     bridge: Bridge, router: Router, robot: Domain, pc: Domain
 ) -> None:
     there, out = pc.listener("/odom"), robot.publisher("/odom")

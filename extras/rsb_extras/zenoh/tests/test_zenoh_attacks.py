@@ -49,7 +49,7 @@ def losses(engine: Engine) -> list[str]:
 @pytest.mark.parametrize(
     "attack", ["first_ends", "ahead", "churn", *long("ends", "firsts", "following", "windows", "deletes")]
 )
-def test_a_link_that_is_up_stays_up_and_loses_nothing(
+def test_running_link_stays_up_and_loses_nothing(
     attack: str, bridge: Bridge, router: Router, robot: Domain, pc: Domain
 ) -> None:
     there, out = pc.listener("/odom"), robot.publisher("/odom")
@@ -71,9 +71,7 @@ def test_a_link_that_is_up_stays_up_and_loses_nothing(
     ])  # fmt: skip
 
 
-def test_a_link_comes_up_though_each_of_its_streams_is_answered_by_a_stranger(
-    bridge: Bridge, router: Router, robot: Domain, pc: Domain
-) -> None:
+def test_link_comes_up_despite_answering_stranger(bridge: Bridge, router: Router, robot: Domain, pc: Domain) -> None:
     there, out = pc.listener("/odom"), robot.publisher("/odom")
     with closing(Attacker(router.endpoint, "answers")) as attacker:
         server, client = bridge.server(**over(router)), bridge.client(Topic("/odom", "transmit"), **over(router))
@@ -109,7 +107,7 @@ def test_false_servers_cost_seconds_and_no_link(bridge: Bridge, router: Router, 
         stranger.close()
 
 
-def test_tokens_that_come_and_go_all_the_time_keep_no_client_out(bridge: Bridge, router: Router) -> None:
+def test_changing_tokens_keep_no_client_out(bridge: Bridge, router: Router) -> None:
     server = bridge.server(**over(router))
     with (
         closing(Stranger(router.endpoint, "fleet")) as witness,
@@ -126,7 +124,7 @@ def test_tokens_that_come_and_go_all_the_time_keep_no_client_out(bridge: Bridge,
         assert len(engine.events()) < 40
 
 
-def test_a_stranger_who_passes_on_what_a_server_says_is_not_taken_for_it(bridge: Bridge, router: Router) -> None:
+def test_stranger_that_relays_server_is_told_apart(bridge: Bridge, router: Router) -> None:
     """It could hold up or drop what it likes, and the client could not tell it from a second server."""
     relay = Relay(router.endpoint)
     try:

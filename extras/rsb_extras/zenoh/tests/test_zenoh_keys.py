@@ -72,7 +72,7 @@ def test_an_interface_that_this_machine_lacks_is_named() -> None:
     assert says(problem.message, Advice.NO_INTERFACE, zone="nope")
 
 
-def test_a_form_over_zenoh_offers_its_transports_and_no_port() -> None:
+def test_form_over_zenoh_offers_transports_without_port() -> None:
     session = with_network(parse(CLIENT, FILE), connect=("tcp/hub:7447",))
     session = replace(session, server_ip="zenoh", server_port=0)
     form = fields_by_kind(session, Ends(is_server=False, client="robot1", use_name=False), None)["topic"]
@@ -99,7 +99,7 @@ def test_its_window_is_tested_with_its_ages() -> None:
         ("[fe80::1%wlan0]:7448", "[fe80::1%wlan0]:7448"),
     ],
 )
-def test_a_client_connects_to_the_endpoint_of_its_server(
+def test_client_connects_to_endpoint_of_its_server(
     address: str, place: str, path: Path, ran: Callable[..., Ran]
 ) -> None:
     there = with_network(load(path), listen=("tcp/[::]:7447",))
@@ -110,7 +110,7 @@ def test_a_client_connects_to_the_endpoint_of_its_server(
     assert (session.server_ip, ZENOH.of(session)) == ("zenoh", ZenohSettings(connect=(f"tcp/{place}",)))
 
 
-def test_a_port_of_a_tcp_server_is_not_its_fleets(path: Path, ran: Callable[..., Ran]) -> None:
+def test_port_of_tcp_server_is_not_its_fleets(path: Path, ran: Callable[..., Ran]) -> None:
     save(with_network(load(path), listen=("tcp/0.0.0.0:7447",)), path)
     file = path.parent / "robot2.yaml"
     assert ran("client", "add", str(path), "robot2", "-o", str(file), "--address", "10.0.0.9:50000").code == 0

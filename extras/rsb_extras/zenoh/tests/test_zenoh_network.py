@@ -181,7 +181,7 @@ async def test_what_no_endpoint_sends_is_passed_over(router: Router) -> None:
         assert asked == ["2" * 16]
 
 
-async def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(router: Router) -> None:
+async def test_samples_of_ended_stream_begin_nothing(router: Router) -> None:
     """Captured samples that are played again, for example, and all that waits for the loop is within a budget."""
     async with with_stranger(router) as (_, other, asked):
         ends: list[Any] = []
@@ -219,7 +219,7 @@ async def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: p
 
 
 @pytest.mark.parametrize("number", [0, 1])
-async def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router, number: int) -> None:
+async def test_strangers_long_sample_is_not_copied(router: Router, number: int) -> None:
     budget = Strangers()
     async with with_stranger(router, strangers=budget) as (_, other, asked):
         other.put(bytes(STRANGER_LIMIT + 1), "1" * 16, number=number)
@@ -229,7 +229,7 @@ async def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: 
         assert budget.turned_away == 1
 
 
-async def test_a_long_sample_on_a_stream_that_is_not_proven_is_dropped(router: Router) -> None:
+async def test_long_sample_on_unproven_stream_is_dropped(router: Router) -> None:
     async with with_stranger(router) as (server, other, _):
         unproven, proven = End(trusted=False), End()
         server.add(NOBODY, "1" * 16, unproven)
@@ -255,7 +255,7 @@ def loop() -> Iterator[asyncio.AbstractEventLoop]:
 
 
 @pytest.mark.usefixtures("loop")
-async def test_only_samples_of_routes_are_taken_on_zenohs_thread(router: Router) -> None:
+async def test_zenohs_thread_takes_samples_of_routes_only(router: Router) -> None:
     async with with_stranger(router) as (server, other, _):
         of_route, of_link, unproven = End(), End(of_link=True), End(trusted=False)
         ends = {"1" * 16: of_route, "2" * 16: of_link, "3" * 16: unproven}
@@ -305,7 +305,7 @@ async def test_few_first_samples_of_strangers_wait(router: Router) -> None:
         assert len(asked) == zenoh_places.STRANGERS_WAIT.value
 
 
-async def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> None:
+async def test_arrivals_during_proof_stay_in_order(router: Router) -> None:
     async with with_stranger(router) as (server, other, _):
 
         class Proving(End):
@@ -344,7 +344,7 @@ async def test_datagrams_of_endpoints_without_a_stream_are_dropped(router: Route
         assert came[1:] == ["3" * 16]
 
 
-async def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
+async def test_flood_leaves_loop_its_other_work() -> None:
     with contextlib.closing(Router()) as router:
         async with with_stranger(router) as (server, other, _):
             turns: list[bytes] = []
@@ -362,7 +362,7 @@ async def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
             assert max(b - a for a, b in zip([0, *seen_at], seen_at, strict=False)) <= zenoh_places.AT_A_TIME.value
 
 
-async def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) -> None:
+async def test_failing_arrival_does_not_delay_next(router: Router) -> None:
     asyncio.get_running_loop().set_exception_handler(lambda *_: None)
     async with with_stranger(router) as (server, other, _):
         came: list[bytes] = []
@@ -418,9 +418,7 @@ async def test_many_announcements_hide_no_new_one(router: Router, monkeypatch: p
         other.close()
 
 
-async def test_who_leaves_while_an_endpoint_is_made_is_forgotten(
-    router: Router, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_who_leaves_while_endpoint_is_made_is_forgotten(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a fleet would have two servers for good, and nobody would link."""
     zenoh_places.CONFIRMED.set(monkeypatch, 1.0)
     ghost, ask = Seen("server", NOBODY, "gone"), endpoints.ZenohEndpoint.ask
@@ -440,7 +438,7 @@ async def test_who_leaves_while_an_endpoint_is_made_is_forgotten(
         network.close()
 
 
-async def test_whoever_announces_anothers_address_and_leaves_ends_no_stream_of_it(router: Router) -> None:
+async def test_false_announcement_ends_no_stream(router: Router) -> None:
     async with in_network(router, "server", "client") as server, in_network(router, "client") as client:
         await until(lambda: client.address in server.seen)
         end = End()
@@ -457,7 +455,7 @@ async def test_whoever_announces_anothers_address_and_leaves_ends_no_stream_of_i
         other.close()
 
 
-def test_a_process_that_ends_with_a_network_open_does_end(router: Router) -> None:
+def test_process_that_ends_with_network_open_does_end(router: Router) -> None:
     """Zenoh's callbacks have threads for which the interpreter waits: for ever, were the session not closed first.
 
     A callback that came after that aborted one process of twenty.
@@ -474,7 +472,7 @@ asyncio.run(network.endpoint("server", "x", ("client",)))
     assert [process.wait(60) for process in processes] == [0, 0, 0, 0]
 
 
-def test_nothing_is_left_of_a_network_that_was_opened_and_closed(router: Router) -> None:
+def test_closed_network_leaves_nothing(router: Router) -> None:
     def descriptors() -> int:
         return len([*Path("/proc/self/fd").iterdir()])
 
@@ -508,7 +506,7 @@ class Stuck:
         raise zenoh.ZError("close operation timed out!")
 
 
-async def test_a_session_that_does_not_close_in_time_is_left(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_session_that_closes_late_is_left(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
     """Zenoh raises then, on a thread of which nobody takes exceptions: pytest fails a test for one."""
     opens = zenoh.open
     monkeypatch.setattr(zenoh, "open", lambda config: Stuck(opens(config)))
@@ -548,7 +546,7 @@ def test_a_configuration_that_is_none_is_named(tmp_path: Path, text: str | None,
     assert "\n" not in said
 
 
-def test_without_the_package_it_is_said_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_is_told_with_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usual = builtins.__import__
 
     def without(name: str, *args: Any) -> Any:
@@ -563,7 +561,7 @@ def test_without_the_package_it_is_said_how_to_get_it(tmp_path: Path, monkeypatc
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:1#", "tcp/127.0.0.1:1?=", "tcp/a..b:7447", f"tcp/{'a' * 64}:7447"])
-def test_an_endpoint_that_there_cannot_be_is_no_error_of_ours(tmp_path: Path, endpoint: str) -> None:
+def test_impossible_endpoint_is_no_internal_error(tmp_path: Path, endpoint: str) -> None:
     assert asyncio.run(why(ZenohSettings(connect=(endpoint,)), tmp_path))
 
 
@@ -586,7 +584,7 @@ async def test_a_network_that_was_closed_meanwhile_is_left(router: Router, tmp_p
     assert network._session is None
 
 
-async def test_a_router_that_takes_nothing_holds_up_no_loop() -> None:
+async def test_router_that_takes_nothing_holds_up_no_loop() -> None:
     """Were one of these sent on the loop, it would be held back there, and the router would never go on."""
     router = Router()
     try:
@@ -609,7 +607,7 @@ async def test_a_router_that_takes_nothing_holds_up_no_loop() -> None:
         router.close()
 
 
-async def test_a_sample_that_is_larger_than_any_of_ours_is_refused(router: Router) -> None:
+async def test_sample_beyond_ours_is_refused(router: Router) -> None:
     async with with_stranger(router) as (server, other, _):
         came: list[int] = []
         server.add(NOBODY, NOBODY, End())
@@ -633,7 +631,7 @@ def opened_ports() -> set[str]:
     return found
 
 
-async def test_who_listens_opens_no_other_port_and_who_connects_none(router: Router, tmp_path: Path) -> None:
+async def test_listener_opens_one_port_connector_none(router: Router, tmp_path: Path) -> None:
     port = free_port()
     here = f"tcp/127.0.0.1:{port}"
     (tmp_path / "z.json5").write_text("{transport: {link: {tls: {verify_name_on_connect: true}}}}")
@@ -647,7 +645,7 @@ async def test_who_listens_opens_no_other_port_and_who_connects_none(router: Rou
             await until(lambda: not opened_ports() - before)  # the next one listens there, too
 
 
-async def test_a_port_that_is_taken_is_an_error_in_words(tmp_path: Path) -> None:
+async def test_port_that_is_taken_is_error_in_words(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as busy:
         network = Network(ZenohSettings(listen=(f"tcp/127.0.0.1:{busy.getsockname()[1]}",)), tmp_path)
         with pytest.raises(OSError, match=pattern(Unreachable.ERROR)):
@@ -655,7 +653,7 @@ async def test_a_port_that_is_taken_is_an_error_in_words(tmp_path: Path) -> None
         network.close()
 
 
-async def test_a_server_is_told_of_others_by_name_and_not_of_itself(router: Router, tmp_path: Path) -> None:
+async def test_server_is_told_of_other_servers(router: Router, tmp_path: Path) -> None:
     """Its own announcement comes again when the router does; another's may have no name."""
     # A fleet of its own: the router may still know the server of another test.
     network = Network(ZenohSettings(connect=(router.endpoint,), fleet="told"), tmp_path)

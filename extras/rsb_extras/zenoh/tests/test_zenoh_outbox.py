@@ -65,7 +65,7 @@ def case() -> Iterator[Case]:
         eventually(lambda: all(each.name != "zenoh-send" for each in threading.enumerate()), what="no thread left")
 
 
-def test_a_little_is_sent_at_once_and_without_a_thread(case: Case) -> None:
+def test_little_is_sent_at_once_and_without_thread(case: Case) -> None:
     for number in range(100):
         case.put(bytes([number]))
     assert case.session.payloads() == [bytes([number]) for number in range(100)]
@@ -82,7 +82,7 @@ def test_order_is_kept_between_both_ways(case: Case) -> None:
     assert len({thread for _, _, thread in case.session.put_by}) == 2
 
 
-def test_what_is_sent_at_once_fits_zenohs_queue_whatever_is_sent(case: Case) -> None:
+def test_immediate_sends_fit_zenohs_queue(case: Case) -> None:
     """16 batches of 64 kB, half full at the worst, in the 5 s in which a router that takes nothing is found out."""
     for _ in range(600):
         case.put(bytes(40_000))
@@ -93,7 +93,7 @@ def test_what_is_sent_at_once_fits_zenohs_queue_whatever_is_sent(case: Case) -> 
     assert 0 < at_once <= 16 * 32 * 1024
 
 
-def test_what_arrives_soon_is_sent_at_once_at_any_rate(case: Case) -> None:
+def test_soon_arrivals_are_sent_at_any_rate(case: Case) -> None:
     """The other side reports it each time: a hundred times the amount that goes at once without reports."""
     for _ in range(1000):
         case.put(bytes(10_000))
@@ -140,7 +140,7 @@ def test_false_reports_hold_the_loop_up_once(case: Case) -> None:
         assert all(threads(3))
 
 
-def test_a_sender_that_is_held_back_is_a_thread(case: Case) -> None:
+def test_sender_that_is_held_back_is_thread(case: Case) -> None:
     case.put(bytes(5 * AT_ONCE))
     eventually(lambda: case.session.put_by)
     case.session.held_back.append(zenoh.Priority.DATA)
@@ -170,7 +170,7 @@ def test_datagrams_fill_no_queue_of_a_stream(case: Case) -> None:
     assert of_datagrams not in [priority for _, priority, _ in streams]
 
 
-def test_after_a_call_that_took_long_a_thread_sends(case: Case) -> None:
+def test_after_call_that_took_long_thread_sends(case: Case) -> None:
     """The network is slow: the loop waits for it one time at most."""
     slow = case.session.put
 

@@ -45,7 +45,7 @@ async def test_what_is_written_arrives_in_order_and_whole() -> None:
 
 
 @pytest.mark.parametrize("size", [1, SAMPLE - 1, SAMPLE, SAMPLE + 1, SAMPLE * 2 + SAMPLE // 2])
-async def test_a_write_is_split_where_it_is_longer_than_a_sample(pair: Pair, size: int) -> None:
+async def test_long_write_is_split_into_samples(pair: Pair, size: int) -> None:
     data = random.Random(size).randbytes(size)
     pair.near.pipe.write(memoryview(data))
     pieces = [each.payload for each in pair.near.sent(SampleKind.DATA)]
@@ -62,7 +62,7 @@ async def test_a_buffer_may_be_used_again_at_once(pair: Pair) -> None:
     assert pair.far.told.data == b"first"
 
 
-async def test_what_is_under_way_is_bounded_and_congestion_is_told_once(pair: Pair) -> None:
+async def test_bytes_under_way_are_bounded_told_once(pair: Pair) -> None:
     pair.near.pipe.set_write_buffer_limits(high=SAMPLE)
     for _ in range(20):
         pair.near.pipe.write(bytes(SAMPLE // 2))
@@ -74,7 +74,7 @@ async def test_what_is_under_way_is_bounded_and_congestion_is_told_once(pair: Pa
     assert len(pair.far.told.data) == 10 * SAMPLE
 
 
-async def test_a_receiver_that_pauses_holds_up_its_sender_and_nothing_is_lost(pair: Pair) -> None:
+async def test_pausing_receiver_holds_sender_without_loss(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     data = random.Random(2).randbytes(12 * SAMPLE)
     pair.near.pipe.write(data)
@@ -89,7 +89,7 @@ async def test_a_receiver_that_pauses_holds_up_its_sender_and_nothing_is_lost(pa
     assert pair.far.told.data == data
 
 
-async def test_reading_that_is_resumed_while_data_is_taken_keeps_the_order(pair: Pair) -> None:
+async def test_resumed_reading_during_take_keeps_order(pair: Pair) -> None:
     """The reader pauses when it has enough, and resumes from within: it must not be called recursively."""
     inside = False
 
@@ -124,7 +124,7 @@ async def test_reading_that_is_paused_again_stops_at_once(pair: Pair) -> None:
     assert len(pair.far.told.pieces) == 1
 
 
-async def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came(pair: Pair) -> None:
+async def test_paused_receiver_holds_what_came_only(pair: Pair) -> None:
     """A sample of nothing, too, would take memory if each were kept."""
     pair.far.pipe.pause_reading()
     for number in range(100_000):
@@ -133,7 +133,7 @@ async def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came(pair: Pa
     assert not pair.far.pipe.is_closing()
 
 
-async def test_a_stream_that_misses_a_sample_is_over_on_both_sides(pair: Pair) -> None:
+async def test_stream_that_misses_sample_ends_on_both_sides(pair: Pair) -> None:
     for number in range(4):
         pair.near.pipe.write(bytes([number]))
     del pair.near.network.on_its_way[1:3]
@@ -155,7 +155,7 @@ async def test_a_sample_that_comes_again_changes_nothing(pair: Pair) -> None:
     assert not pair.far.pipe.is_closing()
 
 
-async def test_a_peer_that_ignores_the_window_is_cut_off(pair: Pair) -> None:
+async def test_peer_that_ignores_window_is_cut_off(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     for number in range(2 * UNDER_WAY // SAMPLE):
         pair.far.arrive(SampleKind.DATA, number, bytes(SAMPLE))
@@ -167,7 +167,7 @@ async def test_a_peer_that_ignores_the_window_is_cut_off(pair: Pair) -> None:
     assert held(pair.far.pipe) == 0
 
 
-async def test_a_window_cannot_be_opened_for_what_zenoh_has_not_been_given(pair: Pair) -> None:
+async def test_window_counts_what_zenoh_was_given(pair: Pair) -> None:
     """Anyone in the network can claim that all has come, while the router takes nothing."""
     network = pair.near.network
     for _ in range(10):
@@ -184,7 +184,7 @@ async def test_an_older_window_closes_nothing(pair: Pair) -> None:
     assert pair.near.pipe.get_write_buffer_size() == 0
 
 
-async def test_what_is_in_flight_is_what_the_other_side_has_not_reported() -> None:
+async def test_unreported_bytes_are_in_flight() -> None:
     """With each sample's own cost, and still where the stream has ended: Zenoh may have it for a while."""
     client = Side("a", "b")
     for _ in range(4):
@@ -221,7 +221,7 @@ async def test_a_window_that_is_lost_is_asked_for(pair: Pair) -> None:
     assert pair.far.told.data == data
 
 
-async def test_many_questions_have_one_answer_and_none_after_the_end(pair: Pair) -> None:
+async def test_many_questions_have_one_answer(pair: Pair) -> None:
     """A stranger may ask as often as they like."""
     for number in range(100):
         pair.far.arrive(SampleKind.DATA, number, b"")
@@ -236,7 +236,7 @@ async def test_many_questions_have_one_answer_and_none_after_the_end(pair: Pair)
     assert len(pair.far.sent(SampleKind.WINDOW)) == 2
 
 
-async def test_the_loss_of_a_last_sample_shows_though_nothing_follows(pair: Pair) -> None:
+async def test_loss_of_last_sample_shows_though_nothing_follows(pair: Pair) -> None:
     pair.near.pipe.write(b"a map, once")
     pair.near.network.on_its_way.clear()
     await asyncio.sleep(2.1)
@@ -245,7 +245,7 @@ async def test_the_loss_of_a_last_sample_shows_though_nothing_follows(pair: Pair
     assert str(pair.near.told.error) == PipeProblem.SAMPLE_LOST()
 
 
-async def test_a_stream_at_rest_says_once_that_it_has_said_all() -> None:
+async def test_resting_stream_says_its_end_once() -> None:
     pair, said = Pair(), 0
     pair.near.pipe.write(b"one")
     await pair.settle()
@@ -256,7 +256,7 @@ async def test_a_stream_at_rest_says_once_that_it_has_said_all() -> None:
     assert said == 1
 
 
-async def test_what_waits_for_a_reader_is_asked_about_now_and_then_only(pair: Pair) -> None:
+async def test_waiting_reader_is_asked_now_and_then(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     pair.near.pipe.write(bytes(3 * WINDOW))
     asked = 0
@@ -297,7 +297,7 @@ async def test_aborting_waits_for_nothing(pair: Pair) -> None:
     assert len(pair.near.sent(SampleKind.END)) == 1
 
 
-async def test_what_came_before_the_end_is_delivered_though_reading_was_paused(pair: Pair) -> None:
+async def test_data_before_end_arrives_despite_paused_reading(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     data = random.Random(5).randbytes(SAMPLE)
     pair.near.pipe.write(data)
@@ -311,7 +311,7 @@ async def test_what_came_before_the_end_is_delivered_though_reading_was_paused(p
     assert pair.far.told.calls == ["made", "eof", "lost"]
 
 
-async def test_an_end_that_counts_more_than_came_says_so(pair: Pair) -> None:
+async def test_end_that_counts_more_than_came_says_so(pair: Pair) -> None:
     pair.near.pipe.write(b"lost")
     pair.near.network.on_its_way.clear()
     pair.near.pipe.close()
@@ -319,7 +319,7 @@ async def test_an_end_that_counts_more_than_came_says_so(pair: Pair) -> None:
     assert str(pair.far.told.error) == PipeProblem.SAMPLE_LOST()
 
 
-async def test_an_end_while_this_side_still_has_much_to_send_ends_it(pair: Pair) -> None:
+async def test_end_with_much_to_send_ends_it(pair: Pair) -> None:
     """Its window will never open again."""
     pair.far.pipe.pause_reading()
     pair.near.pipe.write(bytes(9 * SAMPLE))
@@ -347,7 +347,7 @@ async def test_a_reason_from_afar_is_short_and_harmless(pair: Pair) -> None:
     assert len(words) <= 200
 
 
-async def test_kinds_that_a_later_version_may_send_are_passed_over(pair: Pair) -> None:
+async def test_kinds_of_later_versions_are_skipped(pair: Pair) -> None:
     pair.far.arrive(200, 7, b"?")
     await pair.settle()
     assert pair.far.told.calls == ["made"]
@@ -363,7 +363,7 @@ async def test_cut_off_tells_both_sides(pair: Pair) -> None:
 
 @pytest.mark.parametrize("pieces", [[4101], [4000, 101], [1] * 4101], ids=["at once", "in two", "in many"])
 @pytest.mark.parametrize("paused", [False, True])
-async def test_a_stranger_has_4_kib_until_it_is_answered(pieces: list[int], paused: bool) -> None:
+async def test_stranger_has_4_kib_until_it_is_answered(pieces: list[int], paused: bool) -> None:
     side = Side("a" * 16, "b" * 16, stranger=True)
     if paused:
         side.pipe.pause_reading()
@@ -374,7 +374,7 @@ async def test_a_stranger_has_4_kib_until_it_is_answered(pieces: list[int], paus
     assert sum(map(len, side.told.pieces)) + held(side.pipe) <= STRANGER_LIMIT
 
 
-async def test_a_stranger_that_is_answered_may_send_more_behind_its_proof() -> None:
+async def test_answered_stranger_may_send_behind_proof() -> None:
     side = Side("a" * 16, "b" * 16, stranger=True)
     assert side.pipe.longest == STRANGER_LIMIT
     side.arrive(SampleKind.DATA, 0, bytes(100))
@@ -389,7 +389,7 @@ async def test_a_stranger_that_is_answered_may_send_more_behind_its_proof() -> N
 
 
 @pytest.mark.usefixtures("no_collector")
-async def test_nothing_leads_from_a_pipe_that_is_over_to_its_protocol() -> None:
+async def test_ended_pipe_reaches_no_protocol() -> None:
     side = Side("a" * 16, "b" * 16, stranger=True)
     side.arrive(SampleKind.DATA, 0, bytes(100))
     gone = [weakref.ref(each) for each in (side.pipe, side.told)]
@@ -415,7 +415,7 @@ FORGED = [
 
 @pytest.mark.parametrize("tag", [b"", bytes(16)], ids=["untagged", "tagged"])
 @pytest.mark.parametrize("forged", FORGED, ids=str)
-async def test_a_forged_sample_changes_nothing_while_the_stream_lives(
+async def test_forged_sample_changes_nothing_while_stream_lives(
     pair: Pair, forged: tuple[SampleKind, int, bytes], tag: bytes
 ) -> None:
     pair.near.pipe.write(b"0")
@@ -430,7 +430,7 @@ async def test_a_forged_sample_changes_nothing_while_the_stream_lives(
     assert set(pair.near.told.calls + pair.far.told.calls) == {"made"}
 
 
-async def test_samples_that_are_played_again_on_the_other_side_change_nothing(pair: Pair) -> None:
+async def test_samples_replayed_to_other_side_change_nothing(pair: Pair) -> None:
     pair.near.pipe.write(b"0")
     captured = list(pair.near.network.on_its_way)
     await pair.settle()
@@ -439,7 +439,7 @@ async def test_samples_that_are_played_again_on_the_other_side_change_nothing(pa
     assert pair.near.told.data == b""
 
 
-async def test_an_end_that_is_not_proven_is_believed_once_nothing_comes(pair: Pair) -> None:
+async def test_unproven_end_is_believed_after_silence(pair: Pair) -> None:
     """A peer that was started again knows no key of the stream."""
     pair.near.pipe.write(b"0")
     await pair.settle()
@@ -450,7 +450,7 @@ async def test_an_end_that_is_not_proven_is_believed_once_nothing_comes(pair: Pa
     assert pair.near.told.calls == ["made", "lost"]
 
 
-async def test_a_stream_at_rest_outlives_forged_ends_because_the_other_side_answers() -> None:
+async def test_resting_stream_outlives_forged_ends() -> None:
     pair, asked = Pair(), 0
     pair.near.pipe.write(b"0")
     await pair.settle()
@@ -463,7 +463,7 @@ async def test_a_stream_at_rest_outlives_forged_ends_because_the_other_side_answ
     assert asked <= 10  # within 10 s
 
 
-async def test_a_token_that_goes_ends_a_stream_only_if_its_owner_has_gone(pair: Pair) -> None:
+async def test_vanished_token_ends_stream_of_departed_owner(pair: Pair) -> None:
     pair.near.pipe.write(b"0")
     await pair.settle()
     pair.near.pipe.doubt("it has left")
@@ -494,7 +494,7 @@ async def test_a_doubt_is_known_at_once(how: str) -> None:
     assert pair.near.told.calls == ["made"]
 
 
-async def test_what_was_under_way_does_not_hide_that_a_peer_has_died(pair: Pair) -> None:
+async def test_bytes_under_way_do_not_hide_death(pair: Pair) -> None:
     pair.near.pipe.write(b"0")
     await pair.settle()
     pair.far.pipe.write(b"last words")
@@ -508,7 +508,7 @@ async def test_what_was_under_way_does_not_hide_that_a_peer_has_died(pair: Pair)
 
 
 @pytest.mark.parametrize("kind", [SampleKind.END, SampleKind.WINDOW])
-async def test_a_client_takes_further_answers_until_one_is_adopted(kind: SampleKind) -> None:
+async def test_client_takes_further_answers_until_one_is_adopted(kind: SampleKind) -> None:
     pair = Pair(authenticated=False)
     near = pair.near
     near.pipe.begin_trial()
@@ -541,7 +541,7 @@ async def test_answers_of_strangers_are_bounded() -> None:
     assert len(pair.near.told.pieces) <= 64
 
 
-async def test_without_tags_an_end_is_believed_once_nothing_comes() -> None:
+async def test_without_tags_end_is_believed_once_nothing_comes() -> None:
     """A link without encryption has none."""
     pair = Pair(authenticated=False)
     pair.near.pipe.write(b"0")

@@ -49,7 +49,7 @@ def to_port(port: int) -> list[int]:
     ("tcp", "127.0.0.1", socket.AF_INET), ("tls", "127.0.0.1", socket.AF_INET), ("ws", "[::1]", socket.AF_INET6),
     ("tcp", "[::ffff:127.0.0.1]", socket.AF_INET),
 ])  # fmt: skip
-def test_the_socket_of_a_link_is_found_and_no_other_is_touched(protocol: str, host: str, family: int) -> None:
+def test_only_links_socket_is_touched(protocol: str, host: str, family: int) -> None:
     with socket.create_server(("::1" if family == socket.AF_INET6 else "127.0.0.1", 0), family=family) as server:
         near, other = (socket.create_connection(server.getsockname()[:2]) for _ in range(2))
         before = {*os.listdir("/proc/self/fd")}  # noqa: PTH208 (the numbers, and the listing's own)
@@ -61,7 +61,7 @@ def test_the_socket_of_a_link_is_found_and_no_other_is_touched(protocol: str, ho
             assert not {*os.listdir("/proc/self/fd")} - before  # noqa: PTH208 (other threads may close some)
 
 
-def test_a_link_without_a_socket_of_this_process_is_left_alone() -> None:
+def test_link_without_local_socket_is_left_alone() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         with socket.create_connection(server.getsockname()) as near:
             quic, gone = link("quic", near, "127.0.0.1"), link("tcp", near, "127.0.0.1")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @pytest.mark.usefixtures("no_collector")
-def test_a_refused_stream_over_zenoh_is_freed_at_once(bridge: Bridge, arrived: list[weakref.ref[object]]) -> None:
+def test_refused_stream_over_zenoh_is_freed_at_once(bridge: Bridge, arrived: list[weakref.ref[object]]) -> None:
     zenoh = pytest.importorskip("zenoh")
     from rsb_extras.zenoh.endpoint import ROOT
     from rsb_extras.zenoh.outbox import Header, SampleKind
