@@ -125,7 +125,7 @@ async def test_client_is_removed_with_yes_and_returns(app: ConsoleApp, pilot: Pi
     await pilot.press("y")
     await gone(pilot, "Undo the removal")
     assert engine_of(app).commands == [("remove client", "robot1"), ("add client", ROBOT1)]
-    assert set(load(path).listed_clients) == {ROBOT1, ROBOT2}
+    assert sorted(load(path).listed_clients, key=lambda client: client.name) == [ROBOT1, ROBOT2]
     assert app.changes.last is None
     assert read_key(path.with_name("robot1.key")) == key
 
