@@ -45,7 +45,7 @@ def test_engines_load_their_decoders_one_at_a_time(tmp_path: Path, monkeypatch: 
         with pytest.raises(EngineError):
             Engine(session, base=tmp_path).start()
 
-    monkeypatch.setattr(codec, "load", load)
+    monkeypatch.setattr(codec, "decoders", load)
     session = Session(name="a", role="client", server_ip="127.0.0.1", server_port=5, key_file="none.key", domain_id=1)
     with ThreadPoolExecutor(4) as threads:
         for started in [threads.submit(start) for _ in range(4)]:

@@ -239,7 +239,7 @@ MUTATIONS = (
     Mutation("a new connection is not told what is paused",
              ((RouteTable, "_propose", _unpaused),), "disagree|do not agree", LIVELY, 5, 1.0),
     Mutation("a silent peer is not given up",
-             ((Keepalive, "watch", nothing),), "seems linked", STORM, 4, 1.0),
+             ((Keepalive, "_watch_silence", nothing),), "seems linked", STORM, 4, 1.0),
     Mutation("UDP sockets of links that are down are not closed",
              ((UdpChannel, "close", nothing),), "left open", STORM, 3, 2.0),
     Mutation("what the other side makes of a topic is not taken in",

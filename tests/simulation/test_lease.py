@@ -486,17 +486,18 @@ def _any_time(self: LeaseHalf, number: int) -> bool:
     return sent is not None and self.alive and self._steady() - sent <= GIVEN_UP_AFTER
 
 
-def _blind_to(where: Standstill) -> Callable[[LeaseHalf], None]:
+def _blind_to(where: Standstill) -> Callable[[LeaseHalf], float]:
     """Replace `LeaseHalf._end_at_standstill` by a form that does not notice one kind of stall."""
 
-    def look(self: LeaseHalf) -> None:
+    def look(self: LeaseHalf) -> float:
         phase, ended = self.phase, []
         with patch.object(self, "_ended", lambda: ended.append(True)):
-            _look(self)
+            now = _look(self)
         if self.over is where and ended:
             self.phase, self.over = phase, None
         elif ended:
             self._ended()
+        return now
 
     return look
 
@@ -516,7 +517,7 @@ async def _at_once(self: Settling) -> None:
     """Replace `Settling.wait` by a form that does not wait."""
 
 
-_look = replaced.LEASE_END.value
+_look: Callable[[LeaseHalf], float] = replaced.LEASE_END.value
 _marked = Marker.marked
 _ALIVE = property(lambda self: self.phase is not LeasePhase.OFF)
 

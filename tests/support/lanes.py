@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pytest
 
 COMPUTING = {"simulation": "simulation", "checks": "checks"} | dict.fromkeys(
-    ("cdr", "channel", "config", "fleet", "fuzz", "model", "route", "wire"), "pure"
+    ("cdr", "channel", "config", "fuzz", "model", "route", "wire"), "pure"
 )
 ALONE = {"bluetooth", "network", "release"}
 """Folders whose tests share machines, hosts or builds."""

@@ -226,7 +226,7 @@ class Engine(EngineApi):
 
     def start(self) -> None:
         with _LOADING:
-            codec.load()
+            codec.decoders()
         with self._starting:
             self._check_not_stopped()
             try:

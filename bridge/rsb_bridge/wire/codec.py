@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _E = TypeVar("_E")
+_LongDecoder: TypeAlias = "msgspec.msgpack.Decoder[ControlMessageBase | ReportParts]"
 _T = TypeVar("_T")
 _Entries: TypeAlias = Annotated[tuple[Raw, ...], Meta(max_length=ROUTES_PER_LINK)]
 
@@ -119,24 +120,17 @@ def control_messages() -> tuple[type[ControlMessageBase], ...]:
 
 
 @cache
-def _control() -> msgspec.msgpack.Decoder[ControlMessageBase]:
-    return msgspec.msgpack.Decoder(Union[*control_messages()])
-
-
-@cache
-def _parts() -> msgspec.msgpack.Decoder[ControlMessageBase | ReportParts]:
-    # Without `Report`, whose tag the form in parts has: msgspec takes no tag twice.
-    return msgspec.msgpack.Decoder(Union[*(each for each in control_messages() if each is not Report), ReportParts])
-
-
-def load() -> None:
-    """Make the decoders. Two threads must not do so at the same time.
+def decoders() -> tuple[
+    msgspec.msgpack.Decoder[ControlMessageBase], msgspec.msgpack.Decoder[ControlMessageBase | ReportParts]
+]:
+    """Return the decoders of short and of long control messages. Two threads must not make them at the same time.
 
     Each fills in what msgspec keeps of the messages' types. Another thread that decodes with types that are half done
     crashes the process: one time in twenty with four threads and msgspec 0.22.
     """
-    _control()
-    _parts()
+    # A long one without `Report`, whose tag the form in parts has: msgspec takes no tag twice.
+    long = [each for each in control_messages() if each is not Report]
+    return msgspec.msgpack.Decoder(Union[*control_messages()]), msgspec.msgpack.Decoder(Union[*long, ReportParts])
 
 
 def encode(message: ControlMessageBase) -> bytes:
@@ -150,9 +144,10 @@ def decode(data: bytes) -> ControlMessageBase | ReportParts:
     Raises:
         ProtocolError: the message is invalid, or a field is out of its range.
     """
+    short, long = decoders()
     if len(data) <= WHOLE:
-        return _decode(_control(), data)
-    return _decode(_parts(), data)
+        return _decode(short, data)
+    return _decode(long, data)
 
 
 def decode_urgent(data: bytes) -> UrgentMessage:
