@@ -25,7 +25,7 @@ from tests.simulation.episodes import (
 from tests.support import replaced
 
 from rsb_bridge.channel.data_stream import DataStream, StreamSender
-from rsb_bridge.channel.udp_channel import UdpChannel
+from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.channel.window import Window
 from rsb_bridge.link.base_link import RouteIds
 from rsb_bridge.link.keepalive import Keepalive
@@ -241,7 +241,7 @@ MUTATIONS = (
     Mutation("a silent peer is not given up",
              ((Keepalive, "_watch_silence", nothing),), "seems linked", STORM, 4, 1.0),
     Mutation("UDP sockets of links that are down are not closed",
-             ((UdpChannel, "close", nothing),), "left open", STORM, 3, 2.0),
+             ((ClientUdpChannel, "close", nothing),), "left open", STORM, 3, 2.0),
     Mutation("what the other side makes of a topic is not taken in",
              ((CombinedVerdict, "receive", nothing),), "do not agree on", _SILENT, 1, 0.5),
     Mutation("a link takes as much as its buffers hold",

@@ -48,9 +48,9 @@ def test_client_shut_down_for_hours_comes_back(cuts: int) -> None:
 
     up = Link.up
 
-    def note_link(self: Link, *args: object) -> None:
+    def note_link(self: Link, *args: object) -> object:
         up_at.append(world.loop.time())
-        up(self, *args)  # type: ignore[arg-type]
+        return up(self, *args)  # type: ignore[arg-type]
 
     with (
         patch.object(ServerLink, "asked", note_question),
