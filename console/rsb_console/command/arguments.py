@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from rsb_bridge.feature import installed
@@ -54,7 +55,8 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         parents=[debug],
     )
-    parser.add_argument("--version", action="store_true", help="show the version and exit")  # as `cli` does
+    shown = f"rsb-console {version('rsb-console')}"  # `cli` shows it, too, without all this
+    parser.add_argument("--version", action="version", version=shown, help="show the version and exit")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=CommandParser)
 
     def command(
