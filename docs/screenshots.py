@@ -10,7 +10,6 @@ import asyncio
 import os
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Awaitable
 from html import unescape
@@ -18,25 +17,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-
 from rsb_bridge import __version__
-from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route import lease
 from rsb_console.app import ConsoleApp
 from rsb_console.look.glyphs import STATE_SIGN
 from rsb_console.session.demo_session import running_demo
-from rsb_extras.fleet.fleet_app import FleetApp
-from rsb_extras.fleet.fleet_demo import seen, simulated, trouble
-from rsb_extras.fleet.fleet_table import FleetView
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from textual.pilot import Pilot
-
-    from rsb_extras.fleet.fleet import FleetSource, Robot, RobotFleet
 
     Take = Callable[["Album"], Coroutine[Any, Any, None]]
 
@@ -46,7 +37,6 @@ FLOWING = 6  # topics of the demo, its service, and its robot's parameters
 HISTORY = 60  # s: long enough for a curve to be worth a picture
 FAULTS_OF_BUSY_MACHINES = {STATE_SIGN[state] for state in (State.SLOW, State.LATE, State.STALE, State.DOWN)}
 WIDE, NARROW, LOW = (120, 36), (80, 24), (120, 24)
-ROBOTS = 8
 
 
 class Album:
@@ -141,43 +131,7 @@ async def of_a_robot(album: Album) -> None:
             await asyncio.to_thread(app.stop)
 
 
-async def of_a_fleet(album: Album) -> None:
-    """The one of the demo of a fleet, when a robot is away, and another one has lost a topic."""
-    over = threading.Event()
-    with simulated(ROBOTS) as running, seen(running) as fleet:
-        _of_no_machine(fleet.sources[0])
-        app = FleetApp(fleet, FleetView(), theme="dark", config=album.config)
-        async with app.run_test(size=LOW) as pilot:
-            await until(lambda: all(robot.summary.battery for robot in robots(fleet)), pilot)
-            troubling = threading.Thread(target=trouble, args=(running, over.is_set))
-            troubling.start()
-            try:
-                await until(lambda: {RobotState.MISSING, RobotState.FAULT} <= states_of(fleet), pilot)
-                await pilot.pause(1.0)
-                # On the robot with the fault.
-                await album.take(pilot, "fleet", "g", "j", when=lambda words: "STALE" in words)
-            finally:
-                over.set()
-                await asyncio.to_thread(troubling.join)
-
-
-def _of_no_machine(source: FleetSource) -> None:
-    """Have each robot be a machine of its own, instead of all of them this one."""
-    known = source.robots
-    source.robots = lambda: [msgspec.structs.replace(each, host=each.name) for each in known()]  # type: ignore[method-assign]
-
-
-def robots(fleet: RobotFleet) -> list[Robot]:
-    """Those with a battery."""
-    return [robot for robot in fleet.robots() if robot.summary.name != "control"]
-
-
-def states_of(fleet: RobotFleet) -> set[RobotState]:
-    """How the robots are."""
-    return {robot.summary.state for robot in robots(fleet)}
-
-
-PARTS = {"robot": of_a_robot, "fleet": of_a_fleet}
+PARTS = {"robot": of_a_robot}
 
 
 def parts() -> dict[str, tuple[Path, Take]]:
