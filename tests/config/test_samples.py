@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from tests.config.samples import CONFIGS, SAMPLES
 from tests.support.captured import captured
 from tests.support.systemd import exposure
 
@@ -13,8 +14,6 @@ from rsb_bridge.config.session_file import load, parse
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.service import CONFINED, Service
 
-CONFIGS = Path(__file__).parents[2] / "configs"
-SAMPLES = sorted(CONFIGS.glob("*.yaml"))
 ROOT = CONFIGS.parent
 FEATURES = "extras/rsb_extras/"
 ABSENT = (FEATURES, "bench/")

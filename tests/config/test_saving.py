@@ -14,6 +14,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from tests.config.samples import SAMPLES
 from tests.config.test_call_entries import called
 from tests.support.long import long_cases
 from tests.support.wording import pattern
@@ -35,7 +36,6 @@ from rsb_bridge.config.yaml_text import inline, read_yaml
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import Client, Grant, Session, Topic
 
-CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 HEAD = "name: robot1\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 49152\nkey_file: key.txt\n"
 
 
@@ -70,7 +70,7 @@ def topics(*changes: tuple[int, Topic | dict[str, Any] | None]) -> Callable[[Ses
     return change
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
 def test_saving_what_did_not_change_changes_nothing(path: Path, tmp_path: Path) -> None:
     text = path.read_text()
     assert edited(text, tmp_path, lambda session: session) == text
@@ -202,7 +202,7 @@ def test_only_what_changed_changes(
 
 
 def test_clients_of_server_keep_their_comments_too(tmp_path: Path) -> None:
-    text = next(path for path in CONFIGS if path.stem == "control-pc").read_text()
+    text = next(path for path in SAMPLES if path.stem == "control-pc").read_text()
 
     def change(session: Session) -> Session:
         one, _, visitor = session.listed_clients

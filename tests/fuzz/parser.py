@@ -31,16 +31,18 @@ class Parser:
             output without a bound, or a value that does not come back equal from its own encoding.
         seeds: inputs of which all or nearly all is right.
         edit: makes another input of one, which keeps to the outer form.
+        corpora: the folder whose folder of its name has inputs that were found once.
     """
 
     name: str
     read: Callable[[bytes], None]
     seeds: tuple[bytes, ...]
     edit: Callable[[bytes, Random], bytes] = edit_bytes
+    corpora: Path = CORPUS
 
     @property
     def corpus(self) -> Path:
-        return CORPUS / self.name
+        return self.corpora / self.name
 
     def kept(self) -> Iterator[Path]:
         return (path for path in sorted(self.corpus.glob("*")) if path.is_file())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from functools import cache, partial
+from pathlib import Path
 
 import msgspec
 import zstandard
@@ -86,8 +87,13 @@ _EVENTS = (
 _BOMB = b"\x28\xb5\x2f\xfd\xe0" + (1 << 40).to_bytes(8, "little") + b"\1\0\0"
 """Claims to hold a TiB."""
 
+_CORPORA = Path(__file__).with_name("corpus")
 PARSERS = (
-    Parser("history_content", partial(_read_history, zstandard.compress), (_saved(),), edit_msgpack),
-    Parser("history_file", partial(_read_history, bytes), (zstandard.compress(_saved()[:60]), b"", _BOMB)),
-    Parser("event_file", _read_events, (b"".join(map(history_files.encode_event, _EVENTS)),), edit_json_lines),
+    Parser("history_content", partial(_read_history, zstandard.compress), (_saved(),), edit_msgpack, _CORPORA),
+    Parser(
+        "history_file", partial(_read_history, bytes), (zstandard.compress(_saved()[:60]), b"", _BOMB), corpora=_CORPORA
+    ),
+    Parser(
+        "event_file", _read_events, (b"".join(map(history_files.encode_event, _EVENTS)),), edit_json_lines, _CORPORA
+    ),
 )
