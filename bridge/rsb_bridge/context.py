@@ -108,7 +108,7 @@ class Context:
 
     @property
     def armed(self) -> tuple[str | ArmedName, ...]:
-        """The names and patterns that have to be armed, with those of all entries."""
+        """The names and patterns that have to be armed, of the session and of all entries."""
         return self.session.armed
 
     def set_armed(self, armed: tuple[str | ArmedName, ...]) -> None:

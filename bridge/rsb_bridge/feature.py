@@ -27,7 +27,7 @@ BRINGS: Mapping[str, str] = {
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
     "zenoh": "zenoh",
 }
-"""Keys of session files, and the feature of this project that brings each: an installation without it says so."""
+"""Keys of session files, with the feature of this project that brings each, for messages where it is missing."""
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
@@ -292,7 +292,7 @@ class Feature:
 
 @cache
 def installed() -> tuple[Feature, ...]:
-    """Return the features that are installed, by name, those that another one needs before it.
+    """Return the installed features in order of their names, but each after the features that it needs.
 
     One that cannot be loaded, or lacks another one that it needs, is left out, with a warning in the log.
     """
@@ -339,5 +339,5 @@ def session_keys() -> Mapping[str, SessionKey[Any]]:
 
 @cache
 def peer_keys() -> Mapping[str, SessionKey[Any]]:
-    """Return those of the keys that are about the other side of a link."""
+    """Return the keys about the other side of a link."""
     return {name: key for name, key in session_keys().items() if key.of_peer}

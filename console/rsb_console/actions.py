@@ -189,7 +189,7 @@ _OF_CORE: tuple[Action, ...] = (
 
 
 def _with_features() -> tuple[Action, ...]:
-    """Return the actions of the core, and those of features behind the ones that they follow."""
+    """Return the core's actions with the features', each behind the action that it follows."""
     actions = list(_OF_CORE)
     for action in (each for feature in installed() for each in feature.actions()):
         places = [place for place, each in enumerate(actions, 1) if each.id == action.after]

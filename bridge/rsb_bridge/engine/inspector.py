@@ -153,7 +153,7 @@ def _is_goal(route: CallsRoute, lane: int) -> bool:
 
 
 def _lane_named(route: CallsRoute, name: str) -> int:
-    """Return a lane's number, by its name among those that can be called."""
+    """Return the number of a lane that can be called, by its name."""
     names = {member.name: number for number, member in enumerate(route.members) if not member.is_topic}
     if name in names:
         return names[name]

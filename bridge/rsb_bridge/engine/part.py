@@ -1,4 +1,4 @@
-"""The parts of an engine: what answers commands, works beside the links, or watches from outside."""
+"""Parts of an engine, which answer commands and work next to the links, and observers, which watch it from outside."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class EnginePart:
 
 
 class EngineObserver:
-    """What a feature has watch an engine, on threads of its own. It outlives the bridge, and overrides what it needs.
+    """A feature's observer of an engine, on threads of its own. It outlives the bridge, and overrides what it needs.
 
     It may read the engine's `log`, `snapshots.latest`, `clock` and `state` on any thread.
 

@@ -50,7 +50,7 @@ class Extension:
         return {}
 
     def route_fields(self, route: Route) -> Mapping[str, Any]:
-        """Return the same of one of its routes."""
+        """Return the values of one of its routes."""
         return {}
 
     def removed(self, route: Route) -> None:
@@ -74,13 +74,13 @@ class Extension:
 
 
 class Extensions:
-    """The extensions of one link, in the order in which they are told what happens."""
+    """The extensions of one link, in the order of their calls."""
 
     def __init__(self) -> None:
         self._all: list[Extension] = []
         self._of_features: list[Extension] = []
         self._told: list[Extension] = []
-        """Of the present connection: those that the peer has, too."""
+        """Extensions that take part in the present connection: the peer has their feature, too."""
 
     def add(self, extension: Extension) -> None:
         self._all.append(extension)
@@ -125,7 +125,7 @@ class Extensions:
         return {name: value for each in self._of_features for name, value in each.link_fields().items()}
 
     def route_fields(self, route: Route) -> dict[str, Any]:
-        """Return what features show of one of its routes."""
+        """Return the features' values of a route."""
         return {name: value for each in self._of_features for name, value in each.route_fields(route).items()}
 
 

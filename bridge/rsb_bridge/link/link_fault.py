@@ -1,4 +1,4 @@
-"""What is wrong with a link, up or down: one cause, in words for an operator."""
+"""A link's fault, up or down: one cause, in words for an operator."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class PresentFault(NamedTuple):
-    """What is wrong with a link.
+    """A link's fault.
 
     Attributes:
         cause: of a link that is up or down.

@@ -178,7 +178,7 @@ class RouteTable(Extension):
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
     def change(self, route: Route, spec: Topic, proposal: Propose) -> Route:
-        """Put another route in the place of one that this side proposes."""
+        """Replace a route that this side proposes."""
         at = list(self._link.routes).index(route.key)
         self.listed.discard(route.spec.identity)
         same_name = route_key(self._link.name, proposal) == route.key

@@ -47,6 +47,6 @@ TOPIC = Purpose("topic", in_graph=True)  # messages and calls of ROS nodes
 
 @cache
 def purposes() -> Mapping[str, Purpose]:
-    """Return all purposes by name, those of features last."""
+    """Return all purposes by name, features' last."""
     added = (each for feature in installed() for each in feature.purposes())
     return {each.name: each for each in (TOPIC, *added)}

@@ -1,4 +1,4 @@
-"""Why a connection, or an opening of a route, has ended: a code to decide by, and words for people."""
+"""The reason for the end of a connection, or of an opening of a route: a code to decide by, and words for people."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 
 class EndCode(StrEnum):
-    """What ended it. Both sides decide by it; it crosses the link in a `Close`."""
+    """The cause of the end. Both sides decide by it; it crosses the link in a `Close`."""
 
     DECIDED = "decided"
     """One of the sides ended or refused it; the words say why."""

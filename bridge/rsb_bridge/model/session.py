@@ -259,7 +259,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     shutdown_topic: str | None = "/shutdown"
     """The text "shutdown" (``std_msgs/String``) on it closes the sockets on both sides; or None."""
     features: dict[str, Any] = {}  # msgspec gives each session its own
-    """Values of the features' keys, by name, without those that are as by default (`feature.SessionKey.of`)."""
+    """Values of the features' keys, by name, without defaults (`feature.SessionKey.of`)."""
     topics: tuple[Topic, ...] = ()
     armed: tuple[str | ArmedName, ...] = ()
     """Names and patterns on this side that require arming, with or without an entry. In a running bridge, each entry
@@ -305,7 +305,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         return (Client(self.name, group=self.group, features=of_peer),)
 
     def with_clients(self, clients: tuple[Client, ...]) -> Session:
-        """Return a server's session with a list of clients, whose entries have what was of the only one."""
+        """Return a server's session with a list of clients, whose entries take over the only client's values."""
         features = {name: value for name, value in self.features.items() if name not in peer_keys()}
         return msgspec.structs.replace(self, clients=clients, features=features)
 

@@ -86,7 +86,7 @@ class UdpSocket:
 
     @property
     def receive_buffer(self) -> int:
-        """As granted now: what the kernel has not granted is asked for again."""
+        """The granted size; a refused one is asked for again."""
         granted = granted_receive_buffer(self._sock)
         if granted < RECEIVE_BUFFER:
             _enlarge(self._sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)

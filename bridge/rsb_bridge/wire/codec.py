@@ -115,7 +115,7 @@ def _decoded(
 
 @cache
 def control_messages() -> tuple[type[ControlMessageBase], ...]:
-    """Return all types of control messages, those of features last. Asked late: a feature's may need this module."""
+    """Return all types of control messages, features' last. Called late: a feature's may need this module."""
     return (*get_args(ControlMessage), *(message for feature in installed() for message in feature.messages()))
 
 

@@ -1,4 +1,4 @@
-"""What subcommands have in common: how they are added, and arguments that name a bridge or a topic."""
+"""Common ground of subcommands: how to add them, and arguments that name a bridge or a topic."""
 
 from __future__ import annotations
 
