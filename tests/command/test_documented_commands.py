@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import re
 import shlex
@@ -100,10 +99,6 @@ def commands(text: str) -> Iterator[list[str]]:
         words = []
 
 
-OF_FEATURES: dict[type[Command[Any]], Callable[[Any], object]] = {}
-"""By a command's type: what makes the answer that is shown for it, as a feature's tests have it."""
-for path in _ROOT.glob("extras/rsb_extras/*/tests/shown_answers.py"):
-    OF_FEATURES |= importlib.import_module(f"rsb_extras.{path.parts[-3]}.tests.shown_answers").ANSWERS
 MISSING = BRINGS_COMMANDS.keys() - parser_and_commands()[1]
 FOUND = [line for line in lines() if line.words[0] not in MISSING]
 
@@ -203,8 +198,6 @@ class Robot(Running):
         self.peeked = [_MESSAGE] * 20
 
     def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
-        if type(command) in OF_FEATURES:
-            return self._done(OF_FEATURES[type(command)](command), "of a feature")
         if isinstance(command, Call):
             return self._done(_ANSWERS[command.lane], "call", command.key)
         return super()._execute(command, step)
