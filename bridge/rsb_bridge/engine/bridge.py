@@ -230,11 +230,11 @@ class Bridge:
 
     @contextlib.contextmanager
     def _guarded(self, part: EnginePart) -> Iterator[None]:
-        """Do work of a feature's part; a failure of it is logged, and ends nothing else."""
+        """Do work of a part; a failure of it is logged, and ends nothing else."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 -- of code that is not ours
-            message = f"the part {type(part).__name__} of a feature failed"
+            message = f"the part {type(part).__name__} of the engine failed"
             self.internal_error(self.context.loop, {"message": message, "exception": error})
 
     def _ros_failed(self, reason: str) -> None:
