@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
@@ -49,8 +50,13 @@ def client(pc: Domain) -> Iterator[FibonacciClient]:
 
 
 def test_feedback_of_a_gap_comes_whole(
-    relay: Relay, bridge: Bridge, server: FibonacciServer, client: FibonacciClient
+    relay: Relay,
+    bridge: Bridge,
+    server: FibonacciServer,
+    client: FibonacciClient,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
     _, robot = bridge.both(FIBONACCI)
     goal = client.send(1).ask()
     server.goal()
@@ -59,8 +65,10 @@ def test_feedback_of_a_gap_comes_whole(
     eventually(lambda: goal.feedbacks)
     relay.stall(new=True)
     for count in range(2, 52):
+        time.sleep(0.1)  # as a server at 10 Hz
         server.feedback(*(count,) * 200)
         eventually(lambda count=count: route(robot, ACTION).goals[0].feedbacks == count)
+    time.sleep(0.1)
     server.finish(1)
     eventually(lambda: route(robot, ACTION).goals[0].state == "succeeded")
     relay.stall(False)

@@ -7,11 +7,11 @@ import itertools
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from tests.support.goals import cancel_response, goal
+from tests.support.goals import cancel_response, goal, result_response
 from tests.support.inside import offers_of, pending_calls
 from tests.support.offline import half_of
 
-from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK
+from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.calls.calling import CallerCall
 from rsb_bridge.route.calls.calling_action import CallingActionRoute
@@ -38,9 +38,9 @@ class Client:
         publisher: Any = SimpleNamespace(publish=lambda content: self.got.append((loop.time(), content[-1])))
         offers_of(self.route).publishers[FEEDBACK] = publisher
 
-    def asks(self) -> None:
+    def asks(self, lane: int = CANCEL_GOAL) -> None:
         server: Any = SimpleNamespace(answer=lambda *_: self.got.append((self.loop.time(), -1)))
-        pending_calls(self.route).begin(CallerCall(CANCEL_GOAL, 1, 0.0, server, b"caller"), None)
+        pending_calls(self.route).begin(CallerCall(lane, 1, 0.0, server, b"caller"), None)
 
     def times(self) -> list[float]:
         return [at for at, _ in self.got]
@@ -55,13 +55,25 @@ def test_feedback_that_comes_at_once_is_kept_apart(make_context: Callable[..., C
     client = Client(make_context, loop)
     client.asks()
     answer = CallFrame(What.ANSWER, CANCEL_GOAL, 1, 0, cancel_response(goal(1))).pack(), 0, 0
-    client.route.deliver([*(feedback(number, 1000 + 60 * number) for number in range(50)), answer])
-    client.route.deliver([feedback(50, 1000 + 60 * 50)])
-    loop.run_until_complete(asyncio.sleep(3.0))
+    client.route.deliver([*(feedback(number, 1000 + 150 * number) for number in range(50)), answer])
+    client.route.deliver([feedback(50, 1000 + 150 * 50)])
+    loop.run_until_complete(asyncio.sleep(5.0))
     assert [number for _, number in client.got] == [*range(50), -1, 50], "later frames wait, too"
     times = client.times()
-    assert all(later - earlier > 0.019 for earlier, later in itertools.pairwise(times[1:50]))
-    assert times[-1] - times[0] < 1.1
+    assert all(later - earlier > 0.049 for earlier, later in itertools.pairwise(times[1:50]))
+    assert times[-1] - times[0] < 2.6
+
+
+def test_result_keeps_its_distance_from_feedback(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+    """A client that finds both in one look may handle the result first, and then ignores the feedback."""
+    client = Client(make_context, loop)
+    client.asks(GET_RESULT)
+    result = CallFrame(What.ANSWER, GET_RESULT, 1, 0, result_response("succeeded")).pack(), 1280 * _MS, 0
+    client.route.deliver([*(feedback(number, 1000 + 100 * number) for number in range(3)), result])
+    loop.run_until_complete(asyncio.sleep(1.0))
+    *_, (fed, number), (answered, last) = client.got
+    assert (number, last) == (2, -1)
+    assert 0.039 < answered - fed < 0.042
 
 
 def test_feedback_in_time_is_not_delayed(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
