@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -120,14 +121,21 @@ def test_messages_cross_in_both_directions(bridge: Bridge, sides: tuple[Any, Any
 
 
 def test_large_messages_cross(bridge: Bridge, sides: tuple[Any, Any]) -> None:
-    """From Fast DDS to Cyclone DDS, the first large one is usually lost, also without a bridge."""
+    """From Fast DDS to Cyclone DDS, the first large one is usually lost, also without a bridge.
+
+    At 20 Hz, a busy machine with the usual socket buffers loses all, also without a bridge (docs/support.md).
+    """
     near, far = sides
     writer, reader = near.writer("/large"), far.reader("/large")
     bridge.both(Topic("/large", "transmit"))
     for large in "x" * 1_000_000, "y" * 3_000_000:
+        published_at = float("-inf")
 
         def has_crossed(large: str = large) -> bool:
-            writer.publish(large)
+            nonlocal published_at
+            if time.monotonic() > published_at + 1.0:
+                writer.publish(large)
+                published_at = time.monotonic()
             return large in reader.texts
 
         eventually(has_crossed)
