@@ -34,7 +34,7 @@ from rsb_bridge.route.arming import (
 )
 from rsb_bridge.route.blocking_rules import blocked
 from rsb_bridge.route.crossing import Crossing
-from rsb_bridge.route.gates import GatedMessage, LeaseGate
+from rsb_bridge.route.gates import GatedMessage, lease_gate
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
@@ -140,14 +140,14 @@ def test_message_from_before_arming_is_not_published(at: int, pair: Pair) -> Non
     lease = route(receiving).arming.lease
     assert lease is not None
     before = lease.number
-    gate = LeaseGate(route(receiving).arming)
-    assert gate.check(GatedMessage(0, before), 0.0) is None
+    gate = lease_gate(route(receiving).arming)
+    assert gate(GatedMessage(0, before), 0.0) is None
     pair[at].table.arming.disarm(route(pair[at]), Disarmed.OPERATOR)
     hear_all(pair)
     arm(pair[at]).result()
     assert lease.passes(before)
-    assert gate.check(GatedMessage(0, before), 0.0) is Refused.DISARMED
-    assert gate.check(GatedMessage(0, lease.number), 0.0) is None
+    assert gate(GatedMessage(0, before), 0.0) is Refused.DISARMED
+    assert gate(GatedMessage(0, lease.number), 0.0) is None
 
 
 def command(

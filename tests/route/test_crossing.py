@@ -16,7 +16,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.blocking_rules import blocked
 from rsb_bridge.route.crossing import Crossing
-from rsb_bridge.route.gates import NO_SAMPLE, ArmedGate
+from rsb_bridge.route.gates import NO_SAMPLE, armed_gate
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.lifecycle import RouteEvent
@@ -93,7 +93,7 @@ def test_the_first_reason_in_order_counts(
         first = next(each for each in Crossing if each in reasons)
         assert route.crossing is first
         assert route.arming.crossing(route.context.now()) is armed, "a pause or a loop says nothing of the arming"
-        refused = ArmedGate(route.arming).check(NO_SAMPLE, route.context.now())
+        refused = armed_gate(route.arming)(NO_SAMPLE, route.context.now())
         assert refused is {Crossing.YES: None, Crossing.UNHEARD: Refused.UNHEARD}.get(armed, Refused.DISARMED)
         verdict = blocked(route.status())
         assert (verdict.state if verdict is not None else None) is STATES.get(first)

@@ -16,34 +16,35 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RawMessage, Request
 from rsb_bridge.ros.ros_thread import RosTurns
+from rsb_bridge.route import gates as module
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import Arming, Disarmed
 from rsb_bridge.route.calls.calling_action import CallingActionRoute
 from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 from rsb_bridge.route.gates import (
     NO_SAMPLE,
-    AgeGate,
-    ArmedGate,
-    BudgetGate,
     CallRateGate,
-    FreshSieve,
     GatedMessage,
-    KeptAgeSieve,
-    KeptLoopSieve,
-    LeaseGate,
-    LoopSieve,
-    PauseGate,
-    RateGate,
-    SizeGate,
-    SizeSieve,
-    ThrottleSieve,
-    YoungGate,
-    YoungSieve,
+    age_gate,
+    armed_gate,
     armed_gates,
+    budget_gate,
     calling_gates,
     chained,
+    fresh_sieve,
     incoming_gates,
+    kept_age_sieve,
+    kept_loop_sieve,
+    lease_gate,
+    loop_sieve,
+    pause_gate,
     providing_gates,
+    rate_gate,
+    size_gate,
+    size_sieve,
+    throttle_sieve,
+    young_gate,
+    young_sieve,
 )
 from rsb_bridge.route.history_depth import Sample
 from rsb_bridge.route.lease import LASTS, LeaseHalf
@@ -95,78 +96,78 @@ def taken(number: int) -> GatedMessage:
 def test_armed_gate_asks_operators_and_then_link(make_context: Callable[..., Context]) -> None:
     context, arming = make_context(), Arming()
     arming.demand(required=True, deadman=0.0)
-    gate = ArmedGate(arming)
-    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
+    gate = armed_gate(arming)
+    assert gate(NO_SAMPLE, context.now()) is Refused.DISARMED
     leased(arming, context)
-    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
+    assert gate(NO_SAMPLE, context.now()) is Refused.DISARMED
     arming.arm_for_peer("anna", context.now())
-    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
+    assert gate(NO_SAMPLE, context.now()) is Refused.DISARMED
     arming.lives()
-    assert gate.check(NO_SAMPLE, context.now()) is None
+    assert gate(NO_SAMPLE, context.now()) is None
     context.loop.jump(LASTS * 1.1)  # type: ignore[attr-defined]
-    assert gate.check(NO_SAMPLE, context.now()) is Refused.UNHEARD
+    assert gate(NO_SAMPLE, context.now()) is Refused.UNHEARD
     arming.end(Disarmed.OPERATOR)
-    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
+    assert gate(NO_SAMPLE, context.now()) is Refused.DISARMED
 
 
 def test_lease_gate_passes_young_of_this_arming(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     context, arming = make_context(), Arming()
     arming.demand(required=True, deadman=0.0)
-    gate = LeaseGate(arming)
-    assert gate.check(taken(1), 0.0) is Refused.DISARMED
+    gate = lease_gate(arming)
+    assert gate(taken(1), 0.0) is Refused.DISARMED
     lease = leased(arming, context)
     arming.arm_for_peer("anna", context.now())
     arming.lives()
     number = lease.number
-    found = [gate.check(taken(each), 0.0) for each in (0, number - 1, number, number + 1)]
+    found = [gate(taken(each), 0.0) for each in (0, number - 1, number, number + 1)]
     assert found == [Refused.DISARMED, Refused.DISARMED, None, Refused.DISARMED]
     loop.jump(LASTS * 1.1)
-    assert gate.check(taken(number), 0.0) is Refused.DISARMED
+    assert gate(taken(number), 0.0) is Refused.DISARMED
 
 
 def test_the_age_gate_counts_by_cause(make_context: Callable[..., Context]) -> None:
     context = make_context()
     age = MessageAge(context, FakePeer())
     age.settle((0.5,), armed=False)
-    gate, now = AgeGate(age), context.stamps.now()
-    assert gate.check(GatedMessage(now, 0), 0.0) is None
+    gate, now = age_gate(age), context.stamps.now()
+    assert gate(GatedMessage(now, 0), 0.0) is None
     assert age.total == 0
-    assert gate.check(GatedMessage(now - A_SECOND, 0), 0.0) is Refused.TOO_OLD
+    assert gate(GatedMessage(now - A_SECOND, 0), 0.0) is Refused.TOO_OLD
     age.update(1, 1.0)
     age.update(2, 2.0)
     assert age.total == 1
 
 
 def test_rate_gate_admits_what_this_side_allows() -> None:
-    gate = RateGate(AllowedRates(), "/chat", 10.0)
-    found = [gate.check(NO_SAMPLE, number / 1000) for number in range(10_000)]
+    gate = rate_gate(AllowedRates(), "/chat", 10.0)
+    found = [gate(NO_SAMPLE, number / 1000) for number in range(10_000)]
     assert set(found) == {None, Refused.TOO_FAST}
     assert found.count(None) <= 10 + 1.01 * 10 * 10
 
 
 def test_call_gate_admits_second_at_once() -> None:
-    gate = CallRateGate(10.0, 0.0)
-    assert [gate.check(NO_SAMPLE, 0.0) for _ in range(11)] == [None] * 10 + [Refused.TOO_FAST]
-    assert [gate.check(NO_SAMPLE, 0.1) for _ in range(2)] == [None, Refused.TOO_FAST]
+    gate = CallRateGate(10.0, 0.0).check
+    assert [gate(NO_SAMPLE, 0.0) for _ in range(11)] == [None] * 10 + [Refused.TOO_FAST]
+    assert [gate(NO_SAMPLE, 0.1) for _ in range(2)] == [None, Refused.TOO_FAST]
 
 
 def test_age_gate_asks_clock_of_taking_side(make_context: Callable[..., Context]) -> None:
     context = make_context()
     age = MessageAge(context, FakePeer())
     age.settle((0.5,), armed=False)
-    gate, now = YoungGate(age), context.stamps.now()
-    assert gate.check(GatedMessage(now - A_SECOND // 4, 0), 0.0) is None
-    assert gate.check(GatedMessage(now - A_SECOND, 0), 0.0) is Refused.TOO_OLD
+    gate, now = young_gate(age), context.stamps.now()
+    assert gate(GatedMessage(now - A_SECOND // 4, 0), 0.0) is None
+    assert gate(GatedMessage(now - A_SECOND, 0), 0.0) is Refused.TOO_OLD
 
 
 def test_what_passes_budget_has_its_place_in_it() -> None:
     budget = CallBudget(0.0)
-    gate = BudgetGate(budget)
-    assert gate.check(Request(b"12345", b"", 0), 0.0) is None
-    assert gate.check(CallFrame(What.CALL, 0, 1, 0, b"12345"), 0.0) is None
+    gate = budget_gate(budget)
+    assert gate(Request(b"12345", b"", 0), 0.0) is None
+    assert gate(CallFrame(What.CALL, 0, 1, 0, b"12345"), 0.0) is None
     assert budget.held == (2, 2 * frame_size(b"12345"))
     full = CallBudget(0.0, share=0.0)
-    assert BudgetGate(full).check(Request(b"", b"", 0), 0.0) is Refused.TOO_FAST
+    assert budget_gate(full)(Request(b"", b"", 0), 0.0) is Refused.TOO_FAST
 
 
 class _CarriesFive:
@@ -174,28 +175,26 @@ class _CarriesFive:
 
 
 def test_the_size_gate_passes_what_the_transport_carries() -> None:
-    gate = SizeGate(_CarriesFive())
-    assert gate.check(Request(b"12345", b"", 0), 0.0) is None
-    assert gate.check(Request(b"123456", b"", 0), 0.0) is Refused.TOO_LARGE
+    gate = size_gate(_CarriesFive())
+    assert gate(Request(b"12345", b"", 0), 0.0) is None
+    assert gate(Request(b"123456", b"", 0), 0.0) is Refused.TOO_LARGE
 
 
-class _Shut:
-    """A gate that nothing passes, and that notes what it is asked."""
+def shut(why: Refused | None, asked: list[Refused | None]) -> Gate[Gated]:
+    """Return a gate that nothing passes, and that notes what it is asked."""
 
-    def __init__(self, why: Refused | None, asked: list[Refused | None]) -> None:
-        self._why = why
-        self._asked = asked
+    def gate(_: Gated, __: float) -> Refused | None:
+        asked.append(why)
+        return why
 
-    def check(self, _: Gated, __: float) -> Refused | None:
-        self._asked.append(self._why)
-        return self._why
+    return gate
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_first_reason_counts_and_ends_questions(count: int) -> None:
     asked: list[Refused | None] = []
-    gates: tuple[Gate[Gated], ...] = tuple(_Shut(None, asked) for _ in range(count - 1))
-    check = chained((*gates, _Shut(Refused.TOO_OLD, asked), _Shut(Refused.PAUSED, asked)))
+    gates: tuple[Gate[Gated], ...] = tuple(shut(None, asked) for _ in range(count - 1))
+    check = chained((*gates, shut(Refused.TOO_OLD, asked), shut(Refused.PAUSED, asked)))
     assert check is not None
     assert check(NO_SAMPLE, 0.0) is Refused.TOO_OLD
     assert asked == [None] * (count - 1) + [Refused.TOO_OLD]
@@ -230,8 +229,8 @@ def test_the_fresh_sieve_asks_the_publishers_stamps(make_context: Callable[..., 
     context, ledger = make_context(), RouteLedger()
     age, now = aged_half_a_second(context), context.stamps.now()
     old, young = RawMessage(b"old", now - A_SECOND), RawMessage(b"young", now)
-    sieve = FreshSieve(age, ledger)
-    assert sieve.passing([old, young]) == [young]
+    sieve = fresh_sieve(age, ledger)
+    assert sieve([old, young]) == [young]
     assert (ledger.offered, ledger.expired, age.total) == (1, 1, 1)
 
 
@@ -247,7 +246,7 @@ def test_unsure_clock_lets_nothing_limited_pass(
     for second in range(3):
         age.update(second, float(second))
         stamped = age.stamped([RawMessage(b"young", context.wall_ns())] * 10)
-        assert len(FreshSieve(age, ledger).passing(stamped)) == 10 * passed
+        assert len(fresh_sieve(age, ledger)(stamped)) == 10 * passed
     assert (ledger.offered, ledger.expired) == (30 - 30 * passed, 30 - 30 * passed)
     age.update(3, 3.0)
     late = age.late()
@@ -260,7 +259,7 @@ def test_message_kept_too_long_names_keeper(replayed: bool, cause: Cause, make_c
     age, now = aged_half_a_second(context), context.stamps.now()
     old, young = sample_of(now - A_SECOND, replayed=replayed), sample_of(now, replayed=replayed)
     age.update(0, 0.0)
-    assert KeptAgeSieve(age, ledger).passing([old, young]) == [young]
+    assert kept_age_sieve(age, ledger)([old, young]) == [young]
     assert ledger.expired == 1
     assert cause_of(age) is cause
 
@@ -268,7 +267,7 @@ def test_message_kept_too_long_names_keeper(replayed: bool, cause: Cause, make_c
 def test_held_messages_are_checked_for_loops_again(world: World) -> None:
     (sieve,) = world.path.gates.kept
     known, unknown = sample_of(1), sample_of(1, SECOND)
-    assert sieve.passing([unknown, known]) == [known]
+    assert sieve([unknown, known]) == [known]
     assert world.ledger.dropped == {"would loop": 1}
 
 
@@ -277,7 +276,7 @@ def test_age_sieve_asks_clock_of_taking_side(make_context: Callable[..., Context
     age, now = aged_half_a_second(context), context.stamps.now()
     messages: list[Message] = [(b"old", now - A_SECOND, 0), (b"young", now, 0)]
     age.update(0, 0.0)
-    assert YoungSieve(age, ledger).passing(messages) == messages[1:]
+    assert young_sieve(age, ledger)(messages) == messages[1:]
     assert (ledger.offered, ledger.expired) == (0, 1)
     assert cause_of(age) is Cause.LINK_SLOW
 
@@ -285,8 +284,9 @@ def test_age_sieve_asks_clock_of_taking_side(make_context: Callable[..., Context
 # --- the order of each way
 
 
-def order(gates: tuple[object, ...]) -> list[type[object]]:
-    return [type(each) for each in gates]
+def order(gates: tuple[Callable[..., object], ...]) -> list[object]:
+    """Return what the gates were made by."""
+    return [getattr(module, each.__qualname__.partition(".")[0]) for each in gates]
 
 
 def everything_on(route: Route) -> None:
@@ -297,18 +297,18 @@ def everything_on(route: Route) -> None:
 
 def test_nothing_old_and_nothing_unarmed_gets_to_channel(world: World) -> None:
     """Age is asked once more when the channel has room: a message may have waited in the queue."""
-    assert [order(each) for each in world.path.gates] == [[], [LoopSieve], [], [KeptLoopSieve], [SizeSieve], []]
+    assert [order(each) for each in world.path.gates] == [[], [loop_sieve], [], [kept_loop_sieve], [size_sieve], []]
     everything_on(world.route)
     gates = world.path.gates
-    assert order(gates.batch) == [ArmedGate]
-    assert order(gates.arriving) == [FreshSieve, LoopSieve]
-    assert order(gates.sourced) == [ThrottleSieve]
-    assert order(gates.kept) == [KeptAgeSieve, KeptLoopSieve]
-    assert order(gates.packed) == [SizeSieve]
-    assert order(gates.leaving) == [YoungSieve]
+    assert order(gates.batch) == [armed_gate]
+    assert order(gates.arriving) == [fresh_sieve, loop_sieve]
+    assert order(gates.sourced) == [throttle_sieve]
+    assert order(gates.kept) == [kept_age_sieve, kept_loop_sieve]
+    assert order(gates.packed) == [size_sieve]
+    assert order(gates.leaving) == [young_sieve]
     world.route.qos = Qos(durability="transient_local")  # its messages wait in their histories, and are asked later
     world.route.settle_age()
-    assert order(world.path.gates.arriving) == [LoopSieve]
+    assert order(world.path.gates.arriving) == [loop_sieve]
 
 
 def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[..., Context]) -> None:
@@ -317,36 +317,40 @@ def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[...,
     assert all(not each for each in incoming_gates(route))
     everything_on(route)
     batch, arriving, leaving = map(order, incoming_gates(route))
-    assert batch == [ArmedGate]
-    assert arriving == [LeaseGate, RateGate]
-    assert leaving == [LeaseGate, AgeGate]
-    assert order(armed_gates(route)) == [ArmedGate]
+    assert batch == [armed_gate]
+    assert arriving == [lease_gate, rate_gate]
+    assert leaving == [lease_gate, age_gate]
+    assert order(armed_gates(route)) == [armed_gate]
 
 
 def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[..., Context]) -> None:
     """A call that stops or watches a robot always passes."""
     route = calls(make_context(), CallingActionRoute)
     fast, slow = CallRateGate(0.0, 0.0), CallRateGate(10.0, 0.0)
-    assert order(calling_gates(route, _CarriesFive(), fast, limited=True).arriving) == [PauseGate, SizeGate, BudgetGate]
+    assert order(calling_gates(route, _CarriesFive(), fast, limited=True).arriving) == [
+        pause_gate,
+        size_gate,
+        budget_gate,
+    ]
     everything_on(route)
     arriving, leaving = map(order, calling_gates(route, _CarriesFive(), slow, limited=True))
-    assert arriving == [PauseGate, ArmedGate, YoungGate, SizeGate, CallRateGate, BudgetGate]
-    assert leaving == [YoungGate]
+    assert arriving == [pause_gate, armed_gate, young_gate, size_gate, CallRateGate, budget_gate]
+    assert leaving == [young_gate]
     arriving, leaving = map(order, calling_gates(route, _CarriesFive(), slow, limited=False))
-    assert (arriving, leaving) == ([SizeGate, BudgetGate], [])
+    assert (arriving, leaving) == ([size_gate, budget_gate], [])
 
 
 def test_calls_pass_them_from_the_channel_to_servers(make_context: Callable[..., Context]) -> None:
     """Age and lease are asked again after the check of contents."""
     route = calls(make_context(), ProvidingActionRoute)
     arriving, leaving = map(order, providing_gates(route, limited=True))
-    assert (arriving, leaving) == ([PauseGate], [BudgetGate])
+    assert (arriving, leaving) == ([pause_gate], [budget_gate])
     everything_on(route)
     arriving, leaving = map(order, providing_gates(route, limited=True))
-    assert arriving == [AgeGate, PauseGate, ArmedGate, LeaseGate]
-    assert leaving == [AgeGate, ArmedGate, LeaseGate, RateGate, BudgetGate]
+    assert arriving == [age_gate, pause_gate, armed_gate, lease_gate]
+    assert leaving == [age_gate, armed_gate, lease_gate, rate_gate, budget_gate]
     arriving, leaving = map(order, providing_gates(route, limited=False))
-    assert (arriving, leaving) == ([], [BudgetGate])
+    assert (arriving, leaving) == ([], [budget_gate])
 
 
 Calls = TypeVar("Calls", CallingActionRoute, ProvidingActionRoute)

@@ -10,7 +10,7 @@ from tests.route.test_unpacking import OnePublisher, opened
 from tests.support.held import held_by
 from tests.support.offline import FakePeer
 
-from rsb_bridge.route.gates import NO_SAMPLE, RateGate
+from rsb_bridge.route.gates import NO_SAMPLE, rate_gate
 from rsb_bridge.route.ledger import THROTTLED, RouteLedger
 from rsb_bridge.route.rate_limit import AllowedRates, RateLimit, Throttle
 from rsb_bridge.wire.records import ReceivedReport
@@ -53,11 +53,11 @@ def test_lowest_rate_counts_and_sender_is_told() -> None:
 @pytest.mark.parametrize("rate", [0.01, 1.0, 10.0, 1000.0])
 def test_peer_that_keeps_to_its_rate_loses_nothing(rate: float) -> None:
     """Also where its clock goes fast, its messages come unevenly, and the link stalls for a while."""
-    gate = RateGate(AllowedRates(), "/chat", rate)
+    gate = rate_gate(AllowedRates(), "/chat", rate)
     times = [(number + (number % 2) * 0.9) / (rate * 1.0005) for number in range(2000)]
-    assert not any(gate.check(NO_SAMPLE, at) for at in times)
+    assert not any(gate(NO_SAMPLE, at) for at in times)
     stalled = times[-1] + 1 / rate + 1.0
-    assert not any(gate.check(NO_SAMPLE, stalled) for _ in range(int(rate)))
+    assert not any(gate(NO_SAMPLE, stalled) for _ in range(int(rate)))
 
 
 def test_rate_is_of_topic_across_all_routes(

@@ -53,7 +53,6 @@ if TYPE_CHECKING:
 
 
 S = TypeVar("S")
-S_contra = TypeVar("S_contra", contravariant=True)
 
 
 class Gated(Protocol):
@@ -68,106 +67,79 @@ class Gated(Protocol):
         """The lease's number from when it was taken from ROS, or 0 for none."""
 
 
-class Gate(Protocol[S_contra]):
-    """One reason not to pass."""
+Gate: TypeAlias = "Callable[[S, float], Refused | None]"
+"""One reason not to pass, or a chain of them: returns the reason why a sample may not pass, or None.
 
-    def check(self, sample: S_contra, now: float, /) -> Refused | None:
-        """Return the reason why a sample may not pass, or None.
-
-        Args:
-            now: s, when this turn of the I/O loop began. Gates before which a turn may stand still read the clock.
-        """
-
-
+It also gets `now` (s), when this turn of the I/O loop began. Gates before which a turn may stand still read the clock.
+"""
 Gates: TypeAlias = "tuple[Gate[Gated], ...]"
-Check: TypeAlias = "Callable[[S, float], Refused | None]"
-"""The `check` of a gate, or of several."""
-Sift: TypeAlias = "Callable[[Sequence[S]], Sequence[S]]"
-"""The `passing` of a sieve, or of several."""
+Sieve: TypeAlias = "Callable[[Sequence[S]], Sequence[S]]"
+"""A gate for messages that come together, or a chain of them: returns those that pass, and counts the others in the
+ledger. To ask a gate for each message would take as long as sending them."""
 LastLook: TypeAlias = "Callable[[], Refused | None]"
 """Returns the reason why a message may not be handed on, right before it would be, or None."""
 
 
-def chained(gates: tuple[Gate[S], ...]) -> Check[S] | None:
-    """Return one check for all, which returns the first reason not to pass, or None if no gate is on."""
-    return reduce(_both, [gate.check for gate in gates]) if gates else None
+def chained(gates: tuple[Gate[S], ...]) -> Gate[S] | None:
+    """Return one gate for all, which returns the first reason not to pass, or None if no gate is on."""
+    return reduce(_both, gates) if gates else None
 
 
-def _both(first: Check[S], second: Check[S]) -> Check[S]:
+def _both(first: Gate[S], second: Gate[S]) -> Gate[S]:
     # The usual two in a loop would take 100 ns more a message.
     return lambda sample, now: first(sample, now) or second(sample, now)
 
 
-class PauseGate:
-    """Passes calls while no operator has paused them. The pause of a topic ends its subscription instead."""
-
-    def __init__(self, pausing: PauseState) -> None:
-        self._pausing = pausing
-
-    def check(self, _: object, __: float) -> Refused | None:
-        return Refused.PAUSED if self._pausing.paused else None
+def pause_gate(pausing: PauseState) -> Gate[object]:
+    """Pass calls while no operator has paused them. The pause of a topic ends its subscription instead."""
+    return lambda _, __: Refused.PAUSED if pausing.paused else None
 
 
-class ArmedGate:
-    """Passes everything while operators want it to pass, and the two sides hear each other."""
+def armed_gate(arming: Arming) -> Gate[object]:
+    """Pass everything while operators want it to pass, and the two sides hear each other."""
 
-    def __init__(self, arming: Arming) -> None:
-        self._arming = arming
-
-    def check(self, _: object, now: float) -> Refused | None:
-        crossing = self._arming.crossing(now)
+    def gate(_: object, now: float) -> Refused | None:
+        crossing = arming.crossing(now)
         if crossing is Crossing.YES:
             return None
         # A caller learns that arming again does not help: the two sides do not hear each other.
         return Refused.UNHEARD if crossing is Crossing.UNHEARD else Refused.DISARMED
 
+    return gate
 
-class LeaseGate:
-    """Passes what the other side took from ROS in this arming, at most a second ago."""
 
-    def __init__(self, arming: Arming) -> None:
-        self._arming = arming
+def lease_gate(arming: Arming) -> Gate[Gated]:
+    """Pass what the other side took from ROS in this arming, at most a second ago."""
 
-    def check(self, sample: Gated, _: float) -> Refused | None:
-        number, arming = sample.lease, self._arming
+    def gate(sample: Gated, _: float) -> Refused | None:
+        number = sample.lease
         if number >= arming.first and arming.lease is not None and arming.lease.passes(number):
             return None
         return Refused.DISARMED
 
-
-class YoungGate:
-    """Passes what is young enough on the side that took it from ROS."""
-
-    def __init__(self, age: MessageAge) -> None:
-        self._age = age
-
-    def check(self, sample: Gated, _: float) -> Refused | None:
-        return None if self._age.is_young(sample.stamp) else Refused.TOO_OLD
+    return gate
 
 
-class AgeGate:
-    """Passes what is young enough on the side that gives it to ROS, and counts the rest by its cause."""
+def young_gate(age: MessageAge) -> Gate[Gated]:
+    """Pass what is young enough on the side that took it from ROS."""
+    return lambda sample, _: None if age.is_young(sample.stamp) else Refused.TOO_OLD
 
-    def __init__(self, age: MessageAge) -> None:
-        self._age = age
 
-    def check(self, sample: Gated, _: float) -> Refused | None:
-        if (why := self._age.why_old(sample.stamp)) is None:
+def age_gate(age: MessageAge) -> Gate[Gated]:
+    """Pass what is young enough on the side that gives it to ROS, and count the rest by its cause."""
+
+    def gate(sample: Gated, _: float) -> Refused | None:
+        if (why := age.why_old(sample.stamp)) is None:
             return None
-        self._age.expired(why, 1)
+        age.expired(why, 1)
         return Refused.TOO_OLD
 
+    return gate
 
-class RateGate:
-    """Passes as many of one topic's messages a second as this side allows."""
 
-    def __init__(self, rates: AllowedRates, topic: str, rate: float) -> None:
-        self._rates = rates
-        self._topic = topic
-        self._rate = rate
-
-    def check(self, _: object, now: float) -> Refused | None:
-        return None if self._rates.admits(self._topic, self._rate, now) else Refused.TOO_FAST
+def rate_gate(rates: AllowedRates, topic: str, rate: float) -> Gate[object]:
+    """Pass as many of one topic's messages a second as this side allows."""
+    return lambda _, now: None if rates.admits(topic, rate, now) else Refused.TOO_FAST
 
 
 class CallRateGate:
@@ -187,31 +159,25 @@ class CallRateGate:
 
 
 class Carries(Protocol):
-    """A sender of calls, as far as gates know it."""
+    """A sender, as far as gates know it."""
 
     @property
     def largest(self) -> int:
-        """Bytes of the largest call that the transport carries."""
+        """Bytes of the largest message or call that the transport carries."""
 
 
-class SizeGate:
-    """Passes requests that the transport carries."""
-
-    def __init__(self, outbox: Carries) -> None:
-        self._outbox = outbox
-
-    def check(self, request: Request, _: float) -> Refused | None:
-        return Refused.TOO_LARGE if len(request.payload) > self._outbox.largest else None
+def size_gate(outbox: Carries) -> Gate[Request]:
+    """Pass requests that the transport carries."""
+    return lambda request, _: Refused.TOO_LARGE if len(request.payload) > outbox.largest else None
 
 
-class BudgetGate:
-    """Passes calls within their link's budget, in which each one that passes has its place until it ends."""
+def budget_gate(budget: CallBudget) -> Gate[Request | CallFrame]:
+    """Pass calls within their link's budget, in which each one that passes has its place until it ends."""
 
-    def __init__(self, budget: CallBudget) -> None:
-        self._budget = budget
+    def gate(call: Request | CallFrame, now: float) -> Refused | None:
+        return budget.take(frame_size(call.content if isinstance(call, CallFrame) else call.payload), now)
 
-    def check(self, call: Request | CallFrame, now: float) -> Refused | None:
-        return self._budget.take(frame_size(call.content if isinstance(call, CallFrame) else call.payload), now)
+    return gate
 
 
 def compose_when_switched(route: Route, compose: Callable[[], None]) -> None:
@@ -223,127 +189,102 @@ def compose_when_switched(route: Route, compose: Callable[[], None]) -> None:
 # --- from ROS to the channel
 
 
-class Sieve(Protocol[S]):
-    """A gate for messages that come together. A call of `Gate.check` for each would take as long as sending them."""
-
-    def passing(self, batch: Sequence[S], /) -> Sequence[S]:
-        """Return the messages that pass, and count the others in the ledger."""
+def sifting(first: Sieve[S], *others: Sieve[S]) -> Sieve[S]:
+    """Return one sieve for all, one after the other."""
+    return reduce(_then, others, first)
 
 
-def sifting(first: Sieve[S], *others: Sieve[S]) -> Sift[S]:
-    """Return one sieve's `passing` for all, one after the other."""
-    sift: Sift[S] = first.passing
-    return reduce(_then, (sieve.passing for sieve in others), sift)
-
-
-def _then(first: Sift[S], second: Sift[S]) -> Sift[S]:
+def _then(first: Sieve[S], second: Sieve[S]) -> Sieve[S]:
     return lambda batch: second(first(batch))
 
 
-class FreshSieve:
-    """Passes what is young enough as it comes from ROS, by its publisher's stamps."""
+def fresh_sieve(age: MessageAge, ledger: RouteLedger) -> Sieve[RawMessage]:
+    """Pass what is young enough as it comes from ROS, by its publisher's stamps."""
 
-    def __init__(self, age: MessageAge, ledger: RouteLedger) -> None:
-        self._age = age
-        self._ledger = ledger
-
-    def passing(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        fresh = self._age.fresh(batch)
+    def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        fresh = age.fresh(batch)
         if expired := len(batch) - len(fresh):
-            self._ledger.offered += expired
-            self._ledger.expired += expired
+            ledger.offered += expired
+            ledger.expired += expired
         return fresh
 
+    return sieve
 
-class LoopSieve:
-    """Passes what does not go in a loop. The loop filter holds messages whose source is not known yet."""
 
-    def __init__(self, loops: LoopFilter, route: Route, ledger: RouteLedger) -> None:
-        self._loops = loops
-        self._route = route
-        self._ledger = ledger
+def loop_sieve(loops: LoopFilter, route: Route, ledger: RouteLedger) -> Sieve[RawMessage]:
+    """Pass what does not go in a loop. The loop filter holds messages whose source is not known yet."""
 
-    def passing(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        sources = self._loops.table.flags
+    def admitted(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        passed, unseen = loops.admit(batch)
+        if unseen:
+            route.advance()  # finds their publishers, and may change the sources of the others
+            sources = loops.table.flags
+            sent = [message for message in passed if message.gid in sources]
+            # `advance` may have ended the opening: then the messages would not loop, but are lost with it.
+            ledger.lose("would loop" if route.id else "link lost", len(passed) - len(sent))
+            passed = sent
+        ledger.lose("queue full", loops.give_up())
+        return passed
+
+    def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        sources = loops.table.flags
         # Nearly always all sources are known: then the batch passes as it is, without a copy.
         for message in batch:
             if message.gid not in sources:
-                return self._admitted(batch)
+                return admitted(batch)
         return batch
 
-    def _admitted(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        admitted, unseen = self._loops.admit(batch)
-        if unseen:
-            self._route.advance()  # finds their publishers, and may change the sources of the others
-            sources = self._loops.table.flags
-            sent = [message for message in admitted if message.gid in sources]
-            # `advance` may have ended the opening: then the messages would not loop, but are lost with it.
-            self._ledger.lose("would loop" if self._route.id else "link lost", len(admitted) - len(sent))
-            admitted = sent
-        self._ledger.lose("queue full", self._loops.give_up())
-        return admitted
+    return sieve
 
 
-class ThrottleSieve:
-    """Passes as many of a volatile topic's messages a second as both sides want.
+def throttle_sieve(throttle: Throttle, ledger: RouteLedger, route: Route, later: LastLater) -> Sieve[RawMessage]:
+    """Pass as many of a volatile topic's messages a second as both sides want.
 
     Args:
         later: has the last of what may move a robot pass after all.
     """
 
-    def __init__(self, throttle: Throttle, ledger: RouteLedger, route: Route, later: LastLater) -> None:
-        self._throttle = throttle
-        self._ledger = ledger
-        self._route = route
-        self._later = later
-
-    def passing(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        passed = [message for message in batch if self._throttle.passes(message.stamp)]
+    def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        passed = [message for message in batch if throttle.passes(message.stamp)]
         left_out = len(batch) - len(passed)
-        if self._route.type_name in DRIVING_TYPES or self._route.arming.required:
+        if route.type_name in DRIVING_TYPES or route.arming.required:
             last = None if passed and passed[-1] is batch[-1] else batch[-1]
-            left_out += self._later.follow(last) - (last is not None)
-        self._ledger.throttled += left_out
+            left_out += later.follow(last) - (last is not None)
+        ledger.throttled += left_out
         return passed
 
+    return sieve
 
-class KeptAgeSieve:
-    """Passes a latched topic's messages that are still young enough. Some have waited, as in their history."""
 
-    def __init__(self, age: MessageAge, ledger: RouteLedger) -> None:
-        self._age = age
-        self._ledger = ledger
+def kept_age_sieve(age: MessageAge, ledger: RouteLedger) -> Sieve[Sample]:
+    """Pass a latched topic's messages that are still young enough. Some have waited, as in their history."""
 
-    def passing(self, samples: Sequence[Sample]) -> Sequence[Sample]:
-        oldest = self._age.oldest
-        for _, message, _ in samples:
-            if message.stamp < oldest:
-                return self._young(samples, oldest)
-        return samples
-
-    def _young(self, samples: Sequence[Sample], oldest: int) -> Sequence[Sample]:
-        for each in samples:
-            if each.message.stamp < oldest:
-                self._age.expired(Cause.PUBLISHER_STAMPS_OLD if each.replayed else Cause.LINK_SLOW, 1)
-                self._ledger.expired += 1
+    def sieve(samples: Sequence[Sample]) -> Sequence[Sample]:
+        oldest = age.oldest
+        old = [each for each in samples if each.message.stamp < oldest]
+        if not old:
+            return samples
+        ledger.expired += len(old)
+        for each in old:
+            age.expired(Cause.PUBLISHER_STAMPS_OLD if each.replayed else Cause.LINK_SLOW, 1)
         return [each for each in samples if each.message.stamp >= oldest]
 
+    return sieve
 
-class KeptLoopSieve:
-    """Passes a latched topic's messages of which it has not turned out, while they waited, that they would loop."""
 
-    def __init__(self, loops: LoopFilter, ledger: RouteLedger) -> None:
-        self._loops = loops
-        self._ledger = ledger
+def kept_loop_sieve(loops: LoopFilter, ledger: RouteLedger) -> Sieve[Sample]:
+    """Pass a latched topic's messages of which it has not turned out, while they waited, that they would loop."""
 
-    def passing(self, samples: Sequence[Sample]) -> Sequence[Sample]:
-        sources = self._loops.table.flags
+    def sieve(samples: Sequence[Sample]) -> Sequence[Sample]:
+        sources = loops.table.flags
         for _, message, _ in samples:
             if message.gid not in sources:
                 passed = [each for each in samples if each.message.gid in sources]
-                self._ledger.drop("would loop", len(samples) - len(passed))
+                ledger.drop("would loop", len(samples) - len(passed))
                 return passed
         return samples
+
+    return sieve
 
 
 class CarriesMessages(Carries, Protocol):
@@ -353,34 +294,30 @@ class CarriesMessages(Carries, Protocol):
         """Count a message of so many bytes that does not pass."""
 
 
-class SizeSieve:
-    """Passes what the transport carries."""
+def size_sieve(outbox: CarriesMessages) -> Sieve[Message]:
+    """Pass what the transport carries."""
 
-    def __init__(self, outbox: CarriesMessages) -> None:
-        self._outbox = outbox
+    def sieve(messages: Sequence[Message]) -> Sequence[Message]:
+        fitting = []
+        for message in messages:
+            if len(message[0]) <= outbox.largest:
+                fitting.append(message)
+            else:
+                outbox.too_large(len(message[0]))
+        return fitting
 
-    def passing(self, messages: Sequence[Message]) -> Sequence[Message]:
-        return [each for each in messages if self._fits(len(each[0]))]
-
-    def _fits(self, size: int) -> bool:
-        if size <= self._outbox.largest:
-            return True
-        self._outbox.too_large(size)
-        return False
+    return sieve
 
 
-class YoungSieve:
-    """Passes what is still young enough when the channel has room for it."""
+def young_sieve(age: MessageAge, ledger: RouteLedger) -> Sieve[Message]:
+    """Pass what is still young enough when the channel has room for it."""
 
-    def __init__(self, age: MessageAge, ledger: RouteLedger) -> None:
-        self._age = age
-        self._ledger = ledger
-
-    def passing(self, messages: Sequence[Message]) -> Sequence[Message]:
-        young = self._age.young(messages)
-        if len(young) < len(messages):
-            self._ledger.expired += len(messages) - len(young)
+    def sieve(messages: Sequence[Message]) -> Sequence[Message]:
+        young = age.young(messages)
+        ledger.expired += len(messages) - len(young)
         return young
+
+    return sieve
 
 
 class SendingGates(NamedTuple):
@@ -413,15 +350,15 @@ def sending_gates(
 ) -> SendingGates:
     """Return the gates of messages from ROS to the channel."""
     age, ages = route.age, route.age.is_on
-    # A latched topic's messages wait in its histories; their age is asked when they leave these (`KeptAgeSieve`).
-    fresh = (FreshSieve(age, ledger),) if ages and not route.is_latched else ()
+    # A latched topic's messages wait in its histories; their age is asked when they leave these (`kept_age_sieve`).
+    fresh = (fresh_sieve(age, ledger),) if ages and not route.is_latched else ()
     return SendingGates(
         batch=armed_gates(route),
-        arriving=(*fresh, LoopSieve(loops, route, ledger)),
-        sourced=(ThrottleSieve(throttle, ledger, route, later),) if throttle.is_on else (),
-        kept=(*((KeptAgeSieve(age, ledger),) if ages else ()), KeptLoopSieve(loops, ledger)),
-        packed=(SizeSieve(outbox),),
-        leaving=(YoungSieve(age, ledger),) if ages else (),
+        arriving=(*fresh, loop_sieve(loops, route, ledger)),
+        sourced=(throttle_sieve(throttle, ledger, route, later),) if throttle.is_on else (),
+        kept=(*((kept_age_sieve(age, ledger),) if ages else ()), kept_loop_sieve(loops, ledger)),
+        packed=(size_sieve(outbox),),
+        leaving=(young_sieve(age, ledger),) if ages else (),
     )
 
 
@@ -464,9 +401,9 @@ class IncomingGates(NamedTuple):
 def incoming_gates(route: Route) -> IncomingGates:
     """Return the gates of messages from the channel to ROS."""
     arming, rate = route.arming, route.limit.here
-    leased: Gates = (LeaseGate(arming),) if arming.required else ()
-    young: Gates = (AgeGate(route.age),) if route.age.is_on else ()
-    slow: Gates = (RateGate(route.peer.budget.rates, route.local_topic, rate),) if rate else ()
+    leased: Gates = (lease_gate(arming),) if arming.required else ()
+    young: Gates = (age_gate(route.age),) if route.age.is_on else ()
+    slow: Gates = (rate_gate(route.peer.budget.rates, route.local_topic, rate),) if rate else ()
     # The rate comes last, so that messages which the lease refuses take no token.
     return IncomingGates(batch=armed_gates(route), arriving=(*leased, *slow), leaving=(*leased, *young))
 
@@ -488,13 +425,13 @@ class CallingGates(NamedTuple):
 
 def calling_gates(route: Route, outbox: Carries, rate: CallRateGate, *, limited: bool) -> CallingGates:
     """Return the gates of calls from ROS to the channel."""
-    fits, budget = SizeGate(outbox), BudgetGate(route.peer.budget.asked)
+    fits, budget = size_gate(outbox), budget_gate(route.peer.budget.asked)
     if not limited:
         return CallingGates((fits, budget), ())
-    young: Gates = (YoungGate(route.age),) if route.age.is_on else ()
-    slow: Gates = (rate,) if rate.rate else ()
+    young: Gates = (young_gate(route.age),) if route.age.is_on else ()
+    slow: Gates = (rate.check,) if rate.rate else ()
     # Rate and budget come last: a call that is refused before takes no token, and no place.
-    return CallingGates((PauseGate(route.pausing), *armed_gates(route), *young, fits, *slow, budget), young)
+    return CallingGates((pause_gate(route.pausing), *armed_gates(route), *young, fits, *slow, budget), young)
 
 
 class ProvidingGates(NamedTuple):
@@ -511,14 +448,14 @@ class ProvidingGates(NamedTuple):
 
 def providing_gates(route: Route, *, limited: bool) -> ProvidingGates:
     """Return the gates of calls from the channel to ROS."""
-    arming, rate, budget = route.arming, route.limit.here, BudgetGate(route.peer.budget.provided)
+    arming, rate, budget = route.arming, route.limit.here, budget_gate(route.peer.budget.provided)
     if not limited:
         return ProvidingGates((), (budget,))
-    young: Gates = (AgeGate(route.age),) if route.age.is_on else ()
-    armed: Gates = (*armed_gates(route), LeaseGate(arming)) if arming.required else ()
-    slow: Gates = (RateGate(route.peer.budget.rates, route.local_topic, rate),) if rate else ()
+    young: Gates = (age_gate(route.age),) if route.age.is_on else ()
+    armed: Gates = (*armed_gates(route), lease_gate(arming)) if arming.required else ()
+    slow: Gates = (rate_gate(route.peer.budget.rates, route.local_topic, rate),) if rate else ()
     # As on the callers' side, only a call that nothing else refuses takes a token and a place.
-    return ProvidingGates((*young, PauseGate(route.pausing), *armed), (*young, *armed, *slow, budget))
+    return ProvidingGates((*young, pause_gate(route.pausing), *armed), (*young, *armed, *slow, budget))
 
 
 # --- by hand; neither a pause nor a rate holds that up
@@ -526,7 +463,7 @@ def providing_gates(route: Route, *, limited: bool) -> ProvidingGates:
 
 def armed_gates(route: Route) -> Gates:
     """Return the gate of a route that must be armed. The other lists begin with it, and by hand there is no further."""
-    return (ArmedGate(route.arming),) if route.arming.required else ()
+    return (armed_gate(route.arming),) if route.arming.required else ()
 
 
 def why_not_by_hand(route: Route, now: float) -> Refused | None:

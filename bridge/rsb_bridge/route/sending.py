@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.ros.ros_interface import RawMessage
-    from rsb_bridge.route.gates import Sift
+    from rsb_bridge.route.gates import Sieve
     from rsb_bridge.route.history_depth import Histories, Sample
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.loop_filter import LoopFilter
@@ -222,7 +222,7 @@ class Outbox:
     """
 
     def __init__(self, route: TopicRoute[SendingChannel], ledger: RouteLedger) -> None:
-        self.leaving: Sift[Message] | None = None
+        self.leaving: Sieve[Message] | None = None
         self._route = route
         self._automatic = route.proposal.qos is None
         self._ledger = ledger
