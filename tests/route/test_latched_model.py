@@ -210,10 +210,6 @@ class FarPublisher:
         self._dds.open.remove(self)
 
 
-def unexpected(error: Exception) -> None:
-    raise AssertionError(error)
-
-
 class Route:
     """The route between the two: a link that may be cut, and processes that may be restarted."""
 
@@ -228,7 +224,7 @@ class Route:
 
     def make_topic(self) -> LatchedTopic:
         depth = bounded(msgspec.structs.replace(LATCHED, lifespan=self.near.lifespan)).depth
-        return LatchedTopic(self.context.loop, self.far.advertise, self.budget, depth, unexpected)
+        return LatchedTopic(self.context.loop, self.far.advertise, self.budget, depth)
 
     def make_subscription(self) -> TopicSubscription:
         route: Any = SimpleNamespace(
@@ -435,7 +431,7 @@ def test_stopped_subscriber_delays_others_ten_seconds_only() -> None:
     with virtual_loop() as loop:
         far = FarDds(loop)
         far.discovery = lambda: 1e9
-        topic = LatchedTopic(loop, far.advertise, Budget(1 << 30), 1, unexpected)
+        topic = LatchedTopic(loop, far.advertise, Budget(1 << 30), 1)
         for number in range(1, 100):
             assert topic.publish(HistoryHeader(publisher_id(b"writer"), number, 1), b"%d" % number)
         loop.run_until_complete(asyncio.sleep(11.0))
@@ -449,7 +445,7 @@ def test_retired_publishers_give_way_to_new_ones() -> None:
         far = FarDds(loop)
         far.discovery = lambda: 1e9
         budget = Budget(4 * PUBLISHER_COST)
-        topic = LatchedTopic(loop, far.advertise, budget, 1, unexpected)
+        topic = LatchedTopic(loop, far.advertise, budget, 1)
         for depth in range(1, 20):
             assert topic.publish(HistoryHeader(publisher_id(b"writer"), depth, depth), b"x")
             topic.present({publisher_id(b"writer"): 1})
@@ -616,7 +612,7 @@ def test_publishers_and_bytes_are_bounded() -> None:
     with virtual_loop() as loop:
         far = FarDds(loop)
         budget = Budget(3 * PUBLISHER_COST + 1000)
-        topic = LatchedTopic(loop, far.advertise, budget, 1, unexpected)
+        topic = LatchedTopic(loop, far.advertise, budget, 1)
         for number in range(3):
             assert topic.publish(HistoryHeader(b"%016d" % number, 1, 1), b"x")
         with pytest.raises(LatchedFullError):
@@ -632,7 +628,7 @@ def test_publishers_and_bytes_are_bounded() -> None:
 def test_topic_stays_despite_oversized_first_message() -> None:
     with virtual_loop() as loop:
         far = FarDds(loop)
-        topic = LatchedTopic(loop, far.advertise, Budget(PUBLISHER_COST + 100), 1, unexpected)
+        topic = LatchedTopic(loop, far.advertise, Budget(PUBLISHER_COST + 100), 1)
         with pytest.raises(LatchedFullError):
             topic.publish(HistoryHeader(publisher_id(b"writer"), 1, 5), b"x")
         for _ in range(3):
@@ -646,7 +642,7 @@ def test_messages_that_waited_do_not_overrun_a_subscriber() -> None:
     count, depth = 2500, 500
     with virtual_loop() as loop:
         far = FarDds(loop)
-        topic = LatchedTopic(loop, far.advertise, Budget(1 << 30), 1, unexpected)
+        topic = LatchedTopic(loop, far.advertise, Budget(1 << 30), 1)
         loop.run_until_complete(asyncio.sleep(1.0))
         for number in range(1, count + 1):
             assert topic.publish(HistoryHeader(publisher_id(b"writer"), number, 1000), b"%d" % number)

@@ -122,13 +122,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
-        self.outputs = SourcePublishers(
-            context,
-            self.purpose,
-            peer,
-            lambda error: self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error)),
-            self._unpacker.go_on,
-        )
+        self.outputs = SourcePublishers(self, self._unpacker)
         self.rest = RestAfterArming(self)
         self.check = MessageCheck(context, peer.budget.checks)
         compose_when_switched(self, self._compose_gates)

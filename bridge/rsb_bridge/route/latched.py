@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Iterable, Iterator, Mapping
 
-    from rsb_bridge.route.gates import LastLook
+    from rsb_bridge.route.message_check import Look, Then
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.headers import HistoryHeader
 
@@ -53,8 +53,8 @@ _GONE_AFTER = 10.0  # s that a history outlives its publisher, which a sender th
 
 Dropped: TypeAlias = Callable[[Refused | RosError], None]
 """Called with the reason for which a message is not published after all."""
-Aside: TypeAlias = "Callable[[Publisher, bytes, LastLook | None, Callable[[Refused | RosError | None], None]], None]"
-"""Has a long message published on another thread; the last argument is called then, with the reason if it is not."""
+Aside: TypeAlias = "Callable[[Publisher, bytes, Look | None, Then], None]"
+"""Has a long message published on another thread (`message_check.Unpacker.publish_latched`)."""
 
 
 class LatchedFullError(Exception):
@@ -102,7 +102,7 @@ class _Message(NamedTuple):
 
     output: _OutputHistory
     content: bytes
-    look: LastLook | None
+    look: Look | None
     dropped: Dropped
 
 
@@ -142,7 +142,6 @@ class LatchedTopic:
         advertise: Callable[[int], Publisher],
         budget: Budget,
         depth: int,
-        failed: Callable[[Exception], None],
         aside: Aside | None = None,
     ) -> None:
         """Make a first publisher, so that the topic is there before its first message.
@@ -150,7 +149,6 @@ class LatchedTopic:
         Args:
             advertise: makes a publisher with a depth; may raise RosError.
             depth: initial depth of a history, until its own has been found.
-            failed: called when a later publisher cannot be created.
             aside: publishes long messages, which are published here otherwise.
 
         Raises:
@@ -160,7 +158,6 @@ class LatchedTopic:
         self._loop = loop
         self._advertise = advertise
         self._budget = budget
-        self._failed = failed
         self._aside = aside
         self.is_busy = False
         self._histories: dict[bytes, _History] = {}
@@ -215,21 +212,31 @@ class LatchedTopic:
                     self._drop_older(history, history.newest - depth)
 
     def tick(self) -> None:
-        """Drop the histories of publishers that are gone, and outputs that have delivered; called once a second."""
+        """Drop the histories of publishers that are gone, and outputs that have delivered; called once a second.
+
+        Raises:
+            RosError: no publisher can be created, and there is no history any more that has one.
+            LatchedFullError: so does the link's limit forbid one.
+        """
         now = self._loop.time()
-        for publisher, history in tuple(self._histories.items()):
-            if publisher in self._present:
-                history.seen_at = now
-            elif now - history.seen_at > _GONE_AFTER and not history.waiting:
-                del self._histories[publisher]
-                self._retire(history.outputs)
-        self._keep_one(now)
+        # First, so that the topic keeps a publisher until there is the spare one.
         retired, self._retired = self._retired, []
         for output in retired:
             if output.waiting or not (output.publisher.acknowledged or now - output.used_at >= _GIVEN_UP_AFTER):
                 self._retired.append(output)
             else:
                 self._close(output)
+        for publisher, history in tuple(self._histories.items()):
+            if publisher in self._present:
+                history.seen_at = now
+            elif now - history.seen_at > _GONE_AFTER and not history.waiting:
+                del self._histories[publisher]
+                self._retire(history.outputs)
+        if not self._histories:
+            self._spare = self._spare or self._output(self._first_depth)
+        elif self._spare is not None and now - self._spare.used_at > _DISCOVERED_WITHIN:
+            self._retire([self._spare])
+            self._spare = None
 
     # --- messages
 
@@ -237,7 +244,7 @@ class LatchedTopic:
         self,
         header: HistoryHeader,
         content: bytes,
-        look: LastLook | None = None,
+        look: Look | None = None,
         dropped: Dropped = _ignored,
     ) -> bool:
         """Publish a message, now or as soon as all present subscribers will have it, after the messages before it.
@@ -349,18 +356,6 @@ class LatchedTopic:
                 raise LatchedFullError
             self._retired.remove(delivered)
             self._close(delivered)
-
-    def _keep_one(self, now: float) -> None:
-        """Have a publisher even without any history, so that the topic stays; a spare one is closed when others do."""
-        if self._histories:
-            if self._spare is not None and now - self._spare.used_at > _DISCOVERED_WITHIN:
-                self._retire([self._spare])
-                self._spare = None
-        elif self._spare is None:
-            try:
-                self._spare = self._output(self._first_depth)
-            except (RosError, LatchedFullError) as error:
-                self._failed(error)
 
     def _retire(self, outputs: Iterable[_OutputHistory]) -> None:
         """Close outputs later: their last messages may wait, or be on their way to a subscriber."""

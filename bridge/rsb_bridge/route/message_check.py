@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import zstandard
 
@@ -27,43 +27,39 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Endpoint, Publisher
     from rsb_bridge.wire.framing import Message
 
-EXPANSION_AT_ONCE = 4 * MESSAGE_LIMIT
-EXPANSION_A_SECOND = 256 << 20
-"""Bytes that a link's compressed messages may have more here than on the wire (PROTOCOL.md, 3): 64 MiB of zeros come as
-2 kB."""
-EXPANSION_A_TURN = 8 << 20
-"""Bytes of that at each turn of the I/O loop, or one message: between two turns everyone else is served. They take 4
-ms."""
-EXPANDED_ASIDE = 1 << 20
-"""Bytes; longer messages are unpacked on another thread. 63 MiB take 30 ms, in which no link would be served."""
-PUBLISHED_ASIDE = 8 << 20
-"""Bytes; longer messages are given to DDS on that thread, too: copying them holds up the loop. A round figure."""
-_BEGINS_WITHIN = 0.05
-"""Seconds after the last look at a message in which the thread has to begin, or it is looked at again. A round figure:
-a free thread begins within a millisecond, and ten times as long would let commands pass that are too old."""
-BACKLOG_LIMIT = 2 * MESSAGE_LIMIT
-"""Bytes of one route's messages that wait behind one that is unpacked. The sender's window is far smaller."""
-CHECKED_AT_ONCE = 2 * STEPS
-CHECKED_A_SECOND = 2 * STEPS
-"""Lengths in sequences that are read of one link's messages: a tenth to a fifth of the time of the I/O loop."""
-_LOOKS_AGAIN_AFTER = 10.0
-"""s until the nodes of a topic are asked again for the description of its type. A round figure: with a
-tenth of it, nodes that describe nothing would be asked each second."""
-_EXPLAINED = 4
-"""A malformed message is charged as this many: it is read twice to name the field."""
+# Where these were measured: bench/README.md, *Constants of messages that arrive*.
+# Of what a link's compressed messages have more here than on the wire (PROTOCOL.md, 3):
+EXPANSION_AT_ONCE, EXPANSION_A_SECOND = 4 * MESSAGE_LIMIT, 256 << 20  # bytes
+EXPANSION_A_TURN = 8 << 20  # bytes of that, or one message: everyone else is served between two turns of the loop
+
+# Of long messages:
+EXPANDED_ASIDE = 1 << 20  # bytes from which on they are unpacked on another thread
+PUBLISHED_ASIDE = 8 << 20  # bytes from which on they are published there, too: copying them holds up the loop
+_BEGINS_WITHIN = 0.05  # s after the last look in which the thread has to begin, or it is looked again
+BACKLOG_LIMIT = 2 * MESSAGE_LIMIT  # bytes of one route that wait behind one. The sender's window is far smaller
+
+# Of the check:
+CHECKED_AT_ONCE = CHECKED_A_SECOND = 2 * STEPS  # lengths in sequences that are read of one link's messages
+_EXPLAINED = 4  # a malformed message is charged as this many: it is read twice to name the field
+_LOOKS_AGAIN_AFTER = 10.0  # s until the nodes of a topic are asked again for the description of its type
+
 _REMEDY = "send less, or set check_messages: false"
 _BACKLOG_FULL = (
     "the other side sends more compressed messages than are unpacked here: send less, or without compression"
 )
 
 
+Look: TypeAlias = "Callable[[], Refused | None]"
+"""Returns the reason why a message may not be published, right before it would be, or None."""
+Then: TypeAlias = "Callable[[Refused | RosError | None], None]"
+"""Called with the reason why a message is not published, or None if DDS has it."""
+
+
 class _Expansion:
     """A message that is unpacked on another thread.
 
-    Args:
-        then: called on the loop when it is unpacked.
-
     Attributes:
+        then: called on the loop when it is unpacked.
         wanted: whether its route still waits for it.
         begun: whether it needs no other attempt.
         result: the content, or the reason why it is damaged, or None before it is unpacked.
@@ -76,7 +72,6 @@ class _Expansion:
         self.result: bytes | zstandard.ZstdError | None = None
 
     def begins(self) -> bool:
-        """Whether it has to be run."""
         return self.wanted
 
     def run(self) -> None:
@@ -94,9 +89,9 @@ class LongPublication:
     """A long message that is given to DDS on another thread.
 
     Args:
-        look: asked on the loop right before that, or None if the message is wanted in any case.
+        look: asked on the loop, or None if the message is wanted in any case.
         steady: s on a clock that goes on while the machine sleeps.
-        then: called on the loop with the reason why DDS does not have it, or None.
+        then: called on the loop.
 
     Attributes:
         wanted: whether `then` is to be called.
@@ -107,9 +102,9 @@ class LongPublication:
         self,
         publisher: Publisher,
         content: bytes,
-        look: Callable[[], Refused | None] | None,
+        look: Look | None,
         steady: Callable[[], float],
-        then: Callable[[Refused | RosError | None], None],
+        then: Then,
     ) -> None:
         self.wanted = True
         self.begun = False
@@ -144,11 +139,7 @@ class LongPublication:
             self._over.set()
 
     def withdraw(self, *, wait: bool) -> None:
-        """Keep DDS from getting it before the next look. If it has begun, that is too late.
-
-        Args:
-            wait: whether to return only once DDS has it then.
-        """
+        """Keep DDS from getting it before the next look; if it has begun, `wait` until DDS has it."""
         with self._claim:
             self._begins_until = float("-inf")
         if wait and self.begun:
@@ -172,7 +163,7 @@ class ExpansionBudget:
         self._is_busy = False
 
     def expand(self, expansion: _Expansion, loop: asyncio.AbstractEventLoop) -> None:
-        """Unpack a message on another thread, after all messages that already wait for it."""
+        """Unpack a message on another thread, after all that already wait for it."""
         self._aside.append(expansion)
         self._do_next(loop)
 
@@ -239,7 +230,6 @@ class Unpacker:
         reopen: called if more messages wait than a peer that heeds its window sends.
 
     Attributes:
-        waiting: the messages that wait, oldest first.
         holds: whether further messages have to wait, too.
     """
 
@@ -250,9 +240,9 @@ class Unpacker:
         deliver: Callable[[Iterable[Message]], None],
         reopen: Callable[[EventCode, str], None],
     ) -> None:
-        self.waiting: list[Message] = []
         self.holds = False
-        self._size = 0  # bytes that wait
+        self._waiting: list[Message] = []  # oldest first
+        self._size = 0  # bytes of these
         self._budget = budget
         self._context = context
         self._deliver = deliver
@@ -293,49 +283,41 @@ class Unpacker:
         """Have messages wait until the first of them is unpacked, or the one before them is published."""
         messages = tuple(messages)
         self.holds = True
-        self.waiting += messages
+        self._waiting += messages
         self._size += sum([len(each[0]) for each in messages])
         if self._size > BACKLOG_LIMIT:
             self._reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, _BACKLOG_FULL)
 
     def go_on(self) -> None:
         """Deliver the messages that wait, as far as they need not wait any longer."""
-        waiting, self.waiting, self._size = self.waiting, [], 0
+        waiting, self._waiting, self._size = self._waiting, [], 0
         self.holds = False
         self._deliver(waiting)
 
-    def publish(
-        self,
-        publisher: Publisher,
-        content: bytes,
-        look: Callable[[], Refused | None] | None,
-        then: Callable[[Refused | RosError | None], None],
-    ) -> None:
-        """Publish a long message on another thread; later ones of this route wait until that is done.
+    def publish(self, publisher: Publisher, content: bytes, look: Look | None, then: Then) -> None:
+        """Publish a long message on another thread; later ones of this route wait until that is done."""
 
-        Args:
-            look: asked right before DDS gets it, or None.
-            then: called with the reason why it is not published, or None.
-        """
-        then = partial(self._published, then)
-        self._publication = LongPublication(publisher, content, look, self._context.clock.steady, then)
+        def published(why: Refused | RosError | None) -> None:
+            self._publication = None
+            then(why)
+            self.go_on()
+
+        self._publication = LongPublication(publisher, content, look, self._context.clock.steady, published)
         self.holds = True
         self._budget.publish(self._publication, self._context.loop)
 
-    def _published(self, then: Callable[[Refused | RosError | None], None], why: Refused | RosError | None) -> None:
-        self._publication = None
-        then(why)
-        self.go_on()
+    def publish_latched(self, publisher: Publisher, content: bytes, look: Look | None, then: Then) -> None:
+        """Publish a long message of a latched topic, too. The end of the opening does not withdraw it."""
+
+        def published(why: Refused | RosError | None) -> None:
+            then(why)
+            self.go_on()
+
+        made = LongPublication(publisher, content, look, self._context.clock.steady, published)
+        self._budget.publish(made, self._context.loop)
 
     def withdraw(self, *, wait: bool) -> bool:
-        """Keep DDS from getting a message that is about to be published, before the next look at it.
-
-        Args:
-            wait: whether DDS has to have it at the end if that is too late.
-
-        Returns:
-            Whether that was too late.
-        """
+        """Withdraw the long message that is not published yet, and return whether that is too late."""
         if self._publication is None:
             return False
         self._publication.withdraw(wait=wait)
@@ -343,7 +325,7 @@ class Unpacker:
 
     def clear(self) -> None:
         """Drop the messages that wait."""
-        self.waiting, self._size, self.holds = [], 0, False
+        self._waiting, self._size, self.holds = [], 0, False
         if self._publication is not None:
             self._publication.withdraw(wait=False)
             self._publication.wanted = False

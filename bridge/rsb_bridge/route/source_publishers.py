@@ -4,46 +4,37 @@ from __future__ import annotations
 
 from collections import deque
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH
 from rsb_bridge.model.qos import AUTO_DEPTH
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.latched import MESSAGE_COST, LatchedFullError, LatchedTopic
-from rsb_bridge.route.message_check import LongPublication
 from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Refused
-    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import Publisher, TopicSpec
-    from rsb_bridge.route.gates import LastLook
-    from rsb_bridge.route.peer import Peer
+    from rsb_bridge.route.message_check import Look, Unpacker
+    from rsb_bridge.route.topic_route import TopicRoute
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.records import Source
 
-FREE = 1 << 16
-"""Bytes that each publisher may hold uncounted, so that small messages pass even if large ones fill the budget."""
-BURST_DEPTH = 2000
-"""Messages that a publisher keeps at first if nobody has chosen a depth. With `AUTO_DEPTH`, a subscriber missed 359 and
-769 of 6,000 messages after its bridge had been frozen for 3 s at 2 kHz."""
-_BURST_BYTES = 1 << 20
-"""Bytes kept for a burst from which on DDS is asked more often for acknowledgements."""
-_BURST_TIME = 2.0
-"""Seconds for which more bytes may be kept before a publisher that keeps few messages replaces this one. A round
-figure: nothing was measured. With less, a burst could be dropped before it is acknowledged."""
-_MATCHED_WITHIN = 2.0
-"""Seconds that subscriptions have to find the new publisher before it takes over: what is published before is lost to
-them."""
-_ASKS_AGAIN_AFTER = 0.01
-"""s, while subscribers take nothing: to ask DDS takes 100 µs then, so that it takes 1 % of the time at most."""
+FREE = 1 << 16  # bytes that each publisher may hold uncounted: small messages pass even if large ones fill the budget
+_ASKS_AGAIN_AFTER = 0.01  # s until DDS is asked again while subscribers take nothing (bench/README.md)
+
+# Where nobody has chosen a depth (bench/README.md, *Constants of messages that arrive*):
+BURST_DEPTH = 2000  # messages that a publisher keeps at first
+_BURST_BYTES = 1 << 20  # kept bytes from which on DDS is asked more often for acknowledgements
+_BURST_TIME = 2.0  # s for which there may be more before a publisher that keeps few messages is made
+_MATCHED_WITHIN = 2.0  # s in which subscriptions find that one before it takes over: they miss what it publishes before
 
 
 def bounded(qos: Qos) -> Qos:
@@ -120,7 +111,7 @@ class VolatileTopic:
         """Subscriptions of other nodes that match now."""
         return self._publisher.subscriber_count
 
-    def publish(self, content: bytes, look: LastLook | None = None) -> Refused | None:
+    def publish(self, content: bytes, look: Look | None = None) -> Refused | None:
         """Publish a message, or return the reason for which it is not wanted any more.
 
         Args:
@@ -244,21 +235,18 @@ class VolatileTopic:
     def _reserve(self, size: int, memory: int) -> None:
         growth = max(0, size - memory)
         charge = max(0, self._held + growth - FREE) - self._charged
-        if charge > 0 and not self._charge(charge):
-            raise SlowSubscriberError(self._budget.limit)
+        if charge > 0:
+            # As much as this topic has is left to the link's other topics.
+            if self._charged + charge > self._budget.limit - self._budget.held - charge:
+                raise SlowSubscriberError(self._budget.limit)
+            self._charged += charge
+            self._budget.take(charge)
         self._waiting.append(memory + growth)
         if len(self._waiting) > self._depth:
             self._waiting.popleft()
         elif self._free:
             self._free.pop()
         self._held += growth
-
-    def _charge(self, size: int) -> bool:
-        """Count more memory, or return False if less than this topic has would be left for the link's other topics."""
-        if self._charged + size > self._budget.limit - self._budget.held - size:
-            return False
-        self._charged += size
-        return self._budget.take(size)
 
 
 class _Announced:
@@ -289,29 +277,18 @@ class _Announced:
 class _SourcePublisher:
     """The publishers of one source."""
 
-    def __init__(
-        self,
-        context: Context,
-        purpose: Purpose,
-        peer: Peer,
-        spec: TopicSpec,
-        origin: Origin,
-        failed: Callable[[Exception], None],
-        resumed: Callable[[], None],
-    ) -> None:
-        self._context = context
-        self._purpose = purpose
-        self._peer = peer
+    def __init__(self, route: TopicRoute[Any], unpacker: Unpacker, spec: TopicSpec, origin: Origin) -> None:
+        self._route = route
+        self._context = context = route.context
         self._spec = spec
         self._origin = origin
-        self._resumed = resumed
         self._publishers: dict[bytes, Publisher] = {}  # that are open, by their ids
         self.came_by = origin.via[:-1]  # without the sender, which may be another process by now
         self.sink: VolatileTopic | LatchedTopic
-        depth = spec.qos.depth
+        depth, budget = spec.qos.depth, route.peer.budget
         if spec.qos.latched:
-            aside = self._publish_aside if purpose.in_graph else None
-            self.sink = LatchedTopic(context.loop, self._advertise, peer.budget.kept, depth, failed, aside)
+            aside = unpacker.publish_latched if route.purpose.in_graph else None
+            self.sink = LatchedTopic(context.loop, self._advertise, budget.kept, depth, aside)
         else:
             keeps_all = spec.qos.history == "keep_all"
             burst = depth == 0 and not keeps_all and spec.qos.reliability == "reliable"
@@ -320,7 +297,7 @@ class _SourcePublisher:
             self.sink = VolatileTopic(
                 self._advertise(first),
                 KEPT_DEPTH if keeps_all else first,
-                peer.budget.unacknowledged,
+                budget.unacknowledged,
                 context.now,
                 self._advertise,
                 lasting_depth=lasting if burst else None,
@@ -340,23 +317,9 @@ class _SourcePublisher:
     def set_alive(self, alive: bool) -> None:
         self.set_origin(self._origin._replace(alive=alive))
 
-    def _publish_aside(
-        self,
-        publisher: Publisher,
-        content: bytes,
-        look: LastLook | None,
-        then: Callable[[Refused | RosError | None], None],
-    ) -> None:
-        def published(why: Refused | RosError | None) -> None:
-            then(why)
-            self._resumed()
-
-        made = LongPublication(publisher, content, look, self._context.clock.steady, published)
-        self._peer.budget.expansion.publish(made, self._context.loop)
-
     def _advertise(self, depth: int) -> Publisher:
         spec = self._spec._replace(qos=msgspec.structs.replace(self._spec.qos, depth=depth))
-        publisher = self._context.ends(self._purpose).advertise(spec, self._peer.name)
+        publisher = self._route.ends.advertise(spec, self._route.peer.name)
         self._publishers[publisher.gid] = publisher
         try:
             self._announce(publisher.gid)
@@ -373,10 +336,10 @@ class _SourcePublisher:
         return len(self._publishers)
 
     def _announce(self, gid: bytes) -> None:
-        if not self._purpose.in_graph:
+        if not self._route.purpose.in_graph:
             return  # no other bridge can take its messages
         endpoint = Endpoint(f"/{self._context.ros.node_name}", *self._spec[1:], gid)
-        self._context.announcements.announce(self._spec.topic, self._peer.name, endpoint, self._origin)
+        self._context.announcements.announce(self._spec.topic, self._route.peer.name, endpoint, self._origin)
 
     def _closed(self, gid: bytes) -> None:
         self._publishers.pop(gid, None)
@@ -390,26 +353,11 @@ class SourcePublishers:
         sinks: get the messages; in the same order.
     """
 
-    def __init__(
-        self,
-        context: Context,
-        purpose: Purpose,
-        peer: Peer,
-        failed: Callable[[Exception], None],
-        resumed: Callable[[], None] = lambda: None,
-    ) -> None:
-        """Begin without publishers.
-
-        Args:
-            failed: called if a later publisher cannot be created.
-            resumed: called when a latched topic is no longer busy (`LatchedTopic.is_busy`).
-        """
-        self._context = context
-        self._purpose = purpose
-        self._peer = peer
-        self._failed = failed
-        self._resumed = resumed
-        self._type = TypeUse(context.ros, peer.budget.types)
+    def __init__(self, route: TopicRoute[Any], unpacker: Unpacker) -> None:
+        self._route = route
+        self._unpacker = unpacker
+        self._budget = route.peer.budget
+        self._type = TypeUse(route.context.ros, self._budget.types)
         self._outputs: list[_SourcePublisher] = []
         self._alive = False
         self.sinks: list[VolatileTopic | LatchedTopic] = []
@@ -458,15 +406,13 @@ class SourcePublishers:
 
     def _add(self, spec: TopicSpec, origin: Origin) -> None:
         further = len(self._outputs) > 0
-        if further and not self._peer.budget.further_publishers.take(1):
+        if further and not self._budget.further_publishers.take(1):
             raise RosError("this link has too many publishers")
         try:
-            output = _SourcePublisher(
-                self._context, self._purpose, self._peer, spec, origin, self._failed, self._resumed
-            )
+            output = _SourcePublisher(self._route, self._unpacker, spec, origin)
         except (RosError, LatchedFullError):
             if further:
-                self._peer.budget.further_publishers.give(1)
+                self._budget.further_publishers.give(1)
             raise
         self._outputs.append(output)
         self.sinks.append(output.sink)
@@ -483,7 +429,7 @@ class SourcePublishers:
             self._outputs.pop().sink.close()
             # The first publisher is in no budget, because each topic has one.
             if self._outputs:
-                self._peer.budget.further_publishers.give(1)
+                self._budget.further_publishers.give(1)
         if not first:
             self._type.end()
 
@@ -525,4 +471,7 @@ class SourcePublishers:
     def tick(self) -> None:
         """Once a second."""
         for topic in self._latched():
-            topic.tick()
+            try:
+                topic.tick()
+            except (RosError, LatchedFullError) as error:
+                self._route.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
