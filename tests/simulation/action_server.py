@@ -14,7 +14,6 @@ from tests.simulation.ros import Writer, hash_of
 from tests.simulation.services import Server
 
 from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, LANES, SEND_GOAL, STATUS
-from rsb_bridge.route.calls.call_endpoints import name_of, type_of
 from rsb_bridge.route.calls.goals import STATES
 
 if TYPE_CHECKING:
@@ -49,11 +48,11 @@ class Plan(NamedTuple):
 
 
 def names(action: str) -> list[str]:
-    return [name_of(lane, action) for lane in LANES["action"]]
+    return [lane.name_on(action) for lane in LANES["action"]]
 
 
 def lane_type(lane: int) -> tuple[str, str]:
-    type_name = type_of(LANES["action"][lane], TYPE)
+    type_name = LANES["action"][lane].type_in(TYPE)
     return type_name, hash_of(type_name)
 
 

@@ -281,8 +281,8 @@ def listeners(engine: Engine, topic: str) -> int:
 def feedback_listeners(engine: Engine) -> int:
     """Return the number of listeners to the feedback of the only action that an engine offers."""
     (found,) = (route for route in _routes(engine) if isinstance(route, CallingActionRoute))
-    offered = offers_of(found).publishers.get(FEEDBACK)
-    return offered.subscriber_count if offered else 0
+    offered = offers_of(found).topics.get(FEEDBACK)
+    return offered.publisher.subscriber_count if offered else 0
 
 
 def reloaded(engine: Engine, path: Path, **changes: object) -> Reloaded:

@@ -129,12 +129,12 @@ def provide(route: ProvidingRoute, message: Provide) -> None:
 
 
 def offers_of(route: CallsRoute) -> Any:
-    """Return the endpoints of the callers' half."""
+    """Return the open lanes of the callers' half."""
     return route._offers  # type: ignore[attr-defined]
 
 
 def clients_of(route: CallsRoute) -> Any:
-    """Return the endpoints of the provider's half."""
+    """Return the open lanes of the provider's half."""
     return route._clients  # type: ignore[attr-defined]
 
 

@@ -29,6 +29,20 @@ class ServiceMember(NamedTuple):
     limited: bool = True
     """Whether rate limits, pauses and arming apply. They never hold up what stops or watches a robot."""
 
+    def name_on(self, route_name: str) -> str:
+        """Return the name of a route's service or topic: ``/navigate/_action/send_goal``."""
+        return self.absolute or route_name + self.suffix
+
+    def type_in(self, route_type: str) -> str:
+        """Return its type, ``pkg/action/Navigate_SendGoal``, or an empty string if a route's is not known yet."""
+        return self.type_name or (route_type + self.type_suffix if route_type else "")
+
+    def route_type(self, lane_type: str) -> str:
+        """Return the route's type, derived from this one's, or an empty string if they are independent."""
+        if self.type_name or not lane_type.endswith(self.type_suffix):
+            return ""
+        return lane_type.removesuffix(self.type_suffix)
+
 
 # As rcl_action and rclcpp make these topics: another QoS would not match, or keep another number of messages.
 _FEEDBACK = Qos("reliable", "volatile", "keep_last", 10)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -58,7 +59,8 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingA
         route.arming.own = context.demands.of("action", "/dock") or route.arming.own
         route.arming.peer_on_end = there
         lanes = SEND_GOAL, CANCEL_GOAL, GET_RESULT
-        clients_of(route).clients = {lane: PacedClient(Client(), context.loop) for lane in lanes}
+        for lane in lanes:
+            call_with(Client(), route, lane)
         for number in (1, 3):
             route.goals.asked(goal(number))
             route.answers.asked(CallIdentity(SEND_GOAL, goal(number)), number, frozenset())
@@ -70,8 +72,14 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingA
     return make
 
 
+def call_with(client: Client, route: ProvidingActionRoute, lane: int) -> None:
+    """Have a route call a service with this client from now on."""
+    service = SimpleNamespace(lane=lane, client=PacedClient(client, route.context.loop), close=lambda: None)
+    clients_of(route).services[lane] = service
+
+
 def respond(route: ProvidingActionRoute, lane: int, payload: bytes, number: int) -> None:
-    route._responded(lane, [Response(payload, number, 0)])
+    route.responded(clients_of(route).services[lane], [Response(payload, number, 0)])
 
 
 def accept(route: ProvidingActionRoute, number: int) -> None:
@@ -79,7 +87,7 @@ def accept(route: ProvidingActionRoute, number: int) -> None:
 
 
 def client_of(route: ProvidingActionRoute) -> Client:
-    client: Client = paced(clients_of(route).clients[CANCEL_GOAL])
+    client: Client = paced(clients_of(route).services[CANCEL_GOAL].client)
     return client
 
 
@@ -176,7 +184,7 @@ def test_a_goal_that_cannot_be_cancelled_is_reported(make_route: Callable[..., P
     for gone in (True, False):
         route = make_route()
         if gone:
-            clients_of(route).clients = {}
+            clients_of(route).close()
         else:
             client_of(route).ready = False
         route.disarm(Disarmed.LINK_LOST)
@@ -189,7 +197,7 @@ def test_another_clients_answer_is_no_answer_to_cancel(make_route: Callable[...,
     respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)
     late = route.calls.late
     respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)
-    clients_of(route).clients[CANCEL_GOAL] = PacedClient(Client(), route.context.loop)
+    call_with(Client(), route, CANCEL_GOAL)
     respond(route, CANCEL_GOAL, cancel_response(goal(3)), 2)
     assert route.calls.late == late + 2
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support.goals import cancel_request, goal, goal_request
-from tests.support.inside import offers_of, provide, refusal_of
+from tests.support.inside import provide, refusal_of
 from tests.support.offline import half_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
@@ -97,7 +97,6 @@ def test_goal_that_may_have_begun_is_not_rejected(
         half_of(CallingActionRoute, context, Topic("/dock", "receive", kind="action"), here=False),
         Answers(),
     )
-    offers_of(route).servers[SEND_GOAL] = server
     route.goals.asked(goal(1))
     kept = KeptCall(SEND_GOAL, b"caller", GOAL, 0.0, again=again)
     route._begin(CallerCall(SEND_GOAL, len(GOAL), 0.0, server, b"caller", kept), GOAL)

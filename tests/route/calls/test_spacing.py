@@ -36,7 +36,7 @@ class Client:
         self.loop = loop
         self.route = half_of(CallingActionRoute, make_context(), Topic("/dock", "receive", kind="action"), here=False)
         publisher: Any = SimpleNamespace(publish=lambda content: self.got.append((loop.time(), content[-1])))
-        offers_of(self.route).publishers[FEEDBACK] = publisher
+        offers_of(self.route).topics[FEEDBACK] = publisher
 
     def asks(self, lane: int = CANCEL_GOAL) -> None:
         server: Any = SimpleNamespace(answer=lambda *_: self.got.append((self.loop.time(), -1)))

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.cdr.description import TypeClash, hashes_text
 from rsb_bridge.model.names import MOST_HOPS, Via, hop, node_of_hop, topic_place
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of, type_of
 from rsb_bridge.route.calls.calls_verdict import Trouble
 from rsb_bridge.route.topic_verdict import named, nodes_by
 from rsb_bridge.wire.records import LaneEntry
@@ -26,7 +25,9 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import ServiceMember
     from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
+    from rsb_bridge.route.calls.lane_types import TypeComparison
     from rsb_bridge.route.peer import Peer
+    from rsb_bridge.route.route import Route
 
 _NAMED = 4
 _EXPLAINED_WITHIN = 3.0
@@ -82,7 +83,7 @@ def provision(
     route_type = wanted
     try:
         for number, member in enumerate(members):
-            service = name_of(member, name)
+            service = member.name_on(name)
             if member.is_topic:
                 entries.append(_topic_entry(ros, member, service, route_type))
                 continue
@@ -90,8 +91,8 @@ def provision(
             if not found:
                 raise UnavailableError(Cause.NO_SERVER, f"no server of {service} in domain {domain_id}")
             servers += found
-            entry = _service_entry(ros, found, service, type_of(member, wanted))
-            route_type = route_type or route_type_of(member, entry.type)
+            entry = _service_entry(ros, found, service, member.type_in(wanted))
+            route_type = route_type or member.route_type(entry.type)
             entries.append(entry)
     except UnavailableError as error:
         return Provision((), tuple(servers), error.trouble)
@@ -121,7 +122,7 @@ def _service_entry(ros: RosInterface, servers: Sequence[Endpoint], service: str,
 
 def _topic_entry(ros: RosInterface, member: ServiceMember, topic: str, route_type: str) -> LaneEntry:
     """Return the type of a lane that is a topic. Publishers of another type on it do not count."""
-    type_name = type_of(member, route_type)
+    type_name = member.type_in(route_type)
     publishers = [each for each in ros.publishers(topic) if each.type_name == type_name]
     hashes = {each.type_hash for each in publishers if each.type_hash}
     type_hash = hashes.pop() if len(hashes) == 1 else ""
@@ -149,7 +150,7 @@ def types_clash(
     entries: Sequence[LaneEntry],
     names: Sequence[str],
     callers: Mapping[str, Sequence[Endpoint]],
-    difference_from: Callable[[LaneEntry, str], str],
+    comparison: TypeComparison,
 ) -> Trouble | None:
     """Return the trouble if the two sides, or a caller, have other versions of a type, or None.
 
@@ -157,12 +158,11 @@ def types_clash(
         entries: the other side's types, by lane.
         names: of the lanes on this side.
         callers: of the services on this side, by name.
-        difference_from: returns how the other side's type differs from the installed one, whose hash it takes.
     """
     for member, entry, name in zip(members, entries, names, strict=True):
         installed = (ros.installed_hash if member.is_topic else ros.installed_service_hash)(entry.type)
         if installed and entry.type_hash and installed != entry.type_hash:
-            difference = difference_from(entry, installed)
+            difference = comparison.difference(entry, installed)
             return Trouble(Cause.TYPE_CONFLICT, TypeClash.VERSIONS(type=entry.type, difference=difference))
         if member.is_topic:
             continue
@@ -304,11 +304,11 @@ class LocalServers:
         unknown: whether it is still unclear for some server whether it counts.
     """
 
-    def __init__(self, context: Context, peer: Peer, look_again: Callable[[], None]) -> None:
+    def __init__(self, route: Route) -> None:
         self.unknown = False
-        self._context = context
-        self._peer = peer
-        self._look_again = look_again
+        self._route = route
+        self._context = route.context
+        self._peer = route.peer
         self._first_seen: dict[bytes, float] = {}
         self._timer: asyncio.TimerHandle | None = None
 
@@ -353,7 +353,7 @@ class LocalServers:
 
     def _due(self) -> None:
         self._timer = None
-        self._look_again()
+        self._route.advance()
 
     def _is_node(self, server: Endpoint, service: str) -> bool:
         origin = self._context.announcements.origin_of_server(server, service)

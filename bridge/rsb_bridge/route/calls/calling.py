@@ -1,14 +1,13 @@
 """The callers' half of a route of calls: offers here what the other side provides, and answers callers.
 
-A call goes through `CallingRoute._asked` (from ROS), `_begin`, and the outbox to the channel. What the provider says of
-it comes to `_receive`, and goes to ROS in `_answer_caller`, or ends the call in `_take_refusal`.
+A call goes through `CallingRoute.asked` (from ROS), `_begin`, and the outbox to the channel. What the provider says of
+it comes to `_receive`, and goes to ROS in `_answer_caller`, or ends the call in `_end_refused`.
 """
 
 from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.calls import Refused
@@ -16,8 +15,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.ros_interface import Request, RosError
-from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
+from rsb_bridge.ros.ros_interface import BATCH, Request, RosError
+from rsb_bridge.route.calls.call_endpoints import OpenLane, OpenLanes
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
 from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.calls_route import CallsRoute, from_wrong_side
@@ -27,23 +26,24 @@ from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.gates import CallRateGate, calling_gates, chained, compose_when_switched
-from rsb_bridge.route.source_publishers import SlowSubscriberError
+from rsb_bridge.route.lease import Marker
+from rsb_bridge.route.source_publishers import SlowSubscriberError, VolatileTopic
 from rsb_bridge.route.topic_verdict import named
 from rsb_bridge.wire.headers import CallFrame, What, frame_size
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
+    from contextlib import ExitStack
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import ServiceMember
+    from rsb_bridge.model.names import Via
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.ros_interface import ServiceServer
     from rsb_bridge.route.calls.kept_calls import KeptCall
-    from rsb_bridge.route.notices import Notices
     from rsb_bridge.route.route import Owner
-    from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
@@ -51,54 +51,74 @@ _UNKNOWN = Provide(route=0)
 """Before the other side has sent what it provides."""
 
 
-class LaneMessages:
-    """Publishes messages of the lanes that are topics, and keeps the last one of latched lanes.
+class OfferedService(OpenLane):
+    """A service that others can call, on the callers' side."""
 
-    Args:
-        budget: bytes that may be kept on the link.
-        notices: report messages that cannot be published.
+    _route: CallingRoute
+    server: ServiceServer
+
+    def _open(self, held: ExitStack) -> None:
+        context, arming = self._route.context, self._route.arming
+        self._via: Via | None = None
+        self._announcement = b""
+        held.callback(self._withdraw)
+        self.announce()  # first: others must not take it for a node's
+        put = self._put
+        if arming.required and arming.lease is not None:
+            marker = Marker(arming.lease, context.ros.turns, BATCH)
+
+            def put(batch: Sequence[Request]) -> None:
+                self._put(marker.marked(batch))
+
+        self.server = context.ros.serve(self._name, *self.version, put, self._failed)
+        held.callback(self.server.close)
+
+    def announce(self) -> None:
+        """Announce which bridges the answers cross, if that has changed.
+
+        Raises:
+            RosError: there are too many.
+        """
+        if (via := self._route.via_of(self.lane)) != self._via:
+            self._via = via
+            self._withdraw()
+            announcements, link = self._route.context.announcements, self._route.peer.name
+            self._announcement = announcements.offer(self._name, link, *self.version, via)
+
+    def _withdraw(self) -> None:
+        self._route.context.announcements.withdraw(self._announcement)
+
+    def offer(self, batch: Sequence[Request]) -> None:
+        if self._is_open:
+            self._route.asked(self, batch)
+        else:
+            self._route.asked_too_late(batch)
+
+
+class OfferedTopic(OpenLane):
+    """A publisher, on the callers' side.
+
+    Attributes:
+        publisher: bounds the memory that DDS holds for subscribers.
     """
 
-    def __init__(self, members: Sequence[ServiceMember], offers: Offers, budget: Budget, notices: Notices) -> None:
-        self._members = members
-        self._offers = offers
-        self._budget = budget
-        self._notices = notices
-        self._kept: dict[int, bytes] = {}  # by lane
+    _route: CallingRoute
+    publisher: VolatileTopic
 
-    def publish(self, lane: int, content: bytes) -> None:
-        """Publish a message that came."""
-        qos = self._members[lane].qos
-        if qos is not None and qos.latched:
-            self._keep(lane, content)
-        self._publish(lane, content)
+    def _open(self, held: ExitStack) -> None:
+        context, peer, spec = self._route.context, self._route.peer, self._spec()
+        publisher = context.ros.advertise(spec, peer.name)
+        self.publisher = VolatileTopic(publisher, spec.qos.depth, peer.budget.unacknowledged, context.now)
+        held.callback(self.publisher.close)
 
-    def offered(self, lanes: Iterable[int]) -> None:
-        """Publish the kept messages of lanes that are newly offered."""
-        for lane in lanes:
-            if lane in self._kept:
-                self._publish(lane, self._kept[lane])
-
-    def clear(self) -> None:
-        """Drop the kept messages."""
-        for lane in tuple(self._kept):
-            self._keep(lane, b"")
-
-    def _keep(self, lane: int, content: bytes) -> None:
-        self._budget.give(len(self._kept.pop(lane, b"")))
-        if content and self._budget.take(len(content)):
-            self._kept[lane] = content
-
-    def _publish(self, lane: int, content: bytes) -> None:
-        publisher = self._offers.publishers.get(lane)
-        if publisher is None:
-            return
+    def publish(self, content: bytes) -> None:
+        """Publish a message, or report why that is impossible."""
         try:
-            publisher.publish(content)
+            self.publisher.publish(content)
         except RosError as error:
-            self._notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
+            self._route.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
         except SlowSubscriberError as error:
-            self._notices.message_error(EventCode.ROUTE_SLOW_SUBSCRIBER, str(error))
+            self._route.notices.message_error(EventCode.ROUTE_SLOW_SUBSCRIBER, str(error))
 
 
 @dataclass(slots=True)
@@ -168,7 +188,7 @@ def _why_unacceptable(provide: Provide, members: Sequence[ServiceMember], agreed
     if provide.lanes and len(provide.lanes) != len(members):
         return f"the other side provides {len(provide.lanes)} lanes, not {len(members)}"
     for member, entry in zip(members, provide.lanes, strict=False):
-        agreed = type_of(member, agreed_type)
+        agreed = member.type_in(agreed_type)
         if agreed and entry.type != agreed and not member.is_topic:  # whether it requires arming may depend on this
             return f"the other side provides {entry.type}, though {agreed} was agreed on"
     return ""
@@ -182,22 +202,14 @@ class CallingRoute(CallsRoute):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._provided = _UNKNOWN  # in the present opening
-        self._comparison = TypeComparison(self._advance_if_open)
+        self._comparison = TypeComparison(self)
         self._resumed_at = 0  # the revision of the pause's end, in the present opening
         self._reach: frozenset[int] = frozenset()  # the lanes that are offered, and whose calls go to the other side
-        self._offers = Offers(
-            context,
-            peer,
-            self.members,
-            self._asked,
-            self._too_late,
-            self._offer_failed,
-            lambda: self.arming.lease if self.arming.required else None,
-        )
-        self._local_servers = LocalServers(context, peer, self.advance)
+        self._offers = OpenLanes(self, OfferedService, OfferedTopic)
+        self._local_servers = LocalServers(self)
         self._served_here: list[str] = []  # nodes that serve it on this side, while none does on the other side
         self._pending = CallerCalls(context.loop, peer.budget.asked, self._expired, self._outbox.forget)
-        self._messages = LaneMessages(self.members, self._offers, peer.budget.kept, self.notices)
+        self._kept_messages: dict[int, bytes] = {}  # the last ones of latched topics, by lane
         self._rate = CallRateGate(0.0, context.now())
         compose_when_switched(self, self._compose_gates)
 
@@ -246,8 +258,7 @@ class CallingRoute(CallsRoute):
             self._warning = others_called(self.members, entries, names, callers)
             self._unavailable = self._local_servers.find_trouble(services, offered=bool(self._reach))
             if self._unavailable is None and self.types.load(entries):
-                difference_from = partial(self._comparison.difference, self.peer.compare_types, self.id)
-                self._unavailable = types_clash(ros, self.members, entries, names, callers, difference_from)
+                self._unavailable = types_clash(ros, self.members, entries, names, callers, self._comparison)
         nobody_provides = self._provided is not _UNKNOWN and not entries
         self._served_here = self._local_servers.nodes(services) if nobody_provides else []
 
@@ -275,31 +286,35 @@ class CallingRoute(CallsRoute):
 
     def _offer(self, lanes: frozenset[int]) -> None:
         """Offer these lanes of what is provided, and no others."""
-        offers, provided = self._offers, self._provided
-        entries = provided.lanes
-        vias = [
-            way_here(provided.via, self.peer.bridges, name_of(member, self.remote_topic)) for member in self.members
-        ]
+        offers, entries = self._offers, self._provided.lanes
         try:
-            offers.announce(vias)
-            if any(offers.services_of(entries)[lane] != kind for lane, kind in offers.types.items()):
+            for service in offers.services.values():
+                service.announce()
+            if len(offers.fitting(entries)) < len(offers.services):
                 self._end_offer()
             was_offered = self.offered
             # No request is older than the first server: an earlier stamp shows a caller's wrong clock.
-            if not offers.types:
+            if not offers.services:
                 self.age.publishers.since = self.context.stamps.now()
-            offers.open(entries, self.local_names, lanes | self._owed())
+            offers.open(entries, lanes | self._owed())
             self._reach = lanes
             self._log_offer(was_offered)
-            self._messages.offered(offers.open_topics(entries))
+            for topic in offers.open_topics(entries):
+                if topic.lane in self._kept_messages:
+                    topic.publish(self._kept_messages[topic.lane])
         except RosError as error:
-            self._offer_failed(error)
+            self.endpoint_failed(error)
             return
         self._retry.clear()
 
+    def via_of(self, lane: int) -> Via:
+        """Return the bridges that a lane's answers cross."""
+        name = self.members[lane].name_on(self.remote_topic)
+        return way_here(self._provided.via, self.peer.bridges, name)
+
     def _owed(self) -> set[int]:
         """Return the lanes on which callers still wait for an answer: it needs their servers."""
-        return {call.lane for _, call in self._pending.items()} & set(self._offers.types)
+        return {call.lane for _, call in self._pending.items()} & self._offers.services.keys()
 
     def _log_offer(self, was_offered: bool) -> None:
         if self.offered and not was_offered:
@@ -307,7 +322,7 @@ class CallingRoute(CallsRoute):
         elif was_offered and not self.offered:
             self.log(Level.INFO, EventCode.ROUTE_WITHDRAWN, "no longer offered")
 
-    def _offer_failed(self, error: RosError) -> None:
+    def endpoint_failed(self, error: RosError) -> None:
         self._end_offer()
         # Also what stays open for the goals of an action.
         self._offers.close()
@@ -337,7 +352,8 @@ class CallingRoute(CallsRoute):
         self._provided = _UNKNOWN
         self._comparison.forget()
         self._resumed_at = self._pending.last = 0
-        self._messages.clear()
+        self.peer.budget.kept.give(sum(map(len, self._kept_messages.values())))
+        self._kept_messages.clear()
 
     def destroy(self) -> None:
         """End the route for good."""
@@ -353,16 +369,17 @@ class CallingRoute(CallsRoute):
 
     # --- calls, from ROS to the channel
 
-    def _asked(self, lane: int, requests: Sequence[Request]) -> None:
+    def asked(self, service: OfferedService, requests: Sequence[Request]) -> None:
         """Send callers' requests, or refuse them."""
-        limited, server = self.members[lane].limited, self._offers.servers[lane]
+        lane, server = service.lane, service.server
+        limited = self.members[lane].limited
         with_age, check = self.age.is_on and limited, self._arriving[limited]
         for request in map(self.age.aged, requests) if with_age else requests:
             payload, now = request.payload, self.context.now()
             self._asked_for(len(payload))
             size = frame_size(payload)
             if check is not None and (why := check(request, now)) is not None:
-                self._refuse_request(lane, server, request, why)
+                self._refuse_request(service, request, why)
                 continue
             stamp = request.stamp if with_age else 0
             call = CallerCall(lane, size, now, server, request.caller)
@@ -370,14 +387,14 @@ class CallingRoute(CallsRoute):
             self._begin(call, payload, request.lease, stamp)
         self.flush()
 
-    def _refuse_request(self, lane: int, server: ServiceServer, request: Request, why: Refused) -> None:
+    def _refuse_request(self, service: OfferedService, request: Request, why: Refused) -> None:
         """Handle a caller's request that is not sent."""
         self.failures.refused(why)
 
     def _remember(self, call: CallerCall, payload: bytes) -> None:
         """Note, of a caller's call that is about to be sent, what later steps need."""
 
-    def _too_late(self, lane: int, requests: Sequence[Request]) -> None:
+    def asked_too_late(self, requests: Sequence[Request]) -> None:
         """Count requests that were on their way from ROS when the offer ended."""
         for request in requests:
             self._asked_for(len(request.payload))
@@ -394,7 +411,8 @@ class CallingRoute(CallsRoute):
         check = self._leaving[self.members[frame.lane].limited]
         # A call that is sent again has no stamp: it was young when it was sent first.
         if check is not None and frame.stamp and (why := check(frame, self.context.now())) is not None:
-            self._take_refusal(frame, why)
+            if (call := self._pending.end_by(frame)) is not None:
+                self._end_refused(call, why)
             return False
         return True  # the outbox forgets calls that have ended
 
@@ -449,7 +467,8 @@ class CallingRoute(CallsRoute):
                 else:
                     self.calls.late += 1
             case What.REFUSED:
-                self._take_refusal(frame, refused_as(frame.content))
+                if (call := self._pending.end_by(frame)) is not None:
+                    self._end_refused(call, refused_as(frame.content))
             case _:
                 raise from_wrong_side(frame)
 
@@ -474,11 +493,6 @@ class CallingRoute(CallsRoute):
         if frame.what is What.ANSWER:
             self._answer_lost(call)
 
-    def _take_refusal(self, frame: CallFrame, why: Refused) -> None:
-        """End a call that the other side will not answer."""
-        if (call := self._pending.end_by(frame)) is not None:
-            self._end_refused(call, why)
-
     def _end_refused(self, call: CallerCall, why: Refused) -> None:
         """Handle that the other side will not answer a call, which has ended."""
         call.unanswered(self.failures.refused(why))
@@ -488,7 +502,14 @@ class CallingRoute(CallsRoute):
 
     def _take_message(self, frame: CallFrame) -> None:
         """Publish a message of a lane that is a topic."""
-        self._messages.publish(frame.lane, frame.content)
+        qos = self.members[frame.lane].qos
+        if qos is not None and qos.latched:
+            kept, budget = self._kept_messages, self.peer.budget.kept
+            budget.give(len(kept.pop(frame.lane, b"")))
+            if budget.take(len(frame.content)):
+                kept[frame.lane] = frame.content
+        if (topic := self._offers.topics.get(frame.lane)) is not None:
+            topic.publish(frame.content)
 
     def _expired(self, number: int, call: CallerCall) -> None:
         self.calls.expired += 1

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import Request, ServiceServer
+    from rsb_bridge.route.calls.calling import OfferedService
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide
 
@@ -93,16 +94,16 @@ class CallingActionRoute(CallingRoute):
 
     # --- calls and answers
 
-    def _asked(self, lane: int, requests: Sequence[Request]) -> None:
+    def asked(self, service: OfferedService, requests: Sequence[Request]) -> None:
         if self._reach:
-            super()._asked(lane, requests)
+            super().asked(service, requests)
         else:  # an interruption leaves some services open
-            self._keep_requests(lane, requests)
+            self._keep_requests(service.lane, requests)
 
-    def _refuse_request(self, lane: int, server: ServiceServer, request: Request, why: Refused) -> None:
-        super()._refuse_request(lane, server, request, why)
-        if lane == SEND_GOAL:
-            self._reject(server, request.caller, request.payload)
+    def _refuse_request(self, service: OfferedService, request: Request, why: Refused) -> None:
+        super()._refuse_request(service, request, why)
+        if service.lane == SEND_GOAL:
+            self._reject(service.server, request.caller, request.payload)
 
     def _remember(self, call: CallerCall, payload: bytes) -> None:
         call.kept = KeptCall(call.lane, call.caller, payload, call.asked_at, again=False, instance=self.peer.instance)
@@ -171,12 +172,12 @@ class CallingActionRoute(CallingRoute):
             size = frame_size(kept.payload)
             if kept.lane == SEND_GOAL and kept.instance != instance:
                 self._give_up_waiting(kept)  # only the process that it was sent to knows whether it arrived
-            elif kept.lane not in self._offers.servers:
+            elif (service := self._offers.services.get(kept.lane)) is None:
                 if not self.waiting.keep(kept, now):
                     self._give_up_waiting(kept)
             elif (why := self.peer.budget.asked.take(size, now)) is None:
-                server, sent = self._offers.servers[kept.lane], kept._replace(instance=instance)
-                call = CallerCall(kept.lane, size, kept.asked, server, kept.caller, sent)
+                sent = kept._replace(instance=instance)
+                call = CallerCall(kept.lane, size, kept.asked, service.server, kept.caller, sent)
                 what = What.AGAIN if kept.again else What.CALL
                 self._begin(call, kept.payload, what=what)
             elif not self.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
@@ -208,9 +209,9 @@ class CallingActionRoute(CallingRoute):
         self._give_up_results()
         if self._reach and self.waiting:
             self._send_waiting()
-        elif self._reach and self._offers.types.keys() - self._reach - self._owed():
+        elif self._reach and self._offers.services.keys() - self._reach - self._owed():
             self.advance()  # nobody waits for the answer to a goal any more
-        elif not self._reach and self._offers.types and not self._awaits_end:
+        elif not self._reach and self._offers.services and not self._awaits_end:
             self._offers.close()
         super().tick()
 

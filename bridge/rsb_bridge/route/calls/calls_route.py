@@ -20,10 +20,10 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.route.calls.call_endpoints import RosRetry, name_of
 from rsb_bridge.route.calls.calls_ledger import CallFailures, CallsLedger
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, MalformedCall, Trouble, calls_stages, judge_calls
 from rsb_bridge.route.calls.lane_types import LaneTypes
+from rsb_bridge.route.calls.ros_retry import RosRetry
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.message_check import ExpandsTooMuchError, Unpacker, malformed_text
 from rsb_bridge.route.route import Route
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.ros.ros_interface import RosError
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
     from rsb_bridge.route.route import Owner
@@ -247,13 +248,13 @@ class CallsRoute(Route):
         )
         self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self._spacing = Spacing()
-        self.types = LaneTypes(context, self.members, peer.budget.checks, self._advance_if_open)
+        self.types = LaneTypes(self, self.members)
         self._last_malformed: MalformedCall | None = None  # the last one in the present opening
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._last_report: CallsReport | None = None
         self._unavailable: Trouble | None = None
         self._warning: Trouble | None = None
-        self._retry = RosRetry(context, self._advance_if_open)
+        self._retry = RosRetry(self)
 
     # --- what the halves do differently
 
@@ -279,6 +280,10 @@ class CallsRoute(Route):
 
     def _withdraw(self) -> None:
         """Close all endpoints in ROS."""
+        raise NotImplementedError
+
+    def endpoint_failed(self, error: RosError) -> None:
+        """Close all endpoints in ROS, as ROS refuses one, or one has failed and closed itself."""
         raise NotImplementedError
 
     def progress(self) -> CallsProgress:
@@ -335,7 +340,7 @@ class CallsRoute(Route):
     @property
     def local_names(self) -> list[str]:
         """Names of the members' services and topics on this side."""
-        return [name_of(member, self.local_topic) for member in self.members]
+        return [member.name_on(self.local_topic) for member in self.members]
 
     def set_check(self) -> None:
         """Take over `check_messages` of the session."""
@@ -374,10 +379,6 @@ class CallsRoute(Route):
 
     def _may_flow(self) -> None:
         self.failures.forget()
-
-    def _advance_if_open(self) -> None:
-        if self.id:
-            self.advance()
 
     def _ros_failed(self, text: str, entries: Sequence[LaneEntry]) -> None:
         """Report that ROS refuses an endpoint for these lanes. They are tried again later, others at once."""

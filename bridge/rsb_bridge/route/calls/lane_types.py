@@ -7,43 +7,35 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.cdr.description import hashes_text, messages_of
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.calls.call_endpoints import route_type_of
 from rsb_bridge.route.message_check import MessageCheck
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
-    from rsb_bridge.cdr.description import CompareTypes, TypeVersion
-    from rsb_bridge.context import Context
-    from rsb_bridge.model.budgets import TokenBucket
+    from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.model.calls import ServiceMember
+    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import LaneEntry
 
 
 class LaneTypes:
     """The types of one route's lanes.
 
-    Args:
-        budget: lengths to read that checks of contents may take.
-        loaded: called when types have been loaded.
-
     Attributes:
         names: by lane, as last known.
         messages: the types of their requests, responses and messages, as last known.
     """
 
-    def __init__(
-        self, context: Context, members: Sequence[ServiceMember], budget: TokenBucket, loaded: Callable[[], None]
-    ) -> None:
+    def __init__(self, route: Route, members: Sequence[ServiceMember]) -> None:
         self.names: tuple[str, ...] = ()
         self.messages: tuple[TypeVersion, ...] = ()
-        self._context = context
+        self._route = route
+        self._context = route.context
         self._members = members
-        self._checks = [MessageCheck(context, budget) for _ in members]
+        self._checks = [MessageCheck(route.context, route.peer.budget.checks) for _ in members]
         self._loaded: tuple[str, ...] = ()  # types by lane, once loading them was tried
         self._loading: tuple[str, ...] = ()
-        self._tell = loaded
 
     def know(self, entries: Sequence[LaneEntry]) -> tuple[str, str]:
         """Take the lanes' types.
@@ -53,11 +45,11 @@ class LaneTypes:
         """
         self.names = tuple(entry.type for entry in entries)
         self.messages = tuple(each for entry in entries for each in messages_of(entry.type, entry.type_hash))
-        types = [route_type_of(member, entry.type) for member, entry in zip(self._members, entries, strict=True)]
+        types = [member.route_type(entry.type) for member, entry in zip(self._members, entries, strict=True)]
         return next(filter(None, types), ""), entries[0].type_hash if len(entries) == 1 else ""
 
     def load(self, entries: Sequence[LaneEntry]) -> bool:
-        """Return whether these types are loaded; if not, load them on another thread, and tell then.
+        """Return whether these types are loaded; if not, load them on another thread, and let the route advance then.
 
         The first type that a process loads takes up to a second, because NumPy comes with it. In the loop that would
         end the lease of everything that is armed.
@@ -80,7 +72,8 @@ class LaneTypes:
         if (error := done.exception()) is not None and not isinstance(error, RosError):
             raise error
         self._loaded, self._loading = types, ()
-        self._tell()
+        if self._route.id:
+            self._route.advance()
 
     def set_check(self) -> None:
         """Take over `check_messages` of the session."""
@@ -108,32 +101,31 @@ class LaneTypes:
 class TypeComparison:
     """Finds how the other side's version of a type differs from the installed one.
 
-    The other side may provide ever other types, but is asked about one at a time.
-
-    Args:
-        found: called once the fields that differ are known, or others have to be compared.
+    The other side may provide ever other types, but is asked about one at a time. The route advances once the fields
+    that differ are known, or others have to be compared.
     """
 
-    def __init__(self, found: Callable[[], None]) -> None:
+    def __init__(self, route: Route) -> None:
         self._compared: tuple[str, str, str] | None = None  # type, hash there and here, in the present opening
         self._comparing = False
         self._difference = ""  # of those compared, once it is known
-        self._found = found
+        self._route = route
 
-    def difference(self, compare: CompareTypes, route_id: int, entry: LaneEntry, installed: str) -> str:
+    def difference(self, entry: LaneEntry, installed: str) -> str:
         """Return how a lane's type differs from the installed one: the hashes, until the fields are known."""
         versions = entry.type, entry.type_hash, installed
         if versions != self._compared and not self._comparing:
             self._compared, self._difference, self._comparing = versions, "", True
             here = messages_of(entry.type, installed)
             others = [each for each in messages_of(entry.type, entry.type_hash) if each not in here]
-            compare(route_id, others, self._compared_types)
+            self._route.peer.compare_types(self._route.id, others, self._compared_types)
         return (self._difference if versions == self._compared else "") or hashes_text(*versions)
 
     def _compared_types(self, difference: str) -> None:
         self._comparing, self._difference = False, difference
-        if difference or self._compared is None:  # in another opening, compare again
-            self._found()
+        # In another opening, compare again.
+        if self._route.id and (difference or self._compared is None):
+            self._route.advance()
 
     def forget(self) -> None:
         """Forget the comparison, as the opening has ended."""

@@ -8,7 +8,6 @@ from rsb_bridge.cdr.event_node import ParameterEventError, node_of, with_node
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.route.calls.call_endpoints import name_of
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calls_verdict import Trouble
 from rsb_bridge.route.calls.providing import ProvidingRoute
@@ -16,13 +15,9 @@ from rsb_bridge.route.calls.providing import ProvidingRoute
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.calls.call_servers import Provision
-    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.headers import CallFrame
-    from rsb_bridge.wire.messages import Propose
 
 _EVERY_NODE_HAS = "/get_type_description"
 """A service of nearly every node, with parameters or without."""
@@ -54,10 +49,6 @@ class CallingParametersRoute(CallingRoute):
 class ProvidingParametersRoute(ProvidingRoute):
     """Tells the peer of a node's parameters here, and passes its calls on."""
 
-    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
-        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._clients.node = self.local_topic
-
     def _find(self) -> Provision:
         found = super()._find()
         if (missing := found.unavailable) is None or missing.cause is not Cause.NO_SERVER:
@@ -67,13 +58,13 @@ class ProvidingParametersRoute(ProvidingRoute):
     def _why_no_parameters(self, missing: Trouble) -> Trouble:
         """Say more about a node that does not answer: it may be there without parameters, or with some services."""
         node, servers = self.local_topic, self.context.ros.servers
-        if any(servers(name_of(member, node)) for member in self.members if not member.is_topic):
+        if any(servers(member.name_on(node)) for member in self.members if not member.is_topic):
             return Trouble(Cause.NO_PARAMETERS, NoParameters.SOME_SERVICES(missing=missing.text, node=node))
         if servers(node + _EVERY_NODE_HAS):
             return Trouble(Cause.NO_PARAMETERS, NoParameters.NO_SERVICES(node=node, domain=self.context.domain_id))
         return missing
 
-    def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
+    def published(self, lane: int, messages: Sequence[RawMessage]) -> None:
         """Send the parameter events of the route's node, with the node's name on the callers' side."""
         own, node = [], self.local_topic
         for message in messages:
@@ -84,4 +75,4 @@ class ProvidingParametersRoute(ProvidingRoute):
             except ParameterEventError as error:
                 text = f"a parameter event is left out: {error}"
                 self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
-        super()._published(lane, own)
+        super().published(lane, own)

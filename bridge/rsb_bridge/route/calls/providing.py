@@ -1,7 +1,7 @@
 """The providing half of a route of calls: finds who answers here, tells the peer, and calls them for its callers.
 
 A call comes from the channel to `ProvidingRoute._receive`, waits its turn (`paced_client`), and goes to ROS in `_call`.
-The server's response comes to `_responded`, goes to the outbox in `_answer`, and ends the call in `_leaves`, once the
+The server's response comes to `responded`, goes to the outbox in `_answer`, and ends the call in `_leaves`, once the
 channel takes it.
 """
 
@@ -18,12 +18,14 @@ from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.calls.call_endpoints import Clients, name_of
+from rsb_bridge.route.calls.call_endpoints import OpenLane, OpenLanes
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_route import CallsRoute, from_wrong_side
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
+from rsb_bridge.route.calls.kept_calls import result_request
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
+from rsb_bridge.route.calls.paced_client import PacedClient
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.gates import chained, compose_when_switched, providing_gates, why_not_by_hand
@@ -34,6 +36,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Sequence
+    from contextlib import ExitStack
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
@@ -49,6 +52,43 @@ _WAITED_PART = 0.1
 """Part of the wait so far that a look may come later than the match. A round figure."""
 _EXPLAINED_AGAIN = 0.5
 """s until the next look whether a bridge has announced where its answers come from. A round figure."""
+
+
+class CalledService(OpenLane):
+    """A client of a service, on the providing side."""
+
+    _route: ProvidingRoute
+    client: PacedClient
+
+    def _open(self, held: ExitStack) -> None:
+        context = self._route.context
+        client = context.ros.call_service(self._name, *self.version, self._put, self._failed)
+        # A server answers at once that it knows no such goal.
+        probe = result_request(bytes(16)) if self._member.patient else b""
+        self.client = PacedClient(client, context.loop, probe)
+        held.callback(self.client.close)
+
+    def offer(self, batch: Sequence[Response]) -> None:
+        if self._is_open:
+            self._route.responded(self, batch)
+
+
+class HeardTopic(OpenLane):
+    """A subscription, on the providing side."""
+
+    _route: ProvidingRoute
+
+    def _open(self, held: ExitStack) -> None:
+        context, link, spec = self._route.context, self._route.peer.name, self._spec()
+        if self._member.absolute:  # all nodes publish on this topic: the link's routes share a subscription
+            events, node = context.parameter_events, self._route.local_topic
+            held.callback(events.listen(spec, link, node, self._put, self._failed).close)
+        else:
+            held.callback(context.ros.subscribe(spec, self._put, link, self._failed).close)
+
+    def offer(self, batch: Sequence[RawMessage]) -> None:
+        if self._is_open:
+            self._route.published(self.lane, batch)
 
 
 @dataclass(slots=True)
@@ -87,7 +127,7 @@ class ProvidingRoute(CallsRoute):
         self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
         self._last_sent: Provide | None = None  # in the present opening
         self._served_in = 0  # the last connection in which a server was there, or 0
-        self._clients = Clients(context, peer, self.members, self._responded, self._published, self._client_failed)
+        self._clients = OpenLanes(self, CalledService, HeardTopic)
         self._pending = PendingCalls[PeersCall](context.loop, peer.budget.provided, self._expired, self._ended)
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
         self._highest = self._given = 0  # the newest call that came, and the newest that was given to DDS
@@ -107,7 +147,7 @@ class ProvidingRoute(CallsRoute):
         # Nothing ever holds up the lanes that are not limited, as a cancel.
         if not entries or (self.crossing.is_held_back and all(member.limited for member in self.members)):
             self._retry.clear()
-            if self._clients:
+            if self._clients.services:
                 self._close_clients()
                 stopped = "it was paused" if self.pausing.paused else "it is not armed" if entries else ""
                 self._give_up_all(stopped or "its server has gone")
@@ -148,7 +188,7 @@ class ProvidingRoute(CallsRoute):
     def _find(self) -> Provision:
         """Return what can be called here."""
         context, guard = self.context, self._loop_guard
-        names = [(name_of(each, self.local_topic), name_of(each, self.topic)) for each in self.members]
+        names = [(each.name_on(self.local_topic), each.name_on(self.topic)) for each in self.members]
         guard.begin()
         found = provision(
             context.ros,
@@ -165,9 +205,9 @@ class ProvidingRoute(CallsRoute):
     def _have_clients(self, entries: Sequence[LaneEntry]) -> None:
         clients = self._clients
         try:
-            if clients.types != clients.services_of(entries):
+            if not clients.services or len(clients.fitting(entries)) < len(clients.services):
                 self._give_up_all("its servers have another type now")
-                clients.open(entries, self.local_names)
+                clients.open(entries, range(len(entries)))
                 self._unmatched_since = self.context.now()
             clients.open_topics(entries)
         except RosError as error:
@@ -177,17 +217,24 @@ class ProvidingRoute(CallsRoute):
 
     def _tell(self) -> None:
         """Tell the peer what it can call, once a call would reach a server."""
-        entries = self._provision.entries if self._clients.ready else ()
+        is_ready = self._is_ready
+        entries = self._provision.entries if is_ready else ()
         provide = Provide(route=self.id, pause_revision=self.pausing.revision)
         if entries:
             nodes = node_names(self.endpoints)
             provide = msgspec.structs.replace(provide, lanes=entries, nodes=nodes, via=self._loop_guard.via)
-        if self._clients and not self._clients.ready:
+        if self._clients.services and not is_ready:
             waited = self.context.now() - self._unmatched_since
             self._advance_after(min(max(_MATCHED_AGAIN, _WAITED_PART * waited), _LONGEST_MATCHED_AGAIN))
         if provide != self._last_sent:
             self._last_sent = provide
             self.peer.send(provide)
+
+    @property
+    def _is_ready(self) -> bool:
+        """Whether a call on every lane would reach a server."""
+        services = self._clients.services
+        return bool(services) and all(each.client.ready for each in services.values())
 
     def _advance_after(self, seconds: float) -> None:
         """Advance again soon: no event announces what is waited for."""
@@ -200,10 +247,9 @@ class ProvidingRoute(CallsRoute):
 
     def _advance_again(self) -> None:
         self._again = None
-        self._advance_if_open()
+        self.advance()
 
-    def _client_failed(self, error: RosError) -> None:
-        """Handle that a client has failed and closed itself."""
+    def endpoint_failed(self, error: RosError) -> None:
         self._no_clients(error)
         self._tell()
         self.flush()
@@ -260,7 +306,7 @@ class ProvidingRoute(CallsRoute):
 
     def _pass_on(self, frame: CallFrame, call: PeersCall) -> None:
         """Call the node, once it has read earlier calls."""
-        client = self._clients.clients[frame.lane]
+        client = self._clients.services[frame.lane].client
         call.waits = client.is_busy
         client.in_turn(frame.call, partial(self._take_turn, frame, call))
 
@@ -300,7 +346,7 @@ class ProvidingRoute(CallsRoute):
 
     def _call(self, frame: CallFrame, call: PeersCall) -> None:
         try:
-            call.number = self._clients.clients[frame.lane].call(frame.content)
+            call.number = self._clients.services[frame.lane].client.call(frame.content)
         except RosError as error:
             self.notices.message_error(EventCode.ROUTE_CALL_FAILED, str(error))
             self._give_up(frame.call, Refused.NOT_SENT)
@@ -345,16 +391,15 @@ class ProvidingRoute(CallsRoute):
 
     # --- answers, from ROS to the channel
 
-    def _responded(self, lane: int, responses: Sequence[Response]) -> None:
+    def responded(self, service: CalledService, responses: Sequence[Response]) -> None:
         """Take responses of servers here, the oldest first."""
         for response in responses:
-            client = self._clients.clients.get(lane)
-            if client is None or not client.answered(response.number):
-                self._take_response(lane, response)
+            if not service.client.answered(response.number):
+                self._take_response(service, response)
         self.flush()
 
-    def _take_response(self, lane: int, response: Response) -> None:
-        peers = self._by_number.pop((lane, response.number), None)
+    def _take_response(self, service: CalledService, response: Response) -> None:
+        peers = self._by_number.pop((service.lane, response.number), None)
         if peers is None or not self._answer(peers, response.payload):
             self.calls.late += 1
 
@@ -386,8 +431,8 @@ class ProvidingRoute(CallsRoute):
     def _ended(self, peers: int) -> None:
         """Forget what else is held of a call that has ended."""
         self._outbox.forget(peers)
-        for client in self._clients.clients.values():
-            client.waiting.pop(peers, None)
+        for service in self._clients.services.values():
+            service.client.waiting.pop(peers, None)
 
     def _expired(self, number: int, call: PeersCall) -> None:
         self.calls.expired += 1
@@ -430,7 +475,7 @@ class ProvidingRoute(CallsRoute):
 
     # --- messages of lanes that are topics
 
-    def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
+    def published(self, lane: int, messages: Sequence[RawMessage]) -> None:
         """Send messages from ROS, the oldest first."""
         still = self.channel.still(self.context.now()) if self.channel is not None and self.channel.ready else 0.0
         for message in messages:

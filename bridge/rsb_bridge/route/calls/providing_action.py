@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RawMessage, Response
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.calls.paced_client import PacedClient
+    from rsb_bridge.route.calls.providing import CalledService
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
 
@@ -72,12 +73,12 @@ class ProvidingActionRoute(ProvidingRoute):
     # --- setting up
 
     def _advance(self) -> None:
-        had_server, opened = bool(self._provision.entries), dict(self._clients.types)
+        had_server, opened = bool(self._provision.entries), dict(self._clients.services)
         super()._advance()
         if not self.life.accepted:
             return
         # New clients number their calls from the start: their answers would be taken for answers to earlier questions.
-        if self._clients.types != opened:
+        if self._clients.services != opened:
             self.answers.clients_closed()
         if had_server and not self._provision.entries:
             self.goals.server_gone()
@@ -88,7 +89,7 @@ class ProvidingActionRoute(ProvidingRoute):
             return
         if self._status and not self._status_sent:  # the server does not publish it again for the new opening
             self._send_status()
-        if self._clients.ready:
+        if self._is_ready:
             self.interrupted_at = None
             for question in self.answers.to_ask(self._present):
                 self._ask_result(question)
@@ -115,11 +116,12 @@ class ProvidingActionRoute(ProvidingRoute):
     # --- cancels of this side's, once an arming ends (``on_end: cancel``)
 
     def _cancel(self, goals: Iterable[bytes]) -> None:
-        client = self._clients.clients.get(CANCEL_GOAL)
+        service = self._clients.services.get(CANCEL_GOAL)
         for goal in goals:
-            if client is None:
+            if service is None:
                 self._may_go_on(goal, "its server has gone")
             else:
+                client = service.client
                 self._cancels[client, goal] = goal, self.context.now()
                 client.in_turn(goal, partial(self._send_cancel, client, goal))
 
@@ -130,12 +132,11 @@ class ProvidingActionRoute(ProvidingRoute):
         except RosError as error:
             self._may_go_on(goal, str(error))
 
-    def _is_cancelled(self, lane: int, response: Response) -> bool:
+    def _is_cancelled(self, service: CalledService, response: Response) -> bool:
         """Whether a response is the answer to one of these cancels, and of no call of the other side's."""
-        client = self._clients.clients.get(lane)
-        if lane != CANCEL_GOAL or client is None or (client, response.number) not in self._cancels:
+        if (service.client, response.number) not in self._cancels:
             return False
-        goal, _ = self._cancels.pop((client, response.number))
+        goal, _ = self._cancels.pop((service.client, response.number))
         if refuses_cancel(response.payload):
             self._may_go_on(goal, "its server refuses that")
         return True
@@ -180,7 +181,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def _ask_result(self, question: CallIdentity, *calls: int) -> None:
         """Ask the server for a result in its turn; its answer is kept, and sent to the calls that wait for it."""
-        client = self._clients.clients[GET_RESULT]
+        client = self._clients.services[GET_RESULT].client
         self.answers.asked(question, 0, frozenset(self._present), *calls)
         if question not in client.waiting:
             client.in_turn(question, partial(self._send_result_request, question))
@@ -189,7 +190,7 @@ class ProvidingActionRoute(ProvidingRoute):
         if question not in self.answers:
             return  # it was forgotten
         try:
-            number = self._clients.clients[GET_RESULT].call(result_request(question.about))
+            number = self._clients.services[GET_RESULT].client.call(result_request(question.about))
         except RosError as error:
             for call in self.answers.calls_for(question):
                 self._give_up(call, Refused.NOT_SENT)
@@ -199,17 +200,17 @@ class ProvidingActionRoute(ProvidingRoute):
 
     # --- answers
 
-    def _take_response(self, lane: int, response: Response) -> None:
-        if self._is_cancelled(lane, response):
+    def _take_response(self, service: CalledService, response: Response) -> None:
+        if self._is_cancelled(service, response):
             return
-        number, payload, linked = response.number, response.payload, self.interrupted_at is None
+        lane, number, payload, linked = service.lane, response.number, response.payload, self.interrupted_at is None
         answered = self.answers.answered(lane, number, payload, self.context.now(), linked=linked)
         if answered is None:  # its question is not kept
-            super()._take_response(lane, response)
+            super()._take_response(service, response)
             return
         question, calls = answered
         if (lane, number) in self._by_number:
-            super()._take_response(lane, response)
+            super()._take_response(service, response)
         for call in calls:
             self._answer(call, payload)
         self.goals.response(lane, question.about, payload)
@@ -220,10 +221,10 @@ class ProvidingActionRoute(ProvidingRoute):
             self._cancel((question.about,))
         # The result is asked for at once, because the link may be lost at any time.
         result = CallIdentity(GET_RESULT, question.about)
-        if result not in self.answers and GET_RESULT in self._clients.clients:
+        if result not in self.answers and GET_RESULT in self._clients.services:
             self._ask_result(result)
 
-    def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
+    def published(self, lane: int, messages: Sequence[RawMessage]) -> None:
         """Read the server's feedback or status, and send it."""
         if lane == STATUS:
             self._status, self._status_sent = messages[-1].payload, False
@@ -232,7 +233,7 @@ class ProvidingActionRoute(ProvidingRoute):
         if self.life.accepted and lane == STATUS:
             self._send_status()
         elif self.life.accepted:
-            super()._published(lane, messages)
+            super().published(lane, messages)
 
     def _send_status(self) -> None:
         self._status_sent = True
