@@ -278,7 +278,7 @@ class Feature:
         return ()
 
     def actions(self) -> Iterable[Any]:
-        """Return actions with their keys, each a `rsb_console.actions.Action` with `run`."""
+        """Return actions with their keys, each a `rsb_console.actions.action.Action` with `run`."""
         return ()
 
     def message_views(self) -> Iterable[Any]:

@@ -17,9 +17,9 @@ from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.faults import ChangeKind, FaultWatch, fault_count
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_bridge.model.verdict import LinkCause
-from rsb_console.actions import Group
-from rsb_console.operations.bridge_operations import BridgeOperations, Deadman
-from rsb_console.operations.session_operations import SessionOperations
+from rsb_console.actions.action import Group
+from rsb_console.operations.deadman import Deadman
+from rsb_console.operations.session_operations import attach_instead, confirm_end, welcome
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.main import MainScreen
 from rsb_console.screens.take_over import HandOverScreen, NewQuestions
@@ -105,9 +105,7 @@ class ConsoleApp(TerminalApp[None]):
         self.fault_bell = Bell(self.bell, is_on=self.preferences.bell)
         self.changes = Changes()
         console: Console = self
-        bridge = BridgeOperations(console, lambda: self.main)
-        self.sessions = SessionOperations(console, bridge.reload)
-        self.main: MainScreen = self.main_screen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
+        self.main: MainScreen = self.main_screen(console)
         self.attached_to = ""
         self._session = session
         self._attach_to = attach_to
@@ -136,7 +134,7 @@ class ConsoleApp(TerminalApp[None]):
         elif self._session is not None:
             self._run_session(self._session, self.path, self._first_resources, temporary=self.temporary)
         else:
-            self.main.run_worker(self.sessions.welcome(), group=Group.SESSION, exclusive=True)
+            self.main.run_worker(welcome(self.main), group=Group.SESSION, exclusive=True)
 
     # --- the session
 
@@ -195,7 +193,7 @@ class ConsoleApp(TerminalApp[None]):
                 self.notify(str(error), title="Nobody can attach", severity="warning", markup=False, timeout=15)
             if running is not None:
                 self.engine, self.note = None, "no session"
-                self.main.run_worker(self.sessions.attach_instead(running), group=Group.SESSION, exclusive=True)
+                self.main.run_worker(attach_instead(self.main, running), group=Group.SESSION, exclusive=True)
                 return
         self.engine = engine
         try:
@@ -342,7 +340,7 @@ class ConsoleApp(TerminalApp[None]):
 
     @work(exclusive=True, group=DIALOG)
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
-        if await self.sessions.confirm_end("Quit?", "Quit", Effect.HARMLESS):
+        if await confirm_end(self, "Quit?", "Quit", Effect.HARMLESS):
             self.shut_down(ShutdownReason.QUIT)
 
     async def on_event(self, event: events.Event) -> None:

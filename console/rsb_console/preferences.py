@@ -21,13 +21,13 @@ from textual.theme import Theme
 from rsb_bridge.config.files import is_there, replace_file, why_not_written
 from rsb_bridge.feature import BRINGS_ACTIONS
 from rsb_bridge.model.wording import Wording
-from rsb_console.actions import screens
+from rsb_console.actions.registry import screens
 from rsb_console.look.topic_column import ADDED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from rsb_console.actions import Action
+    from rsb_console.actions.action import Action
 
 THEME_COLORS = (
     "primary", "secondary", "warning", "error", "success", "accent", "foreground", "background", "surface", "panel",

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rsb_console.actions import ACTIONS, Group
+from rsb_console.actions.action import Group
+from rsb_console.actions.registry import ACTIONS
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs/screenshots.py"

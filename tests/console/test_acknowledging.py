@@ -7,6 +7,7 @@ from tests.console.scripted import LINK, NOW, ROUTES
 from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, RouteSnapshot, Snapshot, State
+from rsb_console.actions.registry import BY_ID
 from rsb_console.app import ConsoleApp
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
 from rsb_console.screens.links_screen import LinksScreen
@@ -56,7 +57,7 @@ async def test_acknowledged_fault_is_last_dimmed_and_marked(app: ConsoleApp, pil
     _, state, *cells = table.line(at + 1)
     assert state[0].split() == [ACK_WORD, STATE_WORD[FIRST.state]]
     assert {look for _, look in (state, *cells)} == {"dim"}
-    app.main.action_next_match()
+    app.main.act(BY_ID["next_match"])
     assert app.main.topics.selected is not None
     assert app.main.topics.selected.topic != FIRST.topic
     await pilot.press("f")

@@ -28,7 +28,7 @@ from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.commands import AnswerAsker
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
-from rsb_console.operations.bridge_operations import OperationText
+from rsb_console.operations.topic_operations import OperationText
 from rsb_console.screens.help import HelpScreen
 from rsb_console.screens.take_over import HandOverScreen, HandOverText
 

@@ -23,10 +23,11 @@ from textual.pilot import Pilot
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.control import bridges
 from rsb_bridge.model.session import Topic
-from rsb_console.actions import Group
+from rsb_console.actions.action import Group
 from rsb_console.app import ConsoleApp
-from rsb_console.operations.bridge_operations import OperationText
-from rsb_console.operations.session_operations import SessionQuestion
+from rsb_console.operations.save_operations import SaveQuestion
+from rsb_console.operations.session_operations import SessionQuestion, attach_instead
+from rsb_console.operations.topic_operations import OperationText
 from rsb_console.screens.dialog import OfferScreen
 from rsb_console.screens.session_files import WelcomeScreen
 
@@ -114,9 +115,9 @@ def test_a_bridge_elsewhere_saves_its_session_itself(machine: Machine, engine: S
         engine.session = msgspec.structs.replace(engine.session, topics=(Topic("/new", "transmit"),))
         await shown(pilot, "● unsaved")
         await pilot.press("q")
-        await shown(pilot, SessionQuestion.GOES_ON_UNSAVED, changes=SessionQuestion.UNNAMED())
+        await shown(pilot, SessionQuestion.GOES_ON_UNSAVED, changes=SaveQuestion.UNNAMED())
         await pilot.press("n", "w")
-        await shown(pilot, SessionQuestion.SAVE_THERE, name="robot1")
+        await shown(pilot, SaveQuestion.SAVE_THERE, name="robot1")
         await pilot.press("y")
         await until(pilot, lambda: engine.commands == [("save",)], "saved there")
 
@@ -135,7 +136,7 @@ def test_a_session_that_runs_already_is_offered_instead(machine: Machine, engine
         assert app.engine is None, "a second bridge has not even begun"
         await pilot.press("n")
         await until(pilot, lambda: isinstance(app.screen, WelcomeScreen), "the welcome screen")
-        app.main.run_worker(app.sessions.attach_instead(serve()[1]), group=Group.SESSION, exclusive=True)
+        app.main.run_worker(attach_instead(app.main, serve()[1]), group=Group.SESSION, exclusive=True)
         await until(pilot, lambda: isinstance(app.screen, OfferScreen), "the offer")
         await pilot.press("enter")  # the focus is on Yes
         await until(pilot, lambda: app.attached_to == "robot1", "attached")

@@ -17,7 +17,7 @@ from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_bridge.model.verdict import LinkCause
-from rsb_console.operations.bridge_operations import OperationText
+from rsb_console.operations.topic_operations import OperationText
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.links_screen import LinkText
 from rsb_console.screens.take_over import HandOverScreen

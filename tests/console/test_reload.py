@@ -9,7 +9,7 @@ from tests.console.driving import engine_of, on_main, shown
 
 from rsb_bridge.model.commands import Reload
 from rsb_bridge.model.snapshot import Reloaded
-from rsb_console.operations.bridge_operations import OperationText
+from rsb_console.operations.bridge_operations import ReloadText
 from rsb_console.screens.dialog import ConfirmScreen
 
 if TYPE_CHECKING:
@@ -56,5 +56,5 @@ async def test_what_cannot_change_is_said(app: ConsoleApp, pilot: Pilot[None]) -
     await shown(pilot, "server_port 1 → 2: restart")
     engine_of(app).reloads = Reloaded()
     await pilot.press("f6")
-    await shown(pilot, OperationText.AS_IN_FILE)
+    await shown(pilot, ReloadText.AS_IN_FILE)
     assert engine_of(app).commands == [("reload", True, "drop_arm"), ("reload", True, "drop_arm")]

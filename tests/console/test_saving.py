@@ -15,7 +15,7 @@ from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.config.session_file import dump, load, save
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_console.app import ConsoleApp
-from rsb_console.operations.bridge_operations import OperationText
+from rsb_console.operations.bridge_operations import ReloadText
 from rsb_console.operations.session_operations import SessionQuestion
 from rsb_console.screens.session_files import LIMIT, SaveText, recent_sessions, remember
 from rsb_console.session.saving import moved, unsaved
@@ -178,7 +178,7 @@ async def test_file_changed_on_disk_can_be_reloaded(app: ConsoleApp, pilot: Pilo
     await pilot.press("w")
     await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
     await pilot.click("#reload")
-    await shown(pilot, OperationText.RELOAD)
+    await shown(pilot, ReloadText.RELOAD)
     await pilot.press("y")
     await shown(pilot, "reloaded")
     assert engine_of(app).commands == [("reload", True, "drop_arm"), ("reload", False, "drop_arm")]

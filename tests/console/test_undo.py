@@ -30,7 +30,7 @@ from tests.support.long import long
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, PatternSnapshot, Snapshot, State
-from rsb_console.operations.bridge_operations import OperationText
+from rsb_console.operations.topic_operations import OperationText
 from rsb_console.screens.dialog import ConfirmScreen, UndoScreen
 from rsb_console.session.changes import STEPS, Changes, Paused
 

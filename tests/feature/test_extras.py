@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, BRINGS_TRANSPORTS, installed
-from rsb_console.actions import ACTIONS
+from rsb_console.actions.registry import OF_CORE
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = {each.parent.name: each.parent for each in ROOT.glob("extras/rsb_extras/*/__init__.py")}
@@ -52,7 +52,7 @@ def test_the_core_knows_which_feature_brings_which_key() -> None:
 @pytest.mark.skipif(not FOLDERS, reason="the core alone")
 def test_the_core_knows_which_feature_brings_which_action() -> None:
     features = (importlib.import_module(f"rsb_extras.{name}").FEATURE for name in FOLDERS)
-    of_core = {action.id for action in ACTIONS if action.run is None}
+    of_core = {action.id for action in OF_CORE}
     brought = {
         action.id: feature.name
         for feature in features

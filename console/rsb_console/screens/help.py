@@ -11,7 +11,8 @@ from textual.binding import Binding
 from textual.command import DiscoveryHit, Hit, Provider
 from textual.screen import ModalScreen
 
-from rsb_console.actions import KEYS_ON_SCREENS, NAMESPACE, Group
+from rsb_console.actions.action import NAMESPACE, Group
+from rsb_console.actions.registry import KEYS_ON_SCREENS
 from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from textual.command import Hits
     from textual.screen import Screen
 
-    from rsb_console.actions import Action, KeyChapter
+    from rsb_console.actions.action import Action, KeyChapter
     from rsb_console.console_api import ConsoleShell
     from rsb_console.widgets.lines import Line
 

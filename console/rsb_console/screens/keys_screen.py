@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Session
     from rsb_console.console_api import Console
+    from rsb_console.screens.main import MainScreen
 
 NAME_WIDTH = 30
 
@@ -237,3 +238,7 @@ class GenerateScreen(FormScreen[Path]):
             title="A new key", markup=False, timeout=10,
         )  # fmt: skip
         self.dismiss(result)
+
+
+async def show_keys(screen: MainScreen) -> None:
+    await screen.console.ask(KeysScreen(screen.console))

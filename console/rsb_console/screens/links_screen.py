@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
     from rsb_console.console_api import Console
+    from rsb_console.screens.main import MainScreen
 
 HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
 _NAMED = 3
@@ -274,3 +275,7 @@ class LinksScreen(ModalScreen[None]):
         link = self.table.selected
         if link is not None:
             await remove_client(self.console, link.name)
+
+
+async def show_links(screen: MainScreen) -> None:
+    await screen.console.ask(LinksScreen(screen.console))

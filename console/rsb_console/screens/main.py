@@ -2,44 +2,34 @@
 
 from __future__ import annotations
 
-import time
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from textual import events, on
-from textual.binding import Binding
 from textual.containers import Horizontal
-from textual.screen import ModalScreen, Screen
-from textual.widgets import Static
+from textual.screen import Screen
 
-from rsb_bridge.config.files import why_not_written
-from rsb_bridge.feature import installed
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.wording import Wording
-from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
-from rsb_console.look import formats
-from rsb_console.look.formats import PatternRow
-from rsb_console.preferences import TOPIC_COLUMNS
-from rsb_console.screens.dialog import Dialog
+from rsb_console.actions.action import NAMESPACE, FooterEntry, Group
+from rsb_console.actions.registry import ACTIONS, BY_ID, bindings
 from rsb_console.widgets.bars import BarState, KeyBar, KeyEntry, StatusBar, state_counts, warning_count
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.fault_pane import Fault, FaultLines, MoreKeys, faults_of
 from rsb_console.widgets.filter import Prompt
-from rsb_console.widgets.lines import fit
-from rsb_console.widgets.log import WORD, LogPane, plain
-from rsb_console.widgets.selectable_list import SelectableList
-from rsb_console.widgets.topics import FAULTS, TopicsTable, is_armed
+from rsb_console.widgets.log import LogPane
+from rsb_console.widgets.topics import FAULTS, TopicsTable
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Mapping, Sequence
+    from collections.abc import Sequence
 
     from textual.app import ComposeResult
 
-    from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
-    from rsb_console.actions import Action
+    from rsb_bridge.model.snapshot import Event, Snapshot
+    from rsb_console.actions.action import Action
     from rsb_console.console_api import Console
     from rsb_console.widgets.lines import Line
+    from rsb_console.widgets.selectable_list import SelectableList
 
 MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen
 
@@ -116,11 +106,14 @@ class Panes(Horizontal):
 class MainScreen(Screen[None]):
     """Topics, detail and log.
 
-    Textual looks up an action's handler on the screen, as ``action_<id>``. Handlers of the view are methods here;
-    handlers of the operations are methods of other objects, named after the actions.
+    Textual looks up an action's handler on the screen, as ``action_<id>``: each does the registry's action.
 
-    Args:
-        operations: for each group of actions an object with their methods, which may wait for dialogs.
+    Attributes:
+        filtered: the pane that the prompt filters.
+        frozen_since: when the operator froze the view, as of ``time.time()``, or None.
+        is_unsaved: whether the session differs from its file.
+        topic_counts: how many topics have which fault.
+        link_counts: the same of links.
     """
 
     BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
@@ -130,32 +123,34 @@ class MainScreen(Screen[None]):
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual declares it without ClassVar
     VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- as above
 
-    def __init__(self, console: Console, operations: Mapping[Group, object]) -> None:
+    def __init__(self, console: Console) -> None:
         super().__init__()
         self.console = console
-        self._explanations = Explanations(console)
+        self.explanations = Explanations(console)
         for action in ACTIONS:
-            if action.run is not None or action.group in operations:
-                run = action.run
-                method = getattr(operations[action.group], action.id) if run is None else partial(run, self)
-                setattr(self, f"action_{action.id}", partial(self._run_operation, method, action))
+            if action.run is not None:
+                setattr(self, f"action_{action.id}", partial(self.act, action))
         self.status, self.faults, self.prompt, self.key_bar = StatusBar(), FaultLines(), Prompt(), KeyBar()
         self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()
-        self._filtered: TopicsTable | LogPane = self.topics
-        self._frozen_since: float | None = None
+        self.filtered: TopicsTable | LogPane = self.topics
+        self.frozen_since: float | None = None
         self._held: list[Event] = []
-        self._keys_shown_for: tuple[object, ...] = ()
-        self._topic_counts: Line = ()
-        self._link_counts: Line = ()
-        self._unsaved = False
+        self._keys_shown: list[KeyEntry] | None = None
+        self.topic_counts: Line = ()
+        self.link_counts: Line = ()
+        self.is_unsaved = False
 
-    def _run_operation(self, operation: Callable[[], Awaitable[None]], action: Action) -> None:
-        if action.needs_topic:
-            if not (action.id == "arm" and self._disarms) and not self.topics.is_seen():
+    def act(self, action: Action) -> None:
+        """Do an action; one that waits goes on as a worker."""
+        assert action.run is not None
+        if action.changes and action.needs_topic:
+            if not (action.stops is not None and action.stops(self)) and not self.topics.is_seen():
                 return
             self.topics.hold()  # the next key is for the same topic, wherever its new state puts it
-        exclusive = action.group is Group.SESSION  # another choice of a session replaces one that waits in a dialog
-        self.run_worker(operation(), group=action.group, exclusive=exclusive)
+        doing = action.run(self)
+        if doing is not None:
+            # Another choice of a session replaces one that waits in a dialog.
+            self.run_worker(doing, group=action.group, exclusive=action.group is Group.SESSION)
 
     def compose(self) -> ComposeResult:
         yield self.status
@@ -180,16 +175,16 @@ class MainScreen(Screen[None]):
     def show(self, snapshot: Snapshot, new_events: Sequence[Event]) -> None:
         """Show the engine's state; while frozen, update only the lines at the top."""
         self._held += new_events  # one of them may say why the engine has ended
-        explanations, key = self._explanations, self._explanations.key
-        self.status.show(snapshot, explanations.bar(snapshot, self._frozen_since))
-        self._unsaved = snapshot.unsaved
-        self._topic_counts = state_counts(snapshot.routes, FAULTS)
-        self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
+        explanations, key = self.explanations, self.explanations.key
+        self.status.show(snapshot, explanations.bar(snapshot, self.frozen_since))
+        self.is_unsaved = snapshot.unsaved
+        self.topic_counts = state_counts(snapshot.routes, FAULTS)
+        self.link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
         height, only = self.app.size.height, self.topics.faults_only
         keys = MoreKeys(key("links"), f"{key('detail')} on one" if only else key("faults"))
         faults = [*explanations.faults(snapshot, [*self.log_pane.events, *self._held]), *faults_of(snapshot)]
         self.faults.show(faults, max(3, height // (2 if only else 4)), keys, snapshot.time)
-        if self._frozen_since is None:
+        if self.frozen_since is None:
             self.log_pane.add(self._held)
             self._held = []
             self.topics.show(snapshot)
@@ -205,7 +200,7 @@ class MainScreen(Screen[None]):
     def reset(self) -> None:
         """Begin another session: forget the old one's log."""
         self._held = []
-        self._frozen_since = None
+        self.frozen_since = None
         self.log_pane.clear()
 
     def show_detail(self) -> None:
@@ -219,37 +214,23 @@ class MainScreen(Screen[None]):
     @on(events.ScreenResume)
     @on(events.DescendantFocus)
     def show_keys(self) -> None:
-        """Show the keys that are possible now, if they have changed."""
-        counts = {"faults": self._topic_counts, "links": self._link_counts}
-        route = self.topics.route
-        can = (self._disarms, *(() if route is None else (route.arming is not None, route.lanes)))
-        reads_log, here = self.log_pane.has_focus, self.app.screen is self
-        undoes = len(self.console.changes)
-        nothing = self.topics.selected is None
-        of_changes = (undoes, self._unsaved)
-        depends_on = (here, reads_log, self.console.engine is None, nothing, can, of_changes, *counts.values())
-        if depends_on == self._keys_shown_for:
-            return
-        self._keys_shown_for = depends_on
-        useful = {"undo": bool(undoes), "save": self._unsaved}
-        labels = {"arm": "disarm" if self._disarms else "arm", "detail": "whole line" if reads_log else "detail"}
-        if not here:  # a dialog's keys are the only ones
-            self.key_bar.show([])
-            return
-        self.key_bar.show(
-            [
-                KeyEntry(
-                    self.console.key_labels(action)[0],
-                    labels.get(action.id, action.label),
-                    f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
-                    # Help stays on any screen, as it lists all others.
-                    0 if action.id in ("help", "quit") else 1 if counts.get(action.id) or action.id == "save" else 2,
-                    counts.get(action.id, ()),
-                )
-                for action in ACTIONS
-                if action.in_footer and self.check_action(action.id, ()) and useful.get(action.id, True)
-            ]
-        )
+        """Show the keys that are possible now, if they have changed; none below a dialog, which has its own."""
+        here = self.app.screen is self
+        entries = [entry for action in ACTIONS if here and action.in_footer if (entry := self._key_entry(action))]
+        if entries != self._keys_shown:
+            self._keys_shown = entries
+            self.key_bar.show(entries)
+
+    def _key_entry(self, action: Action) -> KeyEntry | None:
+        if not self.check_action(action.id, ()):
+            return None
+        footer = FooterEntry(action.label) if action.footer is None else action.footer(self)
+        if footer is None:
+            return None
+        # Help stays on any screen, as it lists all others.
+        rank = 0 if action.id in ("help", "quit") else 1 if footer.counts or footer.keeps_place else 2
+        key, place = self.console.key_labels(action)[0], NAMESPACE[action.group]
+        return KeyEntry(key, footer.label, f"{place}.{action.id}", rank, footer.counts)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Grey out actions that need a topic while none is selected; hide all changes while read-only."""
@@ -258,20 +239,11 @@ class MainScreen(Screen[None]):
             return super().check_action(action, parameters)
         if known.group is Group.OPERATE and self.console.engine is None:
             return None
-        route = self.topics.route
-        if action == "arm" and (route is None or route.arming is None) and not self._disarms:
-            return False
-        if action == "call" and (route is None or not route.lanes):
-            return False
-        if known.needs_topic and self.topics.selected is None and not (action == "detail" and self.log_pane.has_focus):
+        if known.possible is not None and not (possible := known.possible(self)):
+            return possible
+        if known.needs_topic and self.topics.selected is None:
             return None
         return self.app.check_action(action, parameters)
-
-    @property
-    def _disarms(self) -> bool:
-        """Whether the key that arms would disarm: the topic under the cursor, or else what this console holds."""
-        route = self.topics.route
-        return bool(self.console.deadman.held) if route is None or route.arming is None else is_armed(route)
 
     def on_key(self, event: events.Key) -> None:
         """Explain why a key for a change does nothing."""
@@ -285,246 +257,32 @@ class MainScreen(Screen[None]):
 
     def on_selectable_list_chosen(self, event: SelectableList.Chosen) -> None:
         if event.pane in {self.topics, self.log_pane}:
-            self.action_detail()
+            self.act(BY_ID["detail"])
 
     def on_resize(self, event: events.Resize) -> None:
         """Fill the detail, which may have come into view."""
         self.call_after_refresh(self.show_detail)
 
-    # -- view actions -------------------------------------------------------------------------------------------------
-
     @property
-    def _list(self) -> TopicsTable | LogPane:
+    def pane(self) -> TopicsTable | LogPane:
         """The pane that filter, export and the like act on: the log if it has the focus, otherwise the topics."""
         return self.log_pane if self.log_pane.has_focus else self.topics
 
-    def action_filter(self) -> None:
-        pattern = self._list.pattern
-        self._filtered = self._list
-        self.prompt.open("" if pattern is None else pattern.text)
-
     def on_prompt_changed(self, event: Prompt.Changed) -> None:
-        self._filtered.pattern = event.pattern
-        self._filtered.relist()
+        self.filtered.pattern = event.pattern
+        self.filtered.relist()
 
     def on_prompt_closed(self) -> None:
-        self.set_focus(self._filtered)
+        self.set_focus(self.filtered)
 
-    def action_next_match(self) -> None:
-        self._list.next_match(1)
+    @property
+    def mode(self) -> str | None:
+        """The one of `MODES` that gives a pane the whole screen, or None."""
+        return next((mode for mode in MODES if self.has_class(mode)), None)
 
-    def action_previous_match(self) -> None:
-        self._list.next_match(-1)
-
-    def action_faults(self) -> None:
-        self.topics.faults_only = not self.topics.faults_only
-        self.topics.relist()
-        self.console.pull()
-
-    def action_sort_left(self) -> None:
-        """Sort by the column to the left."""
-        self.topics.sort_by(-1)
-
-    def action_sort_right(self) -> None:
-        """Sort by the column to the right."""
-        self.topics.sort_by(1)
-
-    def action_reverse(self) -> None:
-        self.topics.reverse()
-
-    def action_group(self) -> None:
-        self.topics.grouped = not self.topics.grouped
-        self.topics.relist()
-
-    def action_columns(self) -> None:
-        """Have the operator choose the columns of the topics."""
-        self.app.push_screen(ColumnsScreen(self.console, self.topics))
-
-    def action_freeze(self) -> None:
-        """Freeze the screen, or continue."""
-        self._frozen_since = time.time() if self._frozen_since is None else None
-        self.console.pull()
-
-    def action_level(self) -> None:
-        self.log_pane.next_level()
-
-    # -- panes --------------------------------------------------------------------------------------------------------
-
-    def _mode(self, mode: str | None) -> None:
+    def set_mode(self, mode: str | None) -> None:
         """Give one pane the whole screen, or share it among all with None."""
         for other in MODES:
             self.set_class(other == mode, other)
         {"-detail": self.detail, "-log": self.log_pane}.get(mode or "", self.topics).focus()
         self.call_after_refresh(self.show_detail)
-
-    def action_detail(self) -> None:
-        """Open a log line or a topic's details: focus the pane, or give it the whole of a narrow screen."""
-        if self.log_pane.has_focus and self.log_pane.selected is not None:
-            self.app.push_screen(EventScreen(self.log_pane.selected))
-        elif self.detail.has_focus:
-            self.action_message()
-        elif self.detail.display:
-            self.detail.focus()
-        else:
-            self._mode("-detail")
-
-    def action_message(self) -> None:
-        route = self.topics.selected
-        if route is None or self.console.engine is None:
-            return
-        if isinstance(route, PatternRow):
-            self.notify(MainText.IS_PATTERN(topic=route.topic), markup=False, timeout=4)
-        elif route.calls is None:
-            self._show_messages(route)
-        else:
-            text = MainText.NO_MESSAGES if self.console.readonly else MainText.NO_MESSAGES_BUT_CALLS
-            self.notify(text(topic=route.topic, key=self._explanations.key("call")), markup=False, timeout=4)
-
-    def _show_messages(self, route: RouteSnapshot) -> None:
-        """Show a topic's messages in the usual way of their type, then in the others, until the screen is closed."""
-        from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415 -- keeps the start short
-
-        views = [view for feature in installed() for view in feature.message_views()]
-        as_text = partial(MessageScreen, other=views[0].name if views else "")
-        ways = [*(view.screen for view in views), as_text]
-        usual = next((at for at, view in enumerate(views) if view.suits(route.type_name)), len(views))
-
-        def show(at: int) -> None:
-            self.app.push_screen(
-                ways[at % len(ways)](self.console, route), lambda other: show(at + 1) if other else None
-            )
-
-        show(usual)
-
-    def action_zoom(self) -> None:
-        """Maximize the focused pane, or restore the layout."""
-        if any(self.has_class(mode) for mode in MODES):
-            self._mode(None)
-        else:
-            self._mode("-log" if self.log_pane.has_focus else "-detail" if self.detail.has_focus else "-table")
-
-    def action_log(self) -> None:
-        """Focus the log, maximized if it has no room, or go back."""
-        if self.log_pane.has_focus:
-            self._mode(None)
-        elif self.log_pane.display:
-            self.log_pane.focus()
-        else:
-            self._mode("-log")
-
-    def action_back(self) -> None:
-        """Close the open pane, or drop the filters."""
-        if any(self.has_class(mode) for mode in MODES):
-            self._mode(None)
-        elif not self.topics.has_focus:
-            self.topics.focus()
-        elif self.topics.pattern is not None or self.topics.faults_only:
-            self.topics.pattern, self.topics.faults_only = None, False
-            self.topics.relist()
-
-    # -- text out -----------------------------------------------------------------------------------------------------
-
-    def action_copy(self) -> None:
-        """Copy the line under the cursor."""
-        from rsb_console.terminal.driver import copy  # noqa: PLC0415 -- seldom needed
-
-        event, route = self.log_pane.selected, self.topics.selected
-        text = plain(event) if self.log_pane.has_focus and event else route.topic if route else ""
-        if text:
-            self.notify(copy(self.app, text), timeout=3, markup=False)
-
-    def action_export(self) -> None:
-        """Export the focused list to a file in the working folder."""
-        from rsb_console.session.exports import export_log, export_topics  # noqa: PLC0415 -- seldom needed
-
-        log = self._list is self.log_pane
-        try:
-            path = export_log(self.log_pane.listed) if log else export_topics(self.topics.listed)
-        except OSError as error:
-            self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
-        else:
-            self.notify(f"written to {path}", markup=False)
-
-
-class ColumnsList(SelectableList):
-    """The columns that an operator may choose, with a mark on each chosen one.
-
-    Args:
-        topics: the table whose columns they are.
-    """
-
-    def __init__(self, topics: TopicsTable) -> None:
-        super().__init__(id="columns")
-        self._topics = topics
-        self.keys = list(TOPIC_COLUMNS)
-
-    def on_mount(self) -> None:
-        """Set the height to the number of lines."""
-        self.styles.height = self.line_count
-        self.sync()
-
-    @property
-    def chosen(self) -> frozenset[str]:
-        wanted = self._topics.wanted_columns
-        return frozenset(self.keys) if wanted is None else wanted
-
-    def line(self, index: int) -> Line:
-        title = self.keys[index]
-        wanted = title in self.chosen
-        why = self._topics.why_not_shown(title) if wanted else ""
-        pieces = (
-            ("▌" if self.is_cursor(index) else " ", "key"),
-            (f"{'✓' if wanted else ' '} ", "ok"),
-            (f"{title:<13}", "strong" if wanted else ""),
-            (TOPIC_COLUMNS[title], "" if wanted else "dim"),
-            (f": {why}" if why else "", "dim"),
-        )
-        return fit(pieces, self.size.width)
-
-
-class ColumnsScreen(ModalScreen[None]):
-    """The columns of the topics; each choice is shown at once, and kept for the next start."""
-
-    BINDINGS: ClassVar = [
-        Binding(f"escape,q,{BY_ID['columns'].keys}", "dismiss", show=False),
-        Binding("space,enter", "choose", show=False),
-    ]
-
-    def __init__(self, console: Console, topics: TopicsTable) -> None:
-        super().__init__()
-        self.console, self._topics = console, topics
-        self._list = ColumnsList(topics)
-
-    def compose(self) -> ComposeResult:
-        yield Dialog("Columns", self._list, keys="space show or hide   esc close", shape="")
-
-    def action_choose(self) -> None:
-        """Show the column under the cursor, or hide it."""
-        self._topics.wanted_columns = chosen = self._list.chosen ^ {self._list.keys[self._list.position]}
-        self._topics.relist()
-        self._list.sync()
-        self.console.remember("columns", [title for title in TOPIC_COLUMNS if title in chosen])
-
-    def on_selectable_list_chosen(self) -> None:
-        self.action_choose()
-
-
-class EventScreen(ModalScreen[None]):
-    """The whole text of an event."""
-
-    BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]
-
-    def __init__(self, event: Event) -> None:
-        super().__init__()
-        self._event = event
-
-    def compose(self) -> ComposeResult:
-        """Compose the text, and below it the link and the topic."""
-        event = self._event
-        concerns = [word for word in (event.code, event.link, event.topic) if word]
-        yield Dialog(
-            f"{WORD[event.level]} at {formats.time_of_day(event.time)}",
-            Static(event.text, markup=False),
-            Static(" · ".join(concerns), classes="hint keys", markup=False),
-            keys="esc close",
-        )

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import msgspec
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Event, Snapshot
 
 T = TypeVar("T")
+R = TypeVar("R", bound="Row")
 STEPS = 20
 """Most changes to remember; the oldest are forgotten first. A round figure."""
 
@@ -287,6 +288,8 @@ class Changes:
         self._changes: deque[Change] = deque(maxlen=STEPS)
         self.dropped = False
         """Whether a change of this bridge was here before."""
+        self.is_undoing = False
+        """Whether a question stands, or is carried out, whether to undo one."""
 
     def __len__(self) -> int:
         return len(self._changes)
@@ -316,6 +319,11 @@ class Changes:
 def find_entry(now: Snapshot, key: str) -> Row | None:
     """Return the route or the pattern of a key, or None."""
     return next((each for each in rows_of(now) if each.key == key), None)
+
+
+def present(row: R, now: Snapshot) -> R:
+    """Return the present state of a row: a frozen list shows an old one, and one that a picture has hidden."""
+    return cast("R", find_entry(now, row.key) or row)
 
 
 def patterns_of(now: Snapshot, link: str, like: Topic | None = None) -> list[PatternRow]:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 from textual.geometry import Region
 from textual.message import Message
 
-from rsb_console.actions import Group, bindings
+from rsb_console.actions.action import Group
+from rsb_console.actions.registry import bindings
 from rsb_console.terminal.input_queue import InputGate
 from rsb_console.widgets.lines import LiveLines, clip, fit_middle
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine.bridge import Bridge
     from rsb_bridge.engine.part import EnginePart
     from rsb_bridge.model.commands import Command
-    from rsb_console.actions import Action
+    from rsb_console.actions.action import Action
     from rsb_console.command.remote_arguments import AddCommand, Complete
 
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Mapping
 
-    from rsb_console.actions import Action
+    from rsb_console.actions.action import Action
     from rsb_console.command.remote_arguments import AddCommand, Complete
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rsb_console.actions import ACTIONS, Action, Group
+from rsb_console.actions.action import Action, Group
+from rsb_console.actions.registry import ACTIONS
 
 _ON_FLEET = {
     "back": "Drop the filter, the marks",
@@ -29,7 +30,7 @@ FLEET_ACTIONS: tuple[Action, ...] = (
     Action("edit_marked", "e", "edit", "Edit a topic of the marked robots, one after the other",
            Group.FLEET, changes=True, in_footer=True, also="roll out, max_rate, pause"),
     Action("dismiss", "d", "dismiss", "Forget the robots that have gone", Group.FLEET, in_footer=True),
-    *(replace(action, help=_ON_FLEET.get(action.id, action.help)) for action in ACTIONS
+    *(replace(action, help=_ON_FLEET.get(action.id, action.help), run=None) for action in ACTIONS
       # The fleet's app has no bell.
       if action.id in _ON_FLEET or (action.group in (Group.MOVE, Group.CONSOLE) and action.id != "bell_on_fault")),
 )  # fmt: skip

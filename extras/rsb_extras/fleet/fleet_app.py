@@ -12,7 +12,7 @@ from rsb_bridge.model.commands import Effect
 from rsb_console.app import SSH_RATE, ConsoleApp
 from rsb_console.command import console_command
 from rsb_console.command.shell import prefers_ascii
-from rsb_console.screens.main import MODES, MainScreen
+from rsb_console.screens.main import MainScreen
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.terminal_app import ShutdownReason, TerminalApp
 from rsb_extras.fleet.fleet_actions import FLEET_ACTIONS
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from textual.screen import Screen
 
+    from rsb_console.actions.action import Action
     from rsb_extras.fleet.fleet import Robot, RobotFleet
 
 _BRIDGES_GO_ON = "All bridges go on; only this console ends."
@@ -89,13 +90,13 @@ class FleetApp(TerminalApp["Robot"]):
 class RobotScreen(MainScreen):
     """The main screen of one robot of a fleet: escape returns to the fleet if nothing else is open."""
 
-    def action_back(self) -> None:
-        """Close the open pane or drop the filters; otherwise go back to the fleet."""
-        nothing_open = not any(self.has_class(mode) for mode in MODES) and self.topics.has_focus
-        if nothing_open and self.topics.pattern is None and not self.topics.faults_only:
+    def act(self, action: Action) -> None:
+        """Do an action; go back to the fleet if there is nothing else to go back from."""
+        shows_all = self.topics.pattern is None and not self.topics.faults_only
+        if action.id == "back" and self.mode is None and self.topics.has_focus and shows_all:
             self.console.request_quit()
         else:
-            super().action_back()
+            super().act(action)
 
 
 class RobotApp(ConsoleApp):

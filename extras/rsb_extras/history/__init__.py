@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine.part import EngineObserver
     from rsb_bridge.model.commands import Command
     from rsb_bridge.model.snapshot import Event
-    from rsb_console.actions import Action
+    from rsb_console.actions.action import Action
     from rsb_console.command.remote_arguments import AddCommand, Complete
 
 
@@ -48,7 +48,7 @@ class History(Feature):
         report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
 
     def actions(self) -> Iterable[Action]:
-        from rsb_console.actions import Action, Group, late  # noqa: PLC0415
+        from rsb_console.actions.action import Action, Group, late  # noqa: PLC0415
 
         return (
             Action(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.finding import Check
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.wire.messages import ControlMessageBase
-    from rsb_console.actions import Action
+    from rsb_console.actions.action import Action
     from rsb_console.command.remote_arguments import AddCommand, Complete
     from rsb_console.screens.message_screen import MessageView
 
@@ -68,7 +68,7 @@ class Pictures(Feature):
         return (LOOK,)
 
     def message_views(self) -> Iterable[MessageView]:
-        from rsb_console.actions import late  # noqa: PLC0415
+        from rsb_console.actions.action import late  # noqa: PLC0415
         from rsb_console.screens.message_screen import MessageView  # noqa: PLC0415
 
         place = "rsb_extras.pictures"

@@ -40,7 +40,7 @@ from rsb_bridge.model.robot_summary import Battery, LostMessages, RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Acknowledgement, State
 from rsb_bridge.model.verdict import Cause
-from rsb_console.actions import Group
+from rsb_console.actions.action import Group
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.widgets.bars import state_counts
 from rsb_extras.fleet.fleet_actions import FLEET_ACTIONS

@@ -1,0 +1,1 @@
+"""Every key and action of the console, and what each does."""

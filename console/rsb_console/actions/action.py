@@ -1,0 +1,130 @@
+"""What an action of an operator is: a key with its name, its texts, its condition and what it does."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from enum import StrEnum
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Sequence
+
+    from rsb_bridge.model.snapshot import RouteSnapshot
+
+
+class Group(StrEnum):
+    """An action's chapter in the help, which also says where its handler ``action_<id>`` is."""
+
+    MOVE = "Move"  # the focused list
+    VIEW = "View"  # the main screen
+    OPERATE = "Operate"  # the main screen
+    SESSION = "Session"  # the main screen
+    CONSOLE = "Console"  # the app
+    FLEET = "Fleet"  # the fleet's screen
+
+
+NAMESPACE = {
+    Group.MOVE: "focused", Group.VIEW: "screen", Group.OPERATE: "screen", Group.SESSION: "screen", Group.CONSOLE: "app",
+    Group.FLEET: "screen",
+}  # fmt: skip
+
+
+class KeyChapter(NamedTuple):
+    """The keys of a screen that has its own.
+
+    Attributes:
+        screen: name of the screen's class, or of a base of it.
+        keys: keys, and their meaning.
+    """
+
+    title: str
+    screen: str
+    keys: tuple[tuple[str, str], ...]
+
+
+class OnRobot(NamedTuple):
+    """An action on a screen that shows a robot instead of the list of topics, such as its camera's picture.
+
+    Attributes:
+        key: Textual key name there.
+        suits: whether it may act on a topic of that robot, so that the screen shows the key.
+        run: acts on one of the topics of that robot, or says why on none; a coroutine function of a
+            `rsb_console.console_api.Console` and the topics.
+    """
+
+    key: str
+    suits: Callable[[RouteSnapshot], bool]
+    run: Callable[[Any, Sequence[RouteSnapshot]], Awaitable[None]]
+
+
+class FooterEntry(NamedTuple):
+    """An action in the footer, as the present state makes it.
+
+    Attributes:
+        counts: figures after the label, with their looks.
+        keeps_place: whether it stays where others find no room.
+    """
+
+    label: str
+    counts: tuple[tuple[str, str], ...] = ()
+    keeps_place: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """One action of an operator.
+
+    Functions of the main screen take a `rsb_console.screens.main.MainScreen`.
+
+    Attributes:
+        id: names the handler, ``action_<id>``, and the action in ``keys.yaml``.
+        keys: Textual key names, comma-separated; the first is the one that is shown.
+        label: shown in the footer after the key.
+        help: its description in the help and the palette.
+        changes: whether it changes the bridge or a file, so that ``--readonly`` disables it.
+        needs_topic: whether it acts on the topic under the cursor, and is greyed out without one.
+        in_footer: whether the footer shows it.
+        also: other words by which the palette finds it.
+        run: what it does, a function of the main screen: a coroutine function if it waits, for a dialog for example.
+            None if each list, screen or app that has the action has a method of its own for it.
+        possible: a function of the main screen: whether the action is possible now; None greys it out. None if it
+            always is.
+        footer: a function of the main screen: how the footer shows it now, None if not at all. None if by its label.
+        stops: a function of the main screen: whether the action stops a robot now, and so acts at once, even if its
+            topic has just come under the cursor. None if it never does.
+        on_robot: the same on screens that show a robot; or None.
+        with_message: the same with a message that another screen has made, such as a goal on a map: a coroutine
+            function of a `rsb_console.console_api.Console`, a topic, a type and fields as YAML; or None.
+        after: the id of the action that it follows in help, footer and palette; or empty, to be the last.
+        chapters: the keys of the screens that it opens, for the help.
+    """
+
+    id: str
+    keys: str
+    label: str
+    help: str
+    group: Group
+    _: KW_ONLY
+    changes: bool = False
+    needs_topic: bool = False
+    in_footer: bool = False
+    also: str = ""
+    run: Callable[[Any], Awaitable[None] | None] | None = None
+    possible: Callable[[Any], bool | None] | None = None
+    footer: Callable[[Any], FooterEntry | None] | None = None
+    stops: Callable[[Any], bool] | None = None
+    on_robot: OnRobot | None = None
+    with_message: Callable[[Any, str, str, str], Awaitable[None]] | None = None
+    after: str = ""
+    chapters: tuple[KeyChapter, ...] = ()
+
+
+def late(place: str) -> Callable[..., Any]:
+    """Return a function, ``package.module:function``, that is imported once it is called, to keep the start short."""
+    module, name = place.split(":")
+
+    def call(*arguments: Any) -> Any:
+        return getattr(import_module(module), name)(*arguments)
+
+    return call
