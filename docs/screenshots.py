@@ -21,7 +21,7 @@ from rsb_bridge import __version__
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route import lease
 from rsb_console.app import ConsoleApp
-from rsb_console.look.glyphs import STATE_SIGN
+from rsb_console.notation.glyphs import STATE_SIGN
 from rsb_console.session.demo_session import running_demo
 
 if TYPE_CHECKING:

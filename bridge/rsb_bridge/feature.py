@@ -286,7 +286,7 @@ class Feature:
         return ()
 
     def columns(self) -> Iterable[Any]:
-        """Return columns of the topics, each a `rsb_console.look.topic_column.TopicColumn`."""
+        """Return columns of the topics, each a `rsb_console.notation.topic_column.TopicColumn`."""
         return ()
 
 

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import Console
-    from rsb_console.look.formats import Row
+    from rsb_console.notation.formats import Row
 
     MakeEngine = Callable[[Session, Path], EngineApi]
     Attach = Callable[[], RemoteEngine]

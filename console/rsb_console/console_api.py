@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_console.actions.action import Action
-    from rsb_console.look.formats import Row
+    from rsb_console.notation.formats import Row
     from rsb_console.preferences import Preferences, Setting
     from rsb_console.session.changes import Changes
 

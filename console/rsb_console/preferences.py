@@ -22,7 +22,7 @@ from rsb_bridge.config.files import is_there, replace_file, why_not_written
 from rsb_bridge.feature import BRINGS_ACTIONS
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.registry import screens
-from rsb_console.look.topic_column import ADDED
+from rsb_console.notation.topic_column import ADDED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -24,7 +24,7 @@ from rsb_bridge.model.topic_keys import ForeignKey
 from rsb_console.command.call_command import CallProblem
 from rsb_console.command.remote import RemoteProblem
 from rsb_console.command.target import RouteChoice
-from rsb_console.session.manual_messages import AnswerText
+from rsb_console.notation.formats import AnswerText
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

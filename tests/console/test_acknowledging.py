@@ -9,7 +9,7 @@ from textual.pilot import Pilot
 from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, RouteSnapshot, Snapshot, State
 from rsb_console.actions.registry import BY_ID
 from rsb_console.app import ConsoleApp
-from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
+from rsb_console.notation.glyphs import ACK_WORD, STATE_WORD
 from rsb_console.screens.links_screen import LinksScreen
 from rsb_console.widgets.bars import acknowledged_count, state_counts, warning_count
 from rsb_console.widgets.fault_pane import faults_of

@@ -28,7 +28,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
+from rsb_console.notation.glyphs import STATE_SIGN, STATE_WORD
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

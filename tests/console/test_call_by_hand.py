@@ -33,10 +33,10 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.snapshot import State
 from rsb_console.actions.registry import BY_ID
 from rsb_console.app import ConsoleApp
+from rsb_console.notation.formats import AnswerText
 from rsb_console.screens.call_screen import CallText, answer_lines
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import MainText
-from rsb_console.session.manual_messages import AnswerText
 from rsb_console.session.parameter_values import KIND_NAMES, ValueText, refusal, set_request
 from rsb_console.widgets.lines import ScrolledLines
 

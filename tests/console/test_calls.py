@@ -20,7 +20,7 @@ from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.transports import Protocol
 from rsb_console.app import ConsoleApp
-from rsb_console.look import formats
+from rsb_console.notation import formats
 from rsb_console.preferences import TOPIC_COLUMNS
 from rsb_console.widgets.detail import DetailText
 from rsb_console.widgets.topics import FAULTS, layout, via

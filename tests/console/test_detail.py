@@ -11,7 +11,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.app import ConsoleApp
-from rsb_console.look import formats
+from rsb_console.notation import formats
 from rsb_console.widgets.detail import DetailText, detail_lines
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.console.scripted import LINK
 
-from rsb_console.look import formats
+from rsb_console.notation import formats
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from rich.style import Style
 from textual.color import Color
 
 from rsb_bridge.model.snapshot import State
-from rsb_console.look.ascii_signs import ASCII
-from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, AsciiFilter, braille_plot, sparkline, to_ascii
+from rsb_console.notation.ascii_signs import ASCII
+from rsb_console.notation.glyphs import STATE_SIGN, STATE_WORD, AsciiFilter, braille_plot, sparkline, to_ascii
 
 
 def test_every_state_has_its_own_sign_and_word() -> None:

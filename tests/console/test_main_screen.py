@@ -33,7 +33,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.app import ConsoleApp
-from rsb_console.look import formats
+from rsb_console.notation import formats
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import EmptyTable
 from rsb_console.session.exports import export_topics

@@ -13,7 +13,7 @@ from textual.pilot import Pilot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, State
 from rsb_console.app import ConsoleApp
-from rsb_console.look.formats import pattern_rows
+from rsb_console.notation.formats import pattern_rows
 from rsb_console.session.exports import export_topics
 from rsb_console.widgets.fault_pane import faults_of
 from rsb_console.widgets.topics import COLUMNS

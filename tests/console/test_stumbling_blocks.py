@@ -13,7 +13,7 @@ from textual.pilot import Pilot
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
-from rsb_console.look.glyphs import to_ascii
+from rsb_console.notation.glyphs import to_ascii
 from rsb_console.screens.new_session import FIELDS
 from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.form import Choice

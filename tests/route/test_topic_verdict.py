@@ -37,7 +37,7 @@ from rsb_bridge.route.topic_verdict import (
 )
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import DeafRecord, ReceivedReport, VerdictRecord
-from rsb_console.look import formats
+from rsb_console.notation import formats
 
 NOW = 2e6
 """s."""

@@ -11,8 +11,8 @@ from rsb_console.command.remote_arguments import (
     bridge_command,
     console_options,
     drop_arm_option,
-    late,
     named_bridge_options,
+    subcommand,
 )
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ exit codes:
 
 def add_bridge_commands(command: AddCommand, complete: Complete) -> None:
     summary = "open the console on a bridge that runs already"
-    attach = command("attach", late("local_commands:attach"), summary, EXIT)
+    attach = command("attach", subcommand("local_commands:attach"), summary, EXIT)
     named_bridge_options(attach, complete, json=False)
     console_options(attach, complete)
     remote = partial(bridge_command, command, complete)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_console.command.argument_values import seconds
-from rsb_console.command.remote_arguments import KINDS, NO_BRIDGE, bridge_options, late, route_arguments
+from rsb_console.command.remote_arguments import KINDS, NO_BRIDGE, bridge_options, route_arguments, subcommand
 
 if TYPE_CHECKING:
     from rsb_console.command.remote_arguments import AddCommand, Complete
@@ -40,7 +40,7 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
     """Add `call`, and `param` with its own commands."""
     call = command(
         "call",
-        late("call_command:call_service"),
+        subcommand("call_command:call_service"),
         "call a bridged service once, and print its response as YAML",
         _CALL,
     )
@@ -55,7 +55,7 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
     call.add_argument("--timeout", type=seconds, metavar="SECONDS", help=limit)
     parent = command(
         "param",
-        late("call_command:list_parameters"),
+        subcommand("call_command:list_parameters"),
         "read and set the parameters of a bridged node",
         _PARAM,
     )
@@ -69,7 +69,7 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
         ("describe", "describe_parameter", "print a parameter's type, range and description", ("parameter",)),
     ):
         parser = commands.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
-        parser.set_defaults(command=late(f"call_command:{function}"))
+        parser.set_defaults(command=subcommand(f"call_command:{function}"))
         bridge_options(parser, complete)
         route_arguments(parser, complete, kinds=("parameters",), metavar="NODE")
         for word in words:

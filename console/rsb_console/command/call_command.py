@@ -16,8 +16,8 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line, json_value
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, done, failed, fields_from
+from rsb_console.notation.formats import answer_report
 from rsb_console.session.draft import suggestion
-from rsb_console.session.manual_messages import answer_report
 from rsb_console.session.parameter_values import KIND_NAMES, KINDS, refusal, set_request, value_of
 
 if TYPE_CHECKING:

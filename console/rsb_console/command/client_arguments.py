@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_console.command.remote_arguments import late
+from rsb_console.command.remote_arguments import subcommand
 
 if TYPE_CHECKING:
     import argparse
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def add_client_commands(command: AddCommand, complete: Complete) -> None:
     parent = command(
         "client",
-        late("client_command:list_clients"),
+        subcommand("client_command:list_clients"),
         "add, remove, list and rekey a server's clients",
     )
     commands = parent.add_subparsers(metavar="COMMAND", required=True)
@@ -24,7 +24,7 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
     def client(name: str, summary: str, *, named: bool = True, hands_out: bool = False) -> argparse.ArgumentParser:
         parser = commands.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         function = "list_clients" if name == "list" else f"{name}_client"
-        parser.set_defaults(command=late(f"client_command:{function}"), saves=name != "show")
+        parser.set_defaults(command=subcommand(f"client_command:{function}"), saves=name != "show")
         which = "the server's session file, or its bridge's name; default: the server that runs here"
         complete(parser.add_argument("session", type=Path, metavar="SERVER", nargs="?", help=which), "yaml_files")
         if named:

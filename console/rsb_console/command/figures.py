@@ -15,7 +15,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_line, print_lines
 from rsb_console.command.target import attached, chosen_route, other_side
-from rsb_console.look import formats
+from rsb_console.notation import formats
 
 if TYPE_CHECKING:
     from argparse import Namespace

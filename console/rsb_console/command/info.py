@@ -11,7 +11,7 @@ from rsb_console.command.figures import measured
 from rsb_console.command.formatting import clock, json_line, link_word, links_of, route_of, without_peer
 from rsb_console.command.shell import OK, print_line
 from rsb_console.command.target import attached, chosen_route, other_side
-from rsb_console.look import formats
+from rsb_console.notation import formats
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE
 from rsb_console.command.argument_values import seconds
-from rsb_console.command.remote_arguments import console_options, late
+from rsb_console.command.remote_arguments import console_options, subcommand
 
 if TYPE_CHECKING:
     import argparse
@@ -22,34 +22,36 @@ once, if the package's files are not in the shell's own folders:
 
 
 def add_local_commands(command: AddCommand, complete: Complete) -> None:
-    run = command("run", late("local_commands:run"), "bridge a session, with or without the console")
+    run = command("run", subcommand("local_commands:run"), "bridge a session, with or without the console")
     _run_arguments(run, complete)
-    check = command("check", late("check:check_session"), "describe a session and its mistakes")
+    check = command("check", subcommand("check:check_session"), "describe a session and its mistakes")
     complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
     check.add_argument("--json", action="store_true", help="print JSON, for programs")
-    keygen = command("keygen", late("local_commands:keygen"), "create a key for both sides of a link")
+    keygen = command("keygen", subcommand("local_commands:keygen"), "create a key for both sides of a link")
     keygen.add_argument(
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="key file (%(default)s)"
     )
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
     imports = command(
         "import",
-        late("local_commands:import_sessions"),
+        subcommand("local_commands:import_sessions"),
         "convert another bridge's file to a session",
     )
     _import_arguments(imports, complete)
-    scan = command("bt-scan", late("bt_scan:scan_bluetooth"), "list Bluetooth adapters and their busy RFCOMM channels")
+    scan = command(
+        "bt-scan", subcommand("bt_scan:scan_bluetooth"), "list Bluetooth adapters and their busy RFCOMM channels"
+    )
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
     complete(only, "adapters")
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
     demo = command(
         "demo",
-        late("local_commands:demo"),
+        subcommand("local_commands:demo"),
         "bridge two ROS domains on this machine, with a simulated robot",
     )
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
-    service = command("service", late("service:show_unit"), "run a session as a service of systemd")
+    service = command("service", subcommand("service:show_unit"), "run a session as a service of systemd")
     _service_arguments(service, complete)
 
 
@@ -82,7 +84,7 @@ def _service_arguments(parser: argparse.ArgumentParser, complete: Complete) -> N
         ("uninstall", "remove the session's unit"),
     ):
         action = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
-        action.set_defaults(command=late(f"service:{name}_unit"))
+        action.set_defaults(command=subcommand(f"service:{name}_unit"))
         complete(action.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
         action.add_argument("--system", action="store_true", help="a system service, not one of this user")
         if name != "show":
@@ -116,5 +118,5 @@ def _import_arguments(parser: argparse.ArgumentParser, complete: Complete) -> No
 
 def add_completion(command: AddCommand, _: Complete) -> None:
     summary = "print the completion script for a shell"
-    script = command("completion", late("local_commands:completion"), summary, _COMPLETION)
+    script = command("completion", subcommand("local_commands:completion"), summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")

@@ -36,7 +36,7 @@ exit codes:
 {NO_BRIDGE}"""
 
 
-def late(place: str) -> Callable[[argparse.Namespace], int]:
+def subcommand(place: str) -> Callable[[argparse.Namespace], int]:
     """Return a function that imports a command when it is run, and reports its errors.
 
     Args:
@@ -73,9 +73,9 @@ def bridge_command(
     """Add a command for a running bridge, named by ``--bridge`` or, if it takes no other name, by a plain word.
 
     Args:
-        place: of its function, as for `late`.
+        place: of its function, as for `subcommand`.
     """
-    parser = command(name, late(place), summary, more, after)
+    parser = command(name, subcommand(place), summary, more, after)
     options = bridge_options if about_topic else named_bridge_options
     options(parser, complete)
     return parser

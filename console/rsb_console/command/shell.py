@@ -58,7 +58,7 @@ def print_lines(text: str) -> None:
 
 def _print(text: str) -> None:
     if shows_ascii():
-        from rsb_console.look.ascii_signs import ASCII  # noqa: PLC0415 -- seldom needed
+        from rsb_console.notation.ascii_signs import ASCII  # noqa: PLC0415 -- seldom needed
 
         text = text.translate(ASCII)
     sys.stdout.write(encoded(f"{text}\n").decode(sys.stdout.encoding))

@@ -11,7 +11,7 @@ from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.action import FooterEntry
-from rsb_console.look.formats import PatternRow
+from rsb_console.notation.formats import PatternRow
 from rsb_console.screens.dialog import ConfirmScreen, UndoScreen, is_meant
 from rsb_console.session.changes import (
     Added,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Topic
     from rsb_console.console_api import Console
-    from rsb_console.look.formats import Row
+    from rsb_console.notation.formats import Row
     from rsb_console.screens.main import MainScreen
     from rsb_console.screens.topic_form import TopicDraft
 

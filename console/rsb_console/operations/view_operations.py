@@ -14,8 +14,8 @@ from textual.widgets import Static
 from rsb_bridge.config.files import why_not_written
 from rsb_bridge.feature import installed
 from rsb_console.actions.action import FooterEntry
-from rsb_console.look import formats
-from rsb_console.look.formats import PatternRow
+from rsb_console.notation import formats
+from rsb_console.notation.formats import PatternRow
 from rsb_console.screens.dialog import Dialog
 from rsb_console.screens.main import MainText
 from rsb_console.widgets.log import WORD, plain

@@ -20,10 +20,9 @@ from rsb_bridge.model.commands import Effect, Template
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_console.look import formats
-from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
+from rsb_console.notation import formats
+from rsb_console.notation.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
 from rsb_console.screens.dialog import ConfirmScreen, beginning
-from rsb_console.session.manual_messages import answer_report
 from rsb_console.session.parameter_values import refusal, set_request
 from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
@@ -237,7 +236,7 @@ class CallScreen(FormScreen[PlannedCall]):
         except EngineError as error:
             self._set_answer("", CallResult(f"{FAILED} {_clean(str(error))}", "down"))
         else:
-            report = answer_report(self._route, time.monotonic() - began)
+            report = formats.answer_report(self._route, time.monotonic() - began)
             refused = refusal(answer) if request.sets else None
             if refused is not None:
                 # The call itself has succeeded: a node refuses a parameter in its answer.

@@ -15,8 +15,8 @@ from textual.widgets import Button, Static
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.commands import Effect
 from rsb_console.actions.registry import BY_ID
-from rsb_console.look import formats
-from rsb_console.look.glyphs import DONE, FAILED
+from rsb_console.notation import formats
+from rsb_console.notation.glyphs import DONE, FAILED
 from rsb_console.terminal.input_queue import SEEN_AFTER, GuardedScreen, InputGate
 from rsb_console.widgets.lines import Line, LiveLines
 

@@ -14,8 +14,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.model.wording import Wording
-from rsb_console.look import formats
-from rsb_console.look.glyphs import ACK_WORD, STATE_SIGN, STATE_WORD
+from rsb_console.notation import formats
+from rsb_console.notation.glyphs import ACK_WORD, STATE_SIGN, STATE_WORD
 from rsb_console.screens.dialog import Dialog, is_meant
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.detail import acknowledged_by

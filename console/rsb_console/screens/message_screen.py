@@ -15,8 +15,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
-from rsb_console.look import formats
-from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
+from rsb_console.notation import formats
+from rsb_console.notation.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.session.reading import KnownTypes, age_text, hex_lines, how_it_came, message_lines, plain, read_message
 from rsb_console.terminal.driver import copy

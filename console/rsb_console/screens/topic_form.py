@@ -21,8 +21,8 @@ from rsb_bridge.model.link_budget import LoadSource, cost_of, describe_cost
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
-from rsb_console.look.formats import KIND_NOUN
-from rsb_console.look.glyphs import IN, OUT
+from rsb_console.notation.formats import KIND_NOUN
+from rsb_console.notation.glyphs import IN, OUT
 from rsb_console.session.draft import SWITCHES, Ends, problems_of, topic_of, values_of
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, FieldSearch, FormScreen, Spec
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Kind, Session, Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
-    from rsb_console.look.formats import Row
+    from rsb_console.notation.formats import Row
 
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 _WHICH = ("topic", "kind", "direction", "provider")

@@ -16,7 +16,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import undoing
 from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.patterns import Pattern
-from rsb_console.look.formats import PatternRow, Row, pattern_rows, rows_of
+from rsb_console.notation.formats import PatternRow, Row, pattern_rows, rows_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator, Sequence

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import new_file
 from rsb_bridge.model.text import one_line
-from rsb_console.look.formats import PatternRow, Row
+from rsb_console.notation.formats import PatternRow, Row
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

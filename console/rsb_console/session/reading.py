@@ -11,7 +11,7 @@ from rsb_bridge.cdr.decoder import HEADER_LENGTH, Decoded, Items, decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
-from rsb_console.look import formats
+from rsb_console.notation import formats
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model import faults
 from rsb_bridge.model.snapshot import State
-from rsb_console.look import formats
-from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.notation import formats
+from rsb_console.notation.glyphs import ACK_WORD, ARMED, ARMED_WORD, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from rsb_bridge.model.faults import explained_by_link
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause, LinkCause
-from rsb_console.look import formats
-from rsb_console.look.formats import PatternRow, Row, rows_of
-from rsb_console.look.glyphs import STATE_SIGN
+from rsb_console.notation import formats
+from rsb_console.notation.formats import PatternRow, Row, rows_of
+from rsb_console.notation.glyphs import STATE_SIGN
 from rsb_console.widgets.lines import FixedLines, Line, fit
 
 if TYPE_CHECKING:

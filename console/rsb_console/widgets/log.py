@@ -6,7 +6,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import Level
-from rsb_console.look import formats
+from rsb_console.notation import formats
 from rsb_console.widgets.lines import LiveLines, fit
 from rsb_console.widgets.selectable_list import SelectableList
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, cast
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.transports import short_name
-from rsb_console.look import formats
-from rsb_console.look.formats import KIND_SHORT, PatternRow, Row, rows_of
-from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
-from rsb_console.look.topic_column import ADDED
+from rsb_console.notation import formats
+from rsb_console.notation.formats import KIND_SHORT, PatternRow, Row, rows_of
+from rsb_console.notation.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.notation.topic_column import ADDED
 from rsb_console.widgets.filter import table_title
 from rsb_console.widgets.selectable_list import Column, Order, SortedTable, filled
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, get_args
 
 from rsb_bridge.model.transports import Protocol
 from rsb_console.command.argument_values import seconds
-from rsb_console.command.remote_arguments import late, place_options
+from rsb_console.command.remote_arguments import place_options, subcommand
 
 if TYPE_CHECKING:
     from rsb_console.command.remote_arguments import AddCommand, Complete
@@ -37,7 +37,7 @@ exit codes:
 
 
 def add_bench_command(command: AddCommand, complete: Complete) -> None:
-    run = late("rsb_extras.bench.bench_command:bench")
+    run = subcommand("rsb_extras.bench.bench_command:bench")
     parser = command("bench", run, "measure what this machine, or a link, carries", _BENCH, after="client")
     which = "a running bridge, or its session file"
     # Without SUPPRESS, the default of the missing word would overwrite --bridge.

@@ -8,7 +8,7 @@ from xml.sax.saxutils import escape
 
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
-from rsb_console.look.formats import byte_count, byte_rate, expected
+from rsb_console.notation.formats import byte_count, byte_rate, expected
 from rsb_extras.bench.results import Judged, Load
 
 if TYPE_CHECKING:

@@ -24,10 +24,10 @@ class Doctor(Feature):
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
         from pathlib import Path  # noqa: PLC0415
 
-        from rsb_console.command.remote_arguments import late  # noqa: PLC0415
+        from rsb_console.command.remote_arguments import subcommand  # noqa: PLC0415
 
         summary = "examine this machine: ROS, network, memory, clock, terminal"
-        doctor = add("doctor", late("rsb_extras.doctor.doctor_command:doctor"), summary, after="check")
+        doctor = add("doctor", subcommand("rsb_extras.doctor.doctor_command:doctor"), summary, after="check")
         needs = "also examine what this session needs"
         complete(doctor.add_argument("session", type=Path, metavar="SESSION", nargs="?", help=needs), "yaml_files")
         doctor.add_argument("--json", action="store_true", help="print JSON, for programs")

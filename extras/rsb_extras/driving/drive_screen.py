@@ -27,11 +27,10 @@ from rsb_bridge.model.by_hand import smallest_limits
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.wording import Wording
-from rsb_console.look.formats import PatternRow
+from rsb_console.notation.formats import PatternRow, full_type
 from rsb_console.screens.dialog import ArmScreen, ConfirmScreen
 from rsb_console.screens.main import MainText
 from rsb_console.screens.take_over import AskHolderScreen
-from rsb_console.session.manual_messages import full_type
 from rsb_console.terminal.input_queue import DIALOG, SEEN_AFTER, GuardedScreen, InputGate
 from rsb_extras.driving.landing import ByHandText, Landing, hearing
 from rsb_extras.driving.publish_requests import DraftMessage, Publish

@@ -11,7 +11,7 @@ from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
-from rsb_console.look import formats
+from rsb_console.notation import formats
 from rsb_extras.driving.publish_requests import Publish
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_console.command.argument_values import count, within
-from rsb_console.command.remote_arguments import NO_BRIDGE, bridge_options, late
+from rsb_console.command.remote_arguments import NO_BRIDGE, bridge_options, subcommand
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -32,7 +32,7 @@ exit codes:
 
 
 def add_pub(add: AddCommand, complete: Complete) -> None:
-    pub = add("pub", late("rsb_extras.driving.pub_command:pub"), "publish messages by hand", _MORE, after="echo")
+    pub = add("pub", subcommand("rsb_extras.driving.pub_command:pub"), "publish messages by hand", _MORE, after="echo")
     bridge_options(pub, complete)
     complete(pub.add_argument("topic", metavar="TOPIC", help="its name on this bridge's side"), "available")
     pub.add_argument(

@@ -16,7 +16,7 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
-from rsb_console.look.glyphs import DONE, FAILED
+from rsb_console.notation.glyphs import DONE, FAILED
 from rsb_console.screens.dialog import ConfirmScreen, beginning
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, FormScreen, Notice, Spec, TextField

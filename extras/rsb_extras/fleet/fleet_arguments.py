@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_console.command.argument_values import count, seconds
 from rsb_console.command.command_parser import CommandParser
-from rsb_console.command.remote_arguments import bridge_options, console_options, late
+from rsb_console.command.remote_arguments import bridge_options, console_options, subcommand
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -70,7 +70,9 @@ _IN_FLEET = (
 
 def add_fleet_commands(command: AddCommand, complete: Complete) -> None:
     """Add `fleet` and its own commands."""
-    fleet = command("fleet", late("rsb_extras.fleet.fleet_command:show_fleet"), "show all robots on one screen", _FLEET)
+    fleet = command(
+        "fleet", subcommand("rsb_extras.fleet.fleet_command:show_fleet"), "show all robots on one screen", _FLEET
+    )
     bridge_options(fleet, complete, which=_WHICH_SERVER, all_bridges=True)
     fleet.add_argument(
         "--seconds",
@@ -115,7 +117,7 @@ def say_what_runs(commands: Mapping[str, argparse.ArgumentParser]) -> None:
 
 
 def add_demo_options(demo: argparse.ArgumentParser) -> None:
-    run = late("rsb_extras.fleet.fleet_demo:demo")
+    run = subcommand("rsb_extras.fleet.fleet_demo:demo")
     told = "the fleet's screen on several simulated robots instead"
     demo.add_argument("--fleet", action="store_const", dest="command", const=run, help=told)
     demo.add_argument(
@@ -138,7 +140,7 @@ def _add_fleet_command(
         epilog=more,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(command=late(f"rsb_extras.fleet.fleet_command:{function}"))
+    parser.set_defaults(command=subcommand(f"rsb_extras.fleet.fleet_command:{function}"))
     bridge_options(parser, complete, which=_WHICH_SERVER, all_bridges=True)
     for option in parser._actions:
         if option.dest in ("bridge", "control", "way", "json"):

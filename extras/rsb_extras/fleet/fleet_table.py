@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.snapshot import State
-from rsb_console.look import formats
-from rsb_console.look.glyphs import ACK_WORD, KNOWN, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.notation import formats
+from rsb_console.notation.glyphs import ACK_WORD, KNOWN, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import FixedLines, fit
 from rsb_console.widgets.selectable_list import Column, Order, SortedTable, filled
 from rsb_console.widgets.topics import HISTORY, WIDE

@@ -20,8 +20,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.file_form import KEYS
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.text import join_first, plural
-from rsb_console.look import formats
-from rsb_console.look.glyphs import DONE, FAILED, UNDER_WAY
+from rsb_console.notation import formats
+from rsb_console.notation.glyphs import DONE, FAILED, UNDER_WAY
 from rsb_console.screens.dialog import ConfirmScreen, Dialog
 from rsb_console.screens.topic_form import fields_by_kind, padded
 from rsb_console.session.draft import SWITCHES, Ends, TypedError, typed_topic, values_of

@@ -38,10 +38,10 @@ class History(Feature):
         return (read_events(files.events, 0.0) for files in files_of(name, os.environ))
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
-        from rsb_console.command.remote_arguments import EXIT, late, named_bridge_options  # noqa: PLC0415
+        from rsb_console.command.remote_arguments import EXIT, named_bridge_options, subcommand  # noqa: PLC0415
 
         summary = "print the history of the last hours, even of a bridge that has ended"
-        report = add("report", late("rsb_extras.history.report_command:report"), summary, EXIT, after="events")
+        report = add("report", subcommand("rsb_extras.history.report_command:report"), summary, EXIT, after="events")
         named_bridge_options(report, complete)
         span = "time span: 8h, 30m, ...; at most 24h (%(default)s)"
         report.add_argument("--last", default="8h", metavar="SPAN", help=span)

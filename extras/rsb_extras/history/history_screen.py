@@ -15,8 +15,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
-from rsb_console.look import formats
-from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.notation import formats
+from rsb_console.notation.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.filter import Prompt
 from rsb_console.widgets.lines import FixedLines, Line, fit, fit_middle

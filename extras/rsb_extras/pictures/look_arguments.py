@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_console.command.argument_values import count, timeout, within
-from rsb_console.command.remote_arguments import NO_BRIDGE, bridge_options, late
+from rsb_console.command.remote_arguments import NO_BRIDGE, bridge_options, subcommand
 
 if TYPE_CHECKING:
     from rsb_console.command.remote_arguments import AddCommand, Complete
@@ -30,7 +30,7 @@ exit codes:
 
 def add_look(add: AddCommand, complete: Complete) -> None:
     summary = "draw a topic's messages as pictures, images included"
-    look = add("look", late("rsb_extras.pictures.look_command:look"), summary, _MORE, after="echo")
+    look = add("look", subcommand("rsb_extras.pictures.look_command:look"), summary, _MORE, after="echo")
     bridge_options(look, complete)
     topics = "name on this side, or on the other one; the further ones are laid over a map"
     complete(look.add_argument("topics", nargs="+", metavar="TOPIC", help=topics), "available")

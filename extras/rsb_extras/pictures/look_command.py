@@ -35,8 +35,8 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_line, shows_ascii
 from rsb_console.command.target import UsageError, attached, done, failed, other_side
-from rsb_console.look import formats
-from rsb_console.look.glyphs import to_ascii
+from rsb_console.notation import formats
+from rsb_console.notation.glyphs import to_ascii
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS, Picture, Pixels, Wish, in_full
 from rsb_extras.pictures.picture_files import FORMATS, picture_file, png

@@ -28,9 +28,8 @@ from rsb_bridge.model.names import other_side
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.registry import ACTIONS, BY_ID
-from rsb_console.look import formats
+from rsb_console.notation import formats
 from rsb_console.screens.dialog import FullScreen
-from rsb_console.session.manual_messages import full_type
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
 from rsb_extras.pictures.drawing import VIEWS, is_layer, is_map
@@ -491,7 +490,7 @@ class ViewScreen(FullScreen[bool]):
 
     def _goal_topic(self) -> str:
         """Return a topic of poses that goes to the side of the map, or the usual name."""
-        poses = (each.topic for each in self._routes if each.outgoing and full_type(each) in (POSE, ""))
+        poses = (each.topic for each in self._routes if each.outgoing and formats.full_type(each) in (POSE, ""))
         return next((topic for topic in poses if topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
 
     @property

@@ -17,7 +17,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import has_text, says
 
 from rsb_bridge.api import EngineError
-from rsb_console.look import formats
+from rsb_console.notation import formats
 from rsb_extras.pictures import look_command
 from rsb_extras.pictures.look_command import LookText
 from rsb_extras.pictures.picture import Cells, Curve, Picture, Pixels, Series, Viewed, Wish

@@ -44,7 +44,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
 from rsb_console.actions.registry import BY_ID
 from rsb_console.app import ConsoleApp
-from rsb_console.look import formats
+from rsb_console.notation import formats
 from rsb_console.screens.help import KeyList
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.widgets.form import FormScreen

@@ -1,4 +1,4 @@
-"""Formats for figures, times and kinds of routes, and for patterns as rows."""
+"""Formats for figures, times, kinds and types of routes, and answers, and for patterns as rows."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
+from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import RouteSnapshot
-from rsb_bridge.model.text import plural
+from rsb_bridge.model.text import join_first, plural
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -25,6 +27,14 @@ KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": 
 KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
 """Kinds as they fit into a narrow column; the first three are ROS's own names for the types."""
 _DAY = 86_400.0
+_NODES_NAMED = 3  # nodes in a report; the others are counted. A round figure
+
+
+class AnswerText(Wording):
+    """Reports on calls by hand."""
+
+    ANSWERED = "{link}: answered by {nodes} {where}, after {seconds:.3g} s"
+    THERE, HERE = "there", "on this side"
 
 
 def thousands(count: int) -> str:
@@ -191,6 +201,13 @@ def known_type(route: RouteSnapshot) -> str:
     return f"{route.spec.type} (as configured)"
 
 
+def full_type(route: RouteSnapshot) -> str:
+    """Return the full name of a route's type, or an empty string if nobody on this side knows it."""
+    if route.type_name or route.spec.type == AUTO:
+        return route.type_name
+    return expand_type_name(route.spec.type)
+
+
 def counted_kinds(kinds: Iterable[Kind]) -> str:
     """Format a count of routes: ``8 topics, 2 services, parameters of 1 node``; of none, ``0 topics``."""
     counts = Counter(kinds)
@@ -199,6 +216,13 @@ def counted_kinds(kinds: Iterable[Kind]) -> str:
     parts = [counted(counts[kind], noun) for kind, noun in KIND_NOUN.items() if counts[kind]]
     parts += [f"parameters of {counted(nodes, 'node')}"] if nodes else []
     return ", ".join(parts) or counted(0, "topic")
+
+
+def answer_report(route: RouteSnapshot, seconds: float) -> str:
+    """Return the report of a call by hand, which was answered after so many seconds."""
+    nodes = join_first(route.subscribers, _NODES_NAMED) or "a node"
+    where = AnswerText.THERE() if route.outgoing else AnswerText.HERE()
+    return AnswerText.ANSWERED(link=route.link, nodes=nodes, where=where, seconds=seconds)
 
 
 def unanswered(calls: CallsSnapshot) -> int:

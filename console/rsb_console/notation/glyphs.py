@@ -12,7 +12,7 @@ from rich.segment import Segment
 from textual.filter import LineFilter
 
 from rsb_bridge.model.snapshot import State
-from rsb_console.look.ascii_signs import ASCII, DOTS
+from rsb_console.notation.ascii_signs import ASCII, DOTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
