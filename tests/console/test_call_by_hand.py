@@ -34,6 +34,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.actions.registry import BY_ID
 from rsb_console.app import ConsoleApp
 from rsb_console.notation.formats import AnswerText
+from rsb_console.screens.by_hand import FieldsText
 from rsb_console.screens.call_screen import CallText, answer_lines
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import MainText
@@ -123,7 +124,7 @@ async def test_invalid_request_is_told_while_typing(app: ConsoleApp, pilot: Pilo
     await pilot.press("C")
     await shown(pilot, "data: false")
     for wrong, words in (
-        ("- 1\n- 2", CallText.NO_MAPPING),
+        ("- 1\n- 2", FieldsText.NO_MAPPING),
         ("data: [", "while parsing"),
         ("a: &x 1\nb: *x", "alias"),
     ):
@@ -135,7 +136,7 @@ async def test_invalid_request_is_told_while_typing(app: ConsoleApp, pilot: Pilo
     await fill(pilot, request="")
     await gone(pilot, "aliases")
     await pilot.press("f9")
-    await shown(pilot, CallText.ALL_DEFAULTS)
+    await shown(pilot, FieldsText.ALL_DEFAULTS)
     await pilot.press("y")
     await until(pilot, lambda: calls(app) == [("call", MODE.key, "", "")], "an empty request")
 

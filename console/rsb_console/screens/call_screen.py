@@ -10,11 +10,8 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 from rich.cells import chop_cells
 from textual import on, work
 from textual.binding import Binding
-from textual.containers import Horizontal, Vertical
-from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.commands import Effect, Template
 from rsb_bridge.model.snapshot import State
@@ -22,11 +19,12 @@ from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation import formats
 from rsb_console.notation.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
+from rsb_console.screens.by_hand import ByHandScreen, FieldsText, fields_problem
 from rsb_console.screens.dialog import ConfirmScreen, beginning
 from rsb_console.session.parameter_values import refusal, set_request
 from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, FormScreen, Notice, Spec, TextField
+from rsb_console.widgets.form import Field, Spec, TextField
 from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:
@@ -43,8 +41,6 @@ _SET, _SET_LANE = "set", "set_parameters"
 _MOST_LINES = 2_000
 """Lines of an answer that are shown. A round figure: the event loop, for which keys wait, lays them out."""
 _NODES = 3
-_CHECKED = 4 << 10
-"""Longest request (characters) to check while it is typed. A round figure: each key has the whole YAML read again."""
 _KEYS = "F9 call   tab next   y copy the answer   esc close"
 
 
@@ -55,9 +51,7 @@ class CallText(Wording):
     WAITING = "{sign} waiting for the answer, {waited}"
     WAITING_UNTIL = "{sign} waiting for the answer, {waited}; gives up after {limit:g} s"
     NAME_MISSING = "missing: name the parameter, as `ros2 param list` does"
-    NO_MAPPING = "not a mapping of fields: write one line for each field, such as data: true"
     REQUEST_SENT = "It is sent once, {where}:"
-    ALL_DEFAULTS = "(the default of every field)"
     ANSWERED = "{sign} {report}"
     VALUE_SET = "{sign} {report}: it is set"
 
@@ -88,7 +82,7 @@ class CallResult(NamedTuple):
     look: str
 
 
-class CallScreen(FormScreen[PlannedCall]):
+class CallScreen(ByHandScreen[PlannedCall]):
     """Asks for a request, calls once the operator has confirmed, and shows the answer; it stays open for more.
 
     Args:
@@ -96,38 +90,21 @@ class CallScreen(FormScreen[PlannedCall]):
     """
 
     AUTO_FOCUS = ".field TextArea, .field Input, .field Choice"
-    BINDINGS: ClassVar = [
-        *FormScreen.BINDINGS,
-        Binding("f9", "submit", show=False),
-        Binding("y", "copy", show=False),
-    ]
+    BINDINGS: ClassVar = [*ByHandScreen.BINDINGS, Binding("y", "copy", show=False)]
 
     def __init__(self, console: Console, route: RouteSnapshot) -> None:
-        self.console, self._route = console, route
+        self._route = route
         self._templates: dict[str, str] = {}
         self._answer = ""
         self._verdict: CallResult | None = None
         self._under_way_since: float | None = None
-        self._state, self._pane = Notice("call-state"), ScrolledLines(id="answer")
+        self._pane = ScrolledLines(id="answer")
         self._laid_out: tuple[object, ...] = ()
-        super().__init__(f"Call {route.topic} by hand", [_field(spec) for spec in _specs(route)], "Call…")
+        fields = [_field(spec) for spec in _specs(route)]
+        super().__init__(console, f"Call {route.topic} by hand", fields, "Call…", _KEYS, "-call")
 
-    def compose(self) -> ComposeResult:
-        """Compose the form, and the answer below it."""
-        with Vertical(classes="dialog -call") as dialog:
-            dialog.border_title = self._title
-            yield self._state
-            yield self.form
-            yield self.form.problem
-            yield self.form.help
-            with Horizontal(classes="buttons -below-help"):
-                yield from self.compose_buttons()
-            yield self._pane
-            yield Static(_KEYS, classes="hint keys", markup=False)
-
-    def compose_buttons(self) -> ComposeResult:
-        yield Button(self._yes, id="yes", variant="primary", compact=True)
-        yield Button("Close", id="no", compact=True)
+    def compose_result(self) -> ComposeResult:
+        yield self._pane
 
     def on_mount(self) -> None:
         self._show_lane()
@@ -180,18 +157,15 @@ class CallScreen(FormScreen[PlannedCall]):
             self.check()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Return the problems of names, values and YAML. Only the bridge can check fields against the type."""
-        key = "value" if self._lane == _SET else "request"
-        found = {}
-        if self._lane == _SET and not values["name"]:
-            found["name"] = CallText.NAME_MISSING()
+        """Return the problems of names, values and YAML."""
+        if self._lane != _SET:
+            problem = fields_problem(values["request"])
+            return {"request": problem} if problem else {}
+        found = {} if values["name"] else {"name": CallText.NAME_MISSING()}
         try:
-            if self._lane == _SET:
-                set_request(values["name"], values["value"])
-            elif len(text := values["request"]) <= _CHECKED and not isinstance(read_fields(text), dict):
-                found[key] = CallText.NO_MAPPING()
+            set_request(values["name"], values["value"])
         except FieldError as error:
-            found[key] = str(error)
+            found["value"] = str(error)
         return found
 
     def result(self, values: Mapping[str, str]) -> PlannedCall:
@@ -201,7 +175,7 @@ class CallScreen(FormScreen[PlannedCall]):
             means = f"Its new value is sent {self._where}:\n{made.meaning}"
             return PlannedCall(_SET_LANE, made.text, f"Set {values['name']} of {name}?", means, "Set", sets=True)
         service = f"{self._lane} of {name}" if self._lane else name
-        fields = beginning(values["request"]) or CallText.ALL_DEFAULTS()
+        fields = beginning(values["request"]) or FieldsText.ALL_DEFAULTS()
         means = f"{CallText.REQUEST_SENT(where=self._where)}\n{fields}"
         return PlannedCall(self._lane, values["request"], f"Call {service}?", means, "Call", sets=False)
 
@@ -211,9 +185,6 @@ class CallScreen(FormScreen[PlannedCall]):
         return f"to {nodes} {f'behind {self.console.peer_of(self._route)}' if self._route.outgoing else 'on this side'}"
 
     # -- the call -----------------------------------------------------------------------------------------------------
-
-    def action_submit(self) -> None:
-        self.submit()
 
     @work(group=DIALOG)
     async def accept(self, result: PlannedCall) -> None:
@@ -264,7 +235,7 @@ class CallScreen(FormScreen[PlannedCall]):
         """Draw only the changes: laying out a long answer takes a while."""
         if not self._pane.is_attached:
             return
-        self._state.set_text(self._state_text())
+        self.state.set_text(self._state_text())
         width = max(10, self._pane.scrollable_content_region.width)
         what = (self._progress(), self._verdict, self._answer, width)
         if what != self._laid_out:

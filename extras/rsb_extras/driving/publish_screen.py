@@ -3,37 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from textual import on, work
-from textual.binding import Binding
-from textual.containers import Horizontal, Vertical
-from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.fields_text import read_fields
-from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation.glyphs import DONE, FAILED
+from rsb_console.screens.by_hand import ByHandScreen, FieldsText, fields_problem
 from rsb_console.screens.dialog import ConfirmScreen, beginning
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, FormScreen, Notice, Spec, TextField
+from rsb_console.widgets.form import Field, Spec, TextField
 from rsb_extras.driving.landing import REPORTED_WITHIN, Landing, hearing, publish
 from rsb_extras.driving.publish_requests import DraftMessage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from textual.app import ComposeResult
-
     from rsb_console.console_api import Console
     from rsb_console.screens.main import MainScreen
     from rsb_extras.driving.publish_requests import Published
 
-_CHECKED = 4 << 10
-"""Longest message (characters) to check while it is typed. A round figure: each key has the whole YAML read again."""
 _TYPED_FOR = 0.5
 """s without a key in the topic's name after which its fields are looked up."""
 _LANDING, _LOOK_EVERY = "landing", 0.1
@@ -46,12 +38,10 @@ class PublishText(Wording):
 
     TOPIC_MISSING = "missing: name the topic"
     NOT_ABSOLUTE = "a name begins with /"
-    NO_MAPPING = "not a mapping of fields: write one line for each field, such as data: true"
     LAST = "These are the fields of a message that has just passed."
     FIELDS_UNKNOWN = "Its fields are not known: {error}"
     QUESTION = "Publish on {topic}?"
     MEANS = "It is published once, on this side{links}:\n{fields}"
-    ALL_DEFAULTS = "(the default of every field)"
     PUBLISHED = "{sign} published on {topic}: {subscriptions} here{links}"
     OVER_LINKS = ", and over the link to {links}"
     NOBODY = "{sign} nobody gets {topic}: it has no subscription here, and no link takes it{reasons}"
@@ -86,7 +76,7 @@ async def publish_message(console: Console, topic: str, type_name: str, fields: 
     await console.ask(PublishScreen(console, Message(topic, type_name, fields)))
 
 
-class PublishScreen(FormScreen[Message]):
+class PublishScreen(ByHandScreen[Message]):
     """Publishes messages, each after a question; it stays open for more.
 
     Args:
@@ -98,13 +88,10 @@ class PublishScreen(FormScreen[Message]):
     .dialog.-publish { width: 100%; max-width: 110; }
     .dialog.-publish TextArea { height: 40vh; }
     """
-    BINDINGS: ClassVar = [*FormScreen.BINDINGS, Binding("f9", "submit", show=False)]
 
     def __init__(self, console: Console, message: Message) -> None:
-        self.console = console
         self._template = ""
         self._is_busy = False
-        self._state = Notice("call-state")
         fields = [
             Field(Spec("topic", "Topic", "Its name on this side.", message.topic)),
             Field(
@@ -122,23 +109,7 @@ class PublishScreen(FormScreen[Message]):
                 )
             ),
         ]
-        super().__init__("Publish by hand", fields, "Publish…")
-
-    def compose(self) -> ComposeResult:
-        """Compose the form, and the result above it."""
-        with Vertical(classes="dialog -publish") as dialog:
-            dialog.border_title = self._title
-            yield self._state
-            yield self.form
-            yield self.form.problem
-            yield self.form.help
-            with Horizontal(classes="buttons -below-help"):
-                yield from self.compose_buttons()
-            yield Static(_KEYS, classes="hint keys", markup=False)
-
-    def compose_buttons(self) -> ComposeResult:
-        yield Button(self._yes, id="yes", variant="primary", compact=True)
-        yield Button("Close", id="no", compact=True)
+        super().__init__(console, "Publish by hand", fields, "Publish…", _KEYS, "-publish")
 
     def on_mount(self) -> None:
         self._offer_template()
@@ -169,24 +140,18 @@ class PublishScreen(FormScreen[Message]):
             field.value = self._template
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Return the problems of the name and the YAML. Only the bridge can check fields against the type."""
+        """Return the problems of the name and the YAML."""
         found = {}
         if not values["topic"].startswith("/"):
             found["topic"] = PublishText.NOT_ABSOLUTE() if values["topic"] else PublishText.TOPIC_MISSING()
-        try:
-            if len(text := values["message"]) <= _CHECKED and not isinstance(read_fields(text), dict):
-                found["message"] = PublishText.NO_MAPPING()
-        except FieldError as error:
-            found["message"] = str(error)
+        if problem := fields_problem(values["message"]):
+            found["message"] = problem
         return found
 
     def result(self, values: Mapping[str, str]) -> Message:
         return Message(values["topic"], values["type"], values["message"])
 
     # -- publishing ---------------------------------------------------------------------------------------------------
-
-    def action_submit(self) -> None:
-        self.submit()
 
     @work(group=DIALOG)
     async def accept(self, result: Message) -> None:
@@ -195,7 +160,7 @@ class PublishScreen(FormScreen[Message]):
             return
         routes = [each for each in self.console.snapshot().routes if each.outgoing and each.topic == result.topic]
         peers = ", ".join(sorted({self.console.peer_of(each) for each in routes if each.state.flows}))
-        fields = beginning(result.fields) or PublishText.ALL_DEFAULTS()
+        fields = beginning(result.fields) or FieldsText.ALL_DEFAULTS()
         means = PublishText.MEANS(links=f", and goes over the link to {peers}" if peers else "", fields=fields)
         title = PublishText.QUESTION(topic=result.topic)
         if await self.console.ask(ConfirmScreen(title, means, "Publish", Effect.MOVES)):
@@ -206,7 +171,7 @@ class PublishScreen(FormScreen[Message]):
         self._is_busy = True
         # Reports of the message before would overwrite this one's result.
         self.workers.cancel_group(self, _LANDING)
-        self._state.set_text("")
+        self.state.set_text("")
         landing = Landing(message.topic, self.console.snapshot())
         try:
             published = await publish(self.console.engine, message.topic, message.fields, message.type_name)
@@ -248,5 +213,5 @@ class PublishScreen(FormScreen[Message]):
         return [text, *here]
 
     def _show(self, look: str, *lines: str) -> None:
-        self._state.set_text("\n".join(map(escape_text, lines)))
-        self._state.set_classes(f"call-state -{look}")
+        self.state.set_text("\n".join(map(escape_text, lines)))
+        self.state.set_classes(f"call-state -{look}")

@@ -32,6 +32,7 @@ from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
+from rsb_console.screens.by_hand import FieldsText
 from rsb_extras.driving.landing import HearingText
 from rsb_extras.driving.publish_requests import Draft, Publish, Published
 from rsb_extras.driving.publish_screen import PublishScreen, PublishText
@@ -161,7 +162,7 @@ async def test_mistakes_are_shown_and_nothing_is_asked(app: ConsoleApp, pilot: P
         await shown(pilot, problem)
         await gone(pilot, PublishText.QUESTION)
     await fill(pilot, topic="/words")
-    for wrong, words in (("- 1", PublishText.NO_MAPPING), ("data: [", "while parsing"), ("a: &x 1\nb: *x", "alias")):
+    for wrong, words in (("- 1", FieldsText.NO_MAPPING), ("data: [", "while parsing"), ("a: &x 1\nb: *x", "alias")):
         await fill(pilot, message=wrong)
         await shown(pilot, words)
         await pilot.press("f9")
@@ -203,7 +204,7 @@ async def test_an_empty_message_has_all_defaults(app: ConsoleApp, pilot: Pilot[N
     await until(pilot, lambda: message(app), "the message")
     await fill(pilot, message="")
     await pilot.press("f9")
-    await shown(pilot, PublishText.ALL_DEFAULTS)
+    await shown(pilot, FieldsText.ALL_DEFAULTS)
     await pilot.press("y")
     await until(pilot, lambda: [each.fields for each in sent(app)] == [""], "the message")
 
