@@ -80,6 +80,15 @@ class Route:
         return sum(len(payload) for payload, when in self.arrived if when > start)
 
 
+class Book(ReceiptBook):
+    """A side's receipts, on a clock that a test may set ahead (s)."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, owner: Side) -> None:
+        super().__init__(loop, owner)
+        self.ahead = 0.0
+        self.now = lambda: loop.time() + self.ahead
+
+
 class Side:
     """One end of a link.
 
@@ -99,7 +108,7 @@ class Side:
         self.keys = DataKeys(session_keys(CipherSuite.AESGCM, _EXPORT), role, Budget(64 << 20))
         self.probe = PathProbe(self.keys)
         self.now = asyncio.get_running_loop().time
-        self.book = ReceiptBook(asyncio.get_running_loop(), self)
+        self.book = Book(asyncio.get_running_loop(), self)
         self.scheduler = Scheduler(self.book, Window())
         self.reopened = 0
         self.ids = self

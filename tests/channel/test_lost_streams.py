@@ -174,7 +174,7 @@ async def test_streams_lost_repeatedly_are_not_opened_again() -> None:
 
 
 @pytest.mark.parametrize("ever", [False, True])
-async def test_stream_that_delivers_nothing_is_not_opened_again(ever: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_stream_that_delivers_nothing_is_not_opened_again(ever: bool) -> None:
     """The next one would end the same way: it delivers no more, or nothing has ever got through."""
     async with connected(Route(1, outgoing=True)) as (near, far):
         if ever:
@@ -182,8 +182,7 @@ async def test_stream_that_delivers_nothing_is_not_opened_again(ever: bool, monk
             await far.acknowledges_all()
         stream_of(far, "small").stream.pause_reading()
         near.routes[1].send(b"x")
-        later = near.book.now() + near.scheduler.stalls_after * ever
-        monkeypatch.setattr(near.book, "now", lambda: later)
+        near.book.ahead = near.scheduler.stalls_after * ever
         stream_of(near, "small").stream.abort("timed out")
         await until(lambda: near.routes[1].lost)
         assert not near.reopened
@@ -219,14 +218,13 @@ async def test_waiting_messages_avoid_stream_that_ends_too() -> None:
         assert large.sent == before
 
 
-async def test_streams_that_do_not_come_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_streams_that_do_not_come_are_given_up() -> None:
     async with connected(Route(1, outgoing=True)) as (near, _):
         stream_of(near, "small").stream.abort("cut")
         await until(lambda: near.reopened)
         near.tick()
         assert not near.routes[1].lost
-        later = near.book.now() + 11
-        monkeypatch.setattr(near.book, "now", lambda: later)
+        near.book.ahead = 11.0
         near.tick()
         assert near.routes[1].lost == ["cut"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -232,12 +231,10 @@ def test_topic_disarmed_before_opening_stays_disarmed(by: str, own: bool, arms: 
     assert stands(*pair) == [arms, arms]
 
 
-def test_console_gone_before_type_arms_nothing(pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch) -> None:
-    pc, loaded = pair[1], loop.create_future()
-    monkeypatch.setattr(type(pc.context), "load_type", lambda *_: loaded)
+def test_console_gone_before_type_arms_nothing(pair: Pair, loop: VirtualLoop) -> None:
+    pc, loop.thread_takes = pair[1], 0.5
     task = command(pc)
     pc.table.arming.gone(CONSOLE)
-    loaded.set_result(None)
     let_time_pass(pair, 1.0)
     assert ArmingProblem.WITHDRAWN(topic="/cmd_vel") in str(task.exception())
     assert stands(*pair) == [False, False]
@@ -719,25 +716,19 @@ def test_edit_of_other_limit_adds_no_max_age(make_armable: Callable[..., Pair]) 
     assert [route(side).age.max_age for side in pair] == [1.0, 1.0]
 
 
-def test_repeated_proposals_have_demands_counted_once(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_repeated_proposals_have_demands_counted_once(pair: Pair) -> None:
     """Counting takes a server of many clients much longer than a peer takes to cause it."""
-    robot, _ = pair
-    turn(pair[0])
-    counted: list[Side] = []
-
-    def count(side: Side) -> tuple[DemandSource, ...]:
-        counted.append(side)
-        return ()
-
-    for side in pair:
-        monkeypatch.setattr(side, "demand_sources", partial(count, side))
+    robot, pc = pair
+    turn(robot)
+    before = robot.demands_counted, pc.demands_counted
     for _ in range(10):
         propose(robot, Topic("/chat", "transmit"))
         hear_all(pair)
         robot.table.remove(next(each for each in robot.routes.values() if each.spec.topic == "/chat"), "removed")
         hear_all(pair)
-        turn(pair[0])
-    assert set(counted) == {robot}
+        turn(robot)
+    assert robot.demands_counted > before[0]
+    assert pc.demands_counted == before[1]
 
 
 @pytest.mark.parametrize("sent", ["geometry_msgs/msg/Twist", "std_msgs/msg/String"])

@@ -13,7 +13,6 @@ from tests.link.test_route_table import hear_all, pair_of
 from rsb_bridge.engine.topic_commands import ArmingCommands
 from rsb_bridge.model.commands import ArmTopic
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.arming import ArmingPhase
 
@@ -31,37 +30,22 @@ class Loads(NoRos):
     """Notes which types are loaded, and where.
 
     Attributes:
-        on_loop: whether the loop runs now, and no other thread.
         loaded: types, each with whether the loop had to wait.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, loop: VirtualLoop) -> None:
         super().__init__()
-        self.on_loop = True
+        self._loop = loop
         self.loaded: list[tuple[str, bool]] = []
 
     def installed_hash(self, type_name: str) -> str | None:
-        self.loaded.append((type_name, self.on_loop))
+        self.loaded.append((type_name, not self._loop.in_thread))
         return None
 
 
 @pytest.fixture
-def ros(loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch) -> Loads:
-    made, run = Loads(), loop.run_in_executor
-
-    def run_in_executor(executor: Any, work: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:
-        made.on_loop = False
-        try:
-            return run(executor, work, *args)
-        except RosError as error:
-            failed: asyncio.Future[Any] = loop.create_future()
-            failed.set_exception(error)
-            return failed
-        finally:
-            made.on_loop = True
-
-    monkeypatch.setattr(loop, "run_in_executor", run_in_executor)
-    return made
+def ros(loop: VirtualLoop) -> Loads:
+    return Loads(loop)
 
 
 def test_before_a_topic_is_armed(loop: VirtualLoop, ros: Loads, make_context: Callable[..., Context]) -> None:

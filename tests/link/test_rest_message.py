@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.session import Direction
-    from rsb_bridge.route.route import Route
 
 BEGIN = b"\0\1\0\0"
 TWIST = "geometry_msgs/msg/Twist"
@@ -99,12 +98,12 @@ class Robot(NoRos):
 
 
 class Voice:
-    subscriber_count = 1
     acknowledged = True
 
     def __init__(self, robot: Robot, loop: VirtualLoop, number: int) -> None:
         self.gid = bytes([number]) * 16
         self._robot, self._loop = robot, loop
+        self.subscriber_count = 1
         self.is_open, self.has_moved = True, False
 
     def assert_liveliness(self) -> None:
@@ -531,7 +530,7 @@ def test_unfitting_message_is_refused_before_motion(
     assert not any(voice.is_open for voice in driven.robot.voices), "a refused topic has no publisher"
 
 
-def test_the_velocity_that_the_robot_has_is_reported(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_velocity_that_the_robot_has_is_reported(driven: Driven) -> None:
     """To the other side, and at once as far as it begins or ceases to move."""
     there = route(driven.pair[1])
 
@@ -544,8 +543,8 @@ def test_the_velocity_that_the_robot_has_is_reported(driven: Driven, monkeypatch
         return [None if each is None else each.velocity for each in found]
 
     assert shown() == [(0.2, 0.5)] * 2
-    soon: list[Route] = []
-    monkeypatch.setattr(driven.pair[0], "report_soon", soon.append)
+    soon = driven.pair[0].reported
+    soon.clear()
     driven.drive()
     assert not soon
     driven.drive(RESTS)
@@ -556,9 +555,10 @@ def test_the_velocity_that_the_robot_has_is_reported(driven: Driven, monkeypatch
     assert driven.half.velocity == (0.0, 0.0)
 
 
-def test_a_velocity_nobody_hears_is_not_reported(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_velocity_nobody_hears_is_not_reported(driven: Driven) -> None:
     assert driven.half.velocity == (0.2, 0.5)
-    monkeypatch.setattr(Voice, "subscriber_count", 0)
+    for voice in driven.robot.voices:
+        voice.subscriber_count = 0
     assert driven.half.velocity is None
     driven.drive(RESTS)
     assert driven.half.velocity == (0.0, 0.0)

@@ -55,6 +55,7 @@ class Side(FakePeer):
         self.is_client = is_client
         self.context = context
         self.inbox: deque[Any] = deque()
+        self.demands_counted = 0
         self.other: Side
         self.routes: dict[str, Route] = {}
         self.ids = RouteIds(is_client=is_client)
@@ -67,6 +68,7 @@ class Side(FakePeer):
     # --- arming, as a link does it
 
     def demand_sources(self) -> Iterator[DemandSource]:
+        self.demands_counted += 1
         topics = self.proposed.all()
         return sources_of_entries(topics, "robot1", on_server=not self.is_client, use_name=False)
 

@@ -64,13 +64,15 @@ class Ros(NoRos):
 class Route:
     id = 3
     type_name, type_hash, local_topic = "a_msgs/msg/B", HASH, "/b"
-    message_types = (TypeVersion("a_msgs/msg/B", HASH),)
+
+    def __init__(self, message_types: tuple[TypeVersion, ...] = (TypeVersion("a_msgs/msg/B", HASH),)) -> None:
+        self.message_types = message_types
 
 
 class Side:
     """One side's questions and answers, on a clock of its own."""
 
-    def __init__(self, ros: Ros | None = None) -> None:
+    def __init__(self, ros: Ros | None = None, route: Route | None = None) -> None:
         self.ros, self.time = ros or Ros(), 0.0
         self.sent: list[Any] = []
         self.known = TypeDescriptions(self.ros, lambda: self.time)
@@ -78,7 +80,7 @@ class Side:
         self.has_sent = asyncio.Event()
         link: Any = SimpleNamespace(
             context=SimpleNamespace(descriptions=self.known),
-            ids=SimpleNamespace(open_route=lambda _: Route()),
+            ids=SimpleNamespace(open_route=lambda _: route or Route()),
             linked=True,
             send=self._send,
             spawn=self._spawn,
@@ -242,8 +244,7 @@ async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
 @pytest.mark.parametrize("most", [DESCRIPTION_LIMIT, len(REQUEST), 0])
 def test_one_answer_has_all_fitting_types(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.DESCRIPTION_LIMIT.set(monkeypatch, max(most, 1))
-    monkeypatch.setattr(Route, "message_types", versions(REQUEST, RESPONSE, REQUEST))
-    answering = Side(Installed(REQUEST, RESPONSE))
+    answering = Side(Installed(REQUEST, RESPONSE), Route(versions(REQUEST, RESPONSE, REQUEST)))
     texts, difference = asyncio.run(asked_by_a_caller(answering))
     fit = [text for text, size in ((REQUEST, len(REQUEST)), (RESPONSE, DESCRIPTION_LIMIT)) if size <= most]
     assert texts == "\n".join(fit)

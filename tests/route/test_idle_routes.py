@@ -66,6 +66,12 @@ class World:
         assert self.route.idle
         self.ticks.clear()
 
+    def find_talker(self) -> None:
+        self.route.endpoints = [TALKER]
+
+    def fill_link(self) -> None:
+        self.peer.fullness.out = Fullness(5e3, 15e3)
+
 
 def test_quiet_route_is_ticked_seldom_but_ticked(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     world = World(loop, make_context())
@@ -87,9 +93,9 @@ TALKER = Endpoint("/talker", "std_msgs/msg/String", "", Qos(), b"gid")
     "happens",
     [
         lambda world: world.route.count(1, 100, world.route.context.now()),
-        lambda world: setattr(world.route, "endpoints", [TALKER]),
+        World.find_talker,
         lambda world: world.route.pausing.change(paused=True),
-        lambda world: setattr(world.peer.fullness, "out", Fullness(5e3, 15e3)),
+        World.fill_link,
         lambda world: world.route.limit.set_max_rate(7.0),
         lambda world: world.route.reported(ReceivedReport(route=1, verdict=DOWN)),
     ],

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.route.calls.test_goal_cancels import Client
-from tests.route.calls.test_held import GOAL, providing
+from tests.route.calls.test_held import GOAL, Dock, providing
 from tests.route.test_gates import armed
 from tests.route.test_unpacking import OnePublisher, Published, opened
 from tests.route.test_volatile import unwanted
@@ -129,14 +129,12 @@ def test_goal_by_hand_needs_present_arming(
     sent: list[bytes],
     loop: VirtualLoop,
     make_context: Callable[..., Context],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """DDS may take seconds to find the server."""
-    context, client = make_context(), Client()
+    client = Client()
+    context = make_context(Dock(client))
     route = providing(context)
     armed(route.arming, context)
-    monkeypatch.setattr(route, "entry", lambda _: LaneEntry("a/action/B_SendGoal", "h", 1))
-    monkeypatch.setattr(context.ros, "call_service", lambda *_: client, raising=False)
     client.ready = False
     loop.call_later(0.1, meanwhile, route)
     loop.call_later(0.2, setattr, client, "ready", True)

@@ -74,6 +74,9 @@ class Link:
     far: Bridge
     bridges: tuple[str, ...] = ()
 
+    def learn_bridges(self) -> None:
+        self.bridges = self.far.bridges
+
 
 class NoTimers:
     """A loop on which nothing is ever due: the world calls again by itself."""
@@ -215,7 +218,7 @@ class World:
                 if bridge is not other and bridge.domain == other.domain:
                     yield lambda bridge=bridge, other=other: self.hear(bridge, other)
         for link in self.links.values():
-            yield lambda link=link: setattr(link, "bridges", link.far.bridges)
+            yield link.learn_bridges
 
     def describe(self, route: Route) -> None:
         far, sources = route.link.far, route.control.popleft()

@@ -70,6 +70,7 @@ class FakePeer:
 
     Attributes:
         sent: the control messages that the route has sent.
+        reported: routes whose reports were to be sent soon.
         instance: which process of the peer it is.
     """
 
@@ -82,6 +83,7 @@ class FakePeer:
 
     def __init__(self) -> None:
         self.sent: list[ControlMessageBase] = []
+        self.reported: list[Route] = []
         self.instance = "first"
         self.fullness: Any = SimpleNamespace(out=None, into=None, undecided=False)
         self.path: Any = SimpleNamespace(fault=None)
@@ -97,7 +99,7 @@ class FakePeer:
         self.sent.append(message)
 
     def report_soon(self, route: Route) -> None:
-        """It is not sent any reports."""
+        self.reported.append(route)
 
     def open_channel(self, route: Route) -> None:
         pass

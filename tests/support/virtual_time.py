@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import selectors
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, TypeVar, TypeVarTuple
 
 from rsb_bridge.model.clock import Clock
@@ -19,10 +20,13 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     Attributes:
         errors: what nobody caught, as given to the exception handler.
+        in_thread: whether a function runs that would run in another thread.
+        thread_takes: s until the loop hears of such a function's end.
     """
 
     def __init__(self) -> None:
         self._time = 0.0
+        self.in_thread, self.thread_takes = False, 0.0
         self.errors: list[dict[str, Any]] = []
         super().__init__(_NeverWaits(self))
         self.set_exception_handler(lambda _, details: self.errors.append(details))
@@ -33,7 +37,17 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def run_in_executor(self, executor: Any, func: Callable[[*Ts], T], *args: *Ts) -> asyncio.Future[T]:
         """Call a function at once, and report its end at a later turn."""
         done: asyncio.Future[T] = self.create_future()
-        done.set_result(func(*args))
+        self.in_thread = True
+        try:
+            end = partial(done.set_result, func(*args))
+        except Exception as error:  # noqa: BLE001 -- the future's
+            end = partial(done.set_exception, error)
+        finally:
+            self.in_thread = False
+        if self.thread_takes:
+            self.call_later(self.thread_takes, end)
+        else:
+            end()
         return done
 
     def jump(self, seconds: float) -> None:

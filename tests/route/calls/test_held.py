@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import pytest
 from tests.support.goals import cancel_request, goal, goal_request
@@ -10,8 +10,11 @@ from tests.support.inside import provide, refusal_of
 from tests.support.offline import half_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.ros_thread import RosTurns
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.calls.calling import CallerCall
 from rsb_bridge.route.calls.calling_action import CallingActionRoute
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
@@ -71,12 +74,13 @@ def test_question_about_goal_is_within_no_limit(
 
 @pytest.mark.parametrize("paused", [False, True])
 def test_unarmed_goal_is_never_sent_by_hand(
-    paused: bool, make_context: Callable[..., Context], loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+    paused: bool, make_context: Callable[..., Context], loop: VirtualLoop
 ) -> None:
-    route = providing(make_context(), paused=paused, arm=True)
-    monkeypatch.setattr(route, "entry", lambda lane: pytest.fail("it is about to be called"))
+    dock = Dock()
+    route = providing(make_context(dock), paused=paused, arm=True)
     with pytest.raises(CallError):
         loop.run_until_complete(route.call_by_hand(SEND_GOAL, GOAL))
+    assert not dock.clients
 
 
 @pytest.mark.parametrize(
@@ -165,6 +169,31 @@ class Answers:
 
     def close(self) -> None:
         pass
+
+
+class Dock(NoRos):
+    """The ROS side of an action's server.
+
+    Attributes:
+        clients: the services that were to be called.
+    """
+
+    _TYPES: ClassVar = {
+        "send_goal": "a/action/B_SendGoal",
+        "cancel_goal": "action_msgs/srv/CancelGoal",
+        "get_result": "a/action/B_GetResult",
+    }
+
+    def __init__(self, client: Any = None) -> None:
+        self.clients: list[str] = []
+        self._client = client
+
+    def servers(self, service: str) -> list[Endpoint]:
+        return [Endpoint("/dock", self._TYPES[service.rpartition("/")[2]], "h", Qos(), service.encode())]
+
+    def call_service(self, service: str, *_: Any, **__: Any) -> Any:
+        self.clients.append(service)
+        return self._client
 
 
 def providing(context: Context, **fields: Any) -> ProvidingActionRoute:
