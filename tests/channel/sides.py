@@ -80,20 +80,12 @@ class Route:
         return sum(len(payload) for payload, when in self.arrived if when > start)
 
 
-class Book(ReceiptBook):
-    """A side's receipts, on a clock that a test may set ahead (s)."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, owner: Side) -> None:
-        super().__init__(loop, owner)
-        self.ahead = 0.0
-        self.now = lambda: loop.time() + self.ahead
-
-
 class Side:
     """One end of a link.
 
     Attributes:
         receipts: messages with receipts that this side has sent.
+        ahead: s by which the clock of its streams is ahead of the loop's.
         deaf: whether it loses the other side's receipts.
         closed: ids of routes that were open.
         reopened: how often this side's routes have asked for new streams.
@@ -108,7 +100,9 @@ class Side:
         self.keys = DataKeys(session_keys(CipherSuite.AESGCM, _EXPORT), role, Budget(64 << 20))
         self.probe = PathProbe(self.keys)
         self.now = asyncio.get_running_loop().time
-        self.book = Book(asyncio.get_running_loop(), self)
+        self.ahead = 0.0
+        self.book = ReceiptBook(asyncio.get_running_loop(), self)
+        self.book.now = lambda: asyncio.get_running_loop().time() + self.ahead
         self.scheduler = Scheduler(self.book, Window())
         self.reopened = 0
         self.ids = self

@@ -182,7 +182,7 @@ async def test_stream_that_delivers_nothing_is_not_opened_again(ever: bool) -> N
             await far.acknowledges_all()
         stream_of(far, "small").stream.pause_reading()
         near.routes[1].send(b"x")
-        near.book.ahead = near.scheduler.stalls_after * ever
+        near.ahead = near.scheduler.stalls_after * ever
         stream_of(near, "small").stream.abort("timed out")
         await until(lambda: near.routes[1].lost)
         assert not near.reopened
@@ -224,7 +224,7 @@ async def test_streams_that_do_not_come_are_given_up() -> None:
         await until(lambda: near.reopened)
         near.tick()
         assert not near.routes[1].lost
-        near.book.ahead = 11.0
+        near.ahead = 11.0
         near.tick()
         assert near.routes[1].lost == ["cut"]
 

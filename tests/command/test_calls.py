@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
@@ -17,7 +17,7 @@ from rsb_bridge.config.fields_text import FieldNote
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
-from rsb_bridge.model.commands import Call, Command, R
+from rsb_bridge.model.commands import Call, Command
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
 from rsb_bridge.model.topic_keys import ForeignKey
@@ -249,23 +249,20 @@ def test_request_that_no_node_takes_is_wrong_usage(ran: Any, engine: ScriptedEng
 class Node:
     """Answers calls of its parameter services, in an engine's place."""
 
-    def __init__(self, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch, **answers: str) -> None:
+    def __init__(self, engine: ScriptedEngine, **answers: str) -> None:
         self.asked: list[tuple[str, Any]] = []
         self._answers = answers
+        engine.answering = self._answer
 
-        def do(command: Command[R], step: object = None) -> Future[R]:
-            from rsb_bridge.config.fields_text import read_fields
+    def _answer(self, command: Command[Any]) -> Future[Any]:
+        from rsb_bridge.config.fields_text import read_fields
 
-            assert isinstance(command, Call)
-            self.asked.append((command.lane, read_fields(command.request)))
-            return cast("Future[R]", answered(self._answers[command.lane]))
-
-        monkeypatch.setattr(engine, "do", do)
+        assert isinstance(command, Call)
+        self.asked.append((command.lane, read_fields(command.request)))
+        return answered(self._answers[command.lane])
 
 
-def test_a_cut_answer_is_an_error_for_programs(
-    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cut_answer_is_an_error_for_programs(ran: Any, engine: ScriptedEngine) -> None:
     """The rest would be missing without a word."""
     note = FieldNote.ELEMENTS(location="poses", shown=1, total=9)
     answer(engine, f"# goal_id: {'ab' * 16}\nposes: [1]\n# {note}\n")
@@ -276,7 +273,6 @@ def test_a_cut_answer_is_an_error_for_programs(
     engine.now = replace(engine.now, routes=(NODE,))
     Node(
         engine,
-        monkeypatch,
         list_parameters=f"result:\n  names: [gains]\n# {note}\n",
         get_parameters=f"values:\n- {{type: 6, bool_array_value: [true]}}\n# {note}\n",
     )
@@ -288,12 +284,11 @@ def test_a_cut_answer_is_an_error_for_programs(
         assert (for_people.code, note in for_people.err) == (int(words[0] == "dump"), True)
 
 
-def test_parameters_are_listed_got_and_set(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parameters_are_listed_got_and_set(ran: Any, engine: ScriptedEngine) -> None:
     engine.now = replace(engine.now, routes=(NODE,))
     value = "type: 6\n  bool_value: false\n  byte_array_value: []\n  bool_array_value: [true, false]\n"
     node = Node(
         engine,
-        monkeypatch,
         list_parameters="result:\n  names: [use_sim_time, gains]\n  prefixes: []\n",
         get_parameters=f"values:\n- {value}",
         set_parameters="results:\n- {successful: true, reason: ''}\n",
@@ -334,10 +329,9 @@ def test_what_is_no_value_is_not_sent(ran: Any, engine: ScriptedEngine, text: st
     assert engine.commands == []
 
 
-def test_a_node_that_refuses_is_quoted(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_node_that_refuses_is_quoted(ran: Any, engine: ScriptedEngine) -> None:
     Node(
         engine,
-        monkeypatch,
         set_parameters="results:\n- {successful: false, reason: 'read only'}\n",
         get_parameters="values: []\n",
         list_parameters="# not read further: too short\n",

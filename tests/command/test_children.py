@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.support import constants
 
 from rsb_console.child import ChildProcess
 from rsb_console.command.service import _program
@@ -106,5 +107,5 @@ def test_module_in_child_runs_nothing_of_its_folder(planted: Path) -> None:
 
 def test_a_service_runs_nothing_of_its_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     """systemd's working folder of a user's service is the user's home."""
-    monkeypatch.setattr(sys, "argv", ["/nowhere/pytest"])
+    constants.PROGRAM_ARGUMENTS.set(monkeypatch, ["/nowhere/pytest"])
     assert _program() == (sys.executable, "-P", "-m", "rsb_console")

@@ -421,7 +421,7 @@ def test_line_that_was_typed_ahead_answers_no_question(monkeypatch: pytest.Monke
         surroundings.set_stdin(monkeypatch, terminal)
         os.write(ours, b"y\n")
         assert select.select([terminal], [], [], 60.0)[0]
-        monkeypatch.setattr(target, "print_line", lambda _: os.write(ours, b"n\n"))
+        replaced.TARGET_PRINT_LINE.set(monkeypatch, lambda _: os.write(ours, b"n\n"))
         assert not target.agreed("Drop the old key?")
     os.close(ours)
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, get_args
 import argcomplete
 import msgspec
 import pytest
-from argcomplete.finders import CompletionFinder
 from tests.console.scripted import SESSION, ScriptedEngine, route
 from tests.support import constants, replaced
 from tests.support.captured import captured
@@ -55,13 +54,13 @@ def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], 
     monkeypatch.chdir(folder)
     constants.COMPLETION_WAITS.set(monkeypatch, 60.0)  # the server's thread is this process's, and may stand still
     monkeypatch.setattr(threading, "excepthook", threading.excepthook)  # completion replaces it
-    monkeypatch.setattr(CompletionFinder, "_init_debug_stream", lambda _: None)  # it takes descriptor 9
+    replaced.ARGCOMPLETE_DEBUG_STREAM.set(monkeypatch, lambda _: None)  # it takes descriptor 9
 
     def offered(line: str) -> set[str]:
         answer = io.StringIO()
         ask = partial(argcomplete.autocomplete, exit_method=sys.exit, output_stream=answer)
         with monkeypatch.context() as patch:
-            patch.setattr(argcomplete, "autocomplete", ask)
+            replaced.ARGCOMPLETE.set(patch, ask)
             patch.setenv("_ARGCOMPLETE", "1")
             patch.setenv("_ARGCOMPLETE_IFS", "\n")
             patch.setenv("COMP_LINE", line)

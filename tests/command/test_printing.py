@@ -6,7 +6,6 @@ import ast
 import io
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +20,6 @@ from tests.support.running import Running
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RefusedClient, State
 from rsb_bridge.model.text import escape_json, is_clean, one_line, several_lines
-from rsb_console.cli import main
 from rsb_console.command.headless import LogWriter
 from rsb_console.command.shell import CleanErrors, print_error, print_line, print_lines
 
@@ -177,16 +175,12 @@ def test_a_traceback_is_clean_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     def fails(_: object) -> int:
         raise ValueError(EVIL)
 
-    stream = io.StringIO()
-    stream.fileno = lambda: 2  # type: ignore[method-assign]
-    monkeypatch.setattr(sys, "stderr", stream)
     replaced.CHECK_SESSION.set(monkeypatch, fails)
-    monkeypatch.setattr("signal.signal", lambda *_: None)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    assert main(["check", "x.yaml", "--debug"]) == 1
-    assert main(["check", "x.yaml"]) == 1
-    assert "ValueError" in stream.getvalue()
-    assert clean_lines(stream.getvalue())
+    runs = [rsb_console("check", "x.yaml", *more, may_crash=True) for more in (("--debug",), ())]
+    assert [run.returncode for run in runs] == [1, 1]
+    assert "ValueError" in runs[0].stderr
+    assert all(clean_lines(run.stderr) for run in runs)
     (crash,) = tmp_path.rglob("crash.log")
     assert clean_lines(crash.read_text())
 

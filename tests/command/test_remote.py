@@ -581,9 +581,8 @@ def test_who_asks_in_shell_gives_signs_of_life(
     constants.ASKER_ALIVE_EVERY.set(monkeypatch, 0.01)
     asked: Future[None] = Future()
     alive: list[bool] = []
-    do = engine.do
 
-    def done(command: Command[Any], step: Any = None) -> Future[Any]:
+    def answer(command: Command[Any]) -> Future[Any] | None:
         match command:
             case AskHolder():
                 return asked
@@ -591,9 +590,9 @@ def test_who_asks_in_shell_gives_signs_of_life(
                 alive.append(pressed)
                 if len(alive) == 3:
                     asked.set_exception(EngineError("kept"))
-        return do(command, step)
+        return None
 
-    monkeypatch.setattr(engine, "do", done)
+    engine.answering = answer
     engine.now = replace(engine.now, routes=(SCAN,))
     result = ran("arm", "/scan", "--ask")
     assert "kept" in result.err

@@ -20,8 +20,13 @@ ARMED = Topic("/cmd_vel", "receive", arm=True)
 
 
 class ChangingEngine(ScriptedEngine):
-    """An engine whose snapshot follows its commands; it notes whether each one is an undo."""
+    """An engine whose snapshot follows its commands; it notes whether each one is an undo.
 
+    Attributes:
+        refuses: the reason why it adds no topic, or an empty string.
+    """
+
+    refuses = ""
     specs: tuple[Topic, ...] = (SCAN, ARMED)
 
     def __init__(self, *arguments: Any) -> None:
@@ -48,6 +53,8 @@ class ChangingEngine(ScriptedEngine):
 
     def do(self, command: Command[R], step: Any = None) -> Future[R]:
         match command:
+            case AddTopic() if self.refuses:
+                return refused(self.refuses)
             case AddTopic(topic):
                 self.show(*self.now.routes, route(topic.topic, spec=topic))
             case EditTopic(key, topic, _, seen):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import sys
 
-from tests.support.long_lease import TIMES
+import pytest
+from tests.support.long_lease import lengthen_lease
 
-from rsb_bridge.route import lease
 from rsb_console.cli import main
 
-for name, seconds in TIMES.items():
-    setattr(lease, name, seconds)
+lengthen_lease(pytest.MonkeyPatch())
 sys.exit(main())

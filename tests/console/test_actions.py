@@ -10,6 +10,7 @@ from tests.console.driving import (
     drive,
     engine_of,
     gone,
+    notices,
     on_main,
     put,
     scripted_app,
@@ -209,11 +210,7 @@ DISARMED = route("/cmd_vel", State.DISARMED, outgoing=True, arming=ArmingSnapsho
 
 
 @on_main((120, 80), landmark="read-only", readonly=True)
-async def test_readonly_takes_away_whatever_changes_something(
-    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told: list[str] = []
-    monkeypatch.setattr(app, "notify", lambda words, **_: told.append(words))  # a notification is gone after 5 s
+async def test_readonly_takes_away_whatever_changes_something(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await gone(pilot, "p pause")
     await pilot.press("c", "i")  # nor is a link acknowledged
     await pilot.press("escape")
@@ -221,11 +218,11 @@ async def test_readonly_takes_away_whatever_changes_something(
         put(app, faulty)
         await gone(pilot, "C call")
         for key in (*"aedpiuACSDrRowW", "f2", "f3", "f4", "f5", "f6"):
-            told.clear()
+            app.clear_notifications()
             await pilot.press(key)
             assert app.screen is app.main, key
-            assert told, key
-            assert says(told[0], MainText.READ_ONLY), key
+            await until(pilot, lambda: notices(app), key)
+            assert says(notices(app)[0].message, MainText.READ_ONLY), key
     await settled(pilot)
     assert app.screen is app.main
     await pilot.press("question_mark")

@@ -191,9 +191,7 @@ async def test_parameter_is_set_by_its_name_and_value(app: ConsoleApp, pilot: Pi
 
 
 @on(MODE, NARROW)
-async def test_long_answer_scrolls_and_is_laid_out_once(
-    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_long_answer_scrolls_and_is_laid_out_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await call(app, pilot)
     answer = f"first: {'x' * 1000}\n" + "".join(f"line_{number}: {number}\n" for number in range(10_000))
     engine_of(app).called.set_result(answer)
@@ -208,11 +206,10 @@ async def test_long_answer_scrolls_and_is_laid_out_once(
     await shown(pilot, "no server any more")  # drawn by the timer
     assert pane.line(0) is first
     assert pane.scroll_offset == at
-    told: list[str] = []
-    monkeypatch.setattr(app, "notify", lambda words, **_: told.append(words))  # a notification is gone after 3 s
+    app.clear_notifications()
     await pilot.press("y")
-    await until(pilot, lambda: app.clipboard == answer and told, "all of it, copied")
-    assert max(map(len, told)) < 300
+    await until(pilot, lambda: app.clipboard == answer and notices(app), "all of it, copied")
+    assert max(len(each.message) for each in notices(app)) < 300
     await pilot.resize_terminal(70, 36)
     await until(pilot, lambda: pane.line(0) is not first, "laid out for the new width")
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, WIDE, Decorator, engine_of, fill, gone, on_main, shown, text, until
+from tests.console.driving import NARROW, WIDE, Decorator, engine_of, fill, gone, notices, on_main, shown, text, until
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
@@ -58,12 +58,10 @@ def changed(app: ConsoleApp, *topics: Topic) -> Session:
 
 
 async def saves_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    """Press the key, and wait for the notice, which is gone after 3 s."""
-    told: list[str] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app, "notify", lambda words, **_: told.append(words))
-        await pilot.press("w")
-        await until(pilot, lambda: any("nothing to save:" in each for each in told), "the notice")
+    """Press the key, and wait for the notice."""
+    app.clear_notifications()
+    await pilot.press("w")
+    await until(pilot, lambda: any("nothing to save:" in each.message for each in notices(app)), "the notice")
 
 
 @on_file()

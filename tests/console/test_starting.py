@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-from tests.console.driving import drive, scripted_app, until
+from tests.console.driving import drive, notices, scripted_app, until
 from tests.console.scripted import SESSION, ScriptedEngine
 from textual.pilot import Pilot
 
@@ -43,18 +42,16 @@ def making(made: list[Slow]) -> Callable[[Session, Path], Slow]:
     return make
 
 
-def test_restart_while_starting_makes_no_second_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_restart_while_starting_makes_no_second_engine() -> None:
     made: list[Slow] = []
     app = scripted_app(make_engine=making(made))
-    told: list[str] = []
-    monkeypatch.setattr(app, "notify", lambda words, **_: told.append(words))  # a notification is gone after 3 s
 
     async def steps(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: made, "an engine that starts")
         await pilot.press("R", "R")
         await pilot.pause()
         assert len(made) == 1
-        assert set(told) == {"the bridge is starting"}
+        assert {each.message for each in notices(app)} == {"the bridge is starting"}
         made[0].may_start.set()
         await until(pilot, lambda: made[0].running, "it runs")
         await until(pilot, lambda: not app.note, "the console knows")

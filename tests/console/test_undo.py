@@ -24,7 +24,6 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
-from tests.console.scripted import refused as refused_by
 from tests.support.long import long
 
 from rsb_bridge.model.codes import EventCode
@@ -35,7 +34,6 @@ from rsb_console.screens.dialog import ConfirmScreen, UndoScreen
 from rsb_console.session.changes import STEPS, Changes, Paused
 
 if TYPE_CHECKING:
-    import pytest
     from textual.pilot import Pilot
     from textual.screen import Screen
 
@@ -318,14 +316,14 @@ async def test_what_is_bridged_again_is_not_added_twice(
 
 @on_scan()
 async def test_what_the_bridge_refuses_can_be_tried_again(
-    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     await removed(pilot, "/scan")
-    with monkeypatch.context() as patched:
-        patched.setattr(engine, "add_topic", lambda *_: refused_by("not now"))
-        await question(app, pilot)
-        await pilot.press("y")
-        await shown(pilot, "not now")
+    engine.refuses = "not now"
+    await question(app, pilot)
+    await pilot.press("y")
+    await shown(pilot, "not now")
+    engine.refuses = ""
     assert engine.undone == []
     await question(app, pilot)
     await pilot.press("y")

@@ -259,14 +259,14 @@ def test_whoever_hears_of_the_loss_sees_it(machine: Machine, monkeypatch: pytest
     server = machine.serve()
     remote = machine.attach()
     seen: list[tuple[str, bool]] = []
-    log = remote._log
-    add = log.add
+    add = replaced.ADD_EVENT.value
 
-    def look_and_add(level: Any, code: EventCode, text: str) -> None:
-        seen.append((remote.unreachable, remote.snapshot().running))
-        add(level, code, text)
+    def look_and_add(log: Any, level: Any, code: EventCode, *about: Any, **more: Any) -> None:
+        if code == EventCode.ATTACH_LOST:
+            seen.append((remote.unreachable, remote.snapshot().running))
+        add(log, level, code, *about, **more)
 
-    monkeypatch.setattr(log, "add", look_and_add)
+    replaced.ADD_EVENT.set(monkeypatch, look_and_add)
     server.close("the bridge was stopped")
     eventually(lambda: any(event.code == EventCode.ATTACH_LOST for event in remote.events()))
     assert seen == [("the bridge was stopped", False)]

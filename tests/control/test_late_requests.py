@@ -94,7 +94,7 @@ def each_again(monkeypatch: pytest.MonkeyPatch, do: Callable[[Any], object]) -> 
 def slow_line(remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
     """Let the tickets that the console has grow old."""
     remote._ticket -= int(seconds * 1e3)
-    monkeypatch.setattr(remote, "_poll", lambda: None)  # no further ticket comes by itself
+    replaced.ATTACHED_POLL.set(monkeypatch, lambda _: None)  # no further ticket comes by itself
 
 
 @pytest.mark.parametrize("command", MOVING, ids=lambda each: type(each).__name__)

@@ -99,13 +99,13 @@ def test_thousand_attempts_leave_short_log_and_room(reachable: Reachable) -> Non
 
 def test_many_failures_are_answered_late(reachable: Reachable, monkeypatch: pytest.MonkeyPatch) -> None:
     delays: list[float] = []
-    real = reachable.acceptor.pending.refusals.delay
+    real = replaced.REFUSAL_DELAY.value
 
-    def delay(host: str) -> float:
-        delays.append(real(host))
+    def delay(refusals: object, host: str) -> float:
+        delays.append(real(refusals, host))
         return delays[-1]
 
-    monkeypatch.setattr(reachable.acceptor.pending.refusals, "delay", delay)
+    replaced.REFUSAL_DELAY.set(monkeypatch, delay)
     for _ in range(6):
         with Stranger(reachable.port, key=BOB) as stranger:
             stranger.send(stranger.console.start())

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import constants
-from tests.support.long_lease import TIMES
+from tests.support.long_lease import lengthen_lease
 from tests.support.offline import loop, make_context
-
-from rsb_bridge.route import lease
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,8 +36,7 @@ def _answers_take_their_time() -> Iterator[None]:
 @pytest.fixture
 def long_lease(monkeypatch: pytest.MonkeyPatch) -> None:
     """Topics stay armed while a busy machine stands still for more than a second."""
-    for name, seconds in TIMES.items():
-        monkeypatch.setattr(lease, name, seconds)
+    lengthen_lease(monkeypatch)
 
 
 @pytest.fixture

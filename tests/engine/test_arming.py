@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from msgspec.structs import replace
 from std_srvs.srv import SetBool
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.bridge import balance, carries, happened, heard, linked, route
 from tests.support.domain import LATCHED, RELIABLE, text
 from tests.support.inside import inside
@@ -19,7 +19,6 @@ from tests.support.waiting import eventually, holds
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.node import RosNode
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.incoming import IncomingRoute
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.ros.node import RosNode
 
 COMMANDS = Topic("/cmd", "receive", arm=True, deadman=0.0)
 
@@ -242,9 +242,12 @@ def test_robot_publishes_no_unarmed_message_of_peer(
     server, client = bridge.both(COMMANDS)
     eventually(lambda: is_set_up(server, client))
     (liar,) = [each for link in inside(server).links() for each in tuple(link.routes.values())]
-    truth = type(liar.arming).crossing
-    lie = lambda arming, now: Crossing.YES if arming is liar.arming else truth(arming, now)  # noqa: E731
-    monkeypatch.setattr(type(liar.arming), "crossing", lie)
+    truth = replaced.ARMING_CROSSING.value
+
+    def lie(arming: Any, now: float) -> Crossing:
+        return Crossing.YES if arming is liar.arming else truth(arming, now)
+
+    replaced.ARMING_CROSSING.set(monkeypatch, lie)
     inside(server).context.call(liar.advance)
     publish_for(joystick, "forged", lambda: route(client, "/cmd").ledger.dropped.get("disarmed", 0) >= 5)
     assert not motors.payloads
@@ -254,15 +257,16 @@ def test_first_loaded_type_does_not_end_lease(
     bridge: Bridge, robot: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A type is loaded for the first time in a process: NumPy comes with it, from a slow disk."""
-    loaded, original = set(), RosNode.installed_service_hash
+    loaded, original = set(), replaced.INSTALLED_SERVICE_HASH.value
 
     def load(node: RosNode, type_name: str) -> str | None:
         if node not in loaded:
             loaded.add(node)
             time.sleep(1.5 * LASTS)
-        return original(node, type_name)
+        found: str | None = original(node, type_name)
+        return found
 
-    monkeypatch.setattr(RosNode, "installed_service_hash", load)
+    replaced.INSTALLED_SERVICE_HASH.set(monkeypatch, load)
     robot.node.create_service(SetBool, "/home", lambda _, answer: answer)
     server, client = bridge.both(Topic("/home", "receive", kind="service", arm=True, deadman=0.0))
     eventually(lambda: all(route(each, "/home").state == "disarmed" for each in (server, client)))

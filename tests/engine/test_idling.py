@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any
 
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.bridge import happened, linked
-from tests.support.inside import break_waiting, role_of
+from tests.support.inside import break_waiting
 from tests.support.offline import loop, make_context
 from tests.support.waiting import eventually, holds
 
@@ -70,14 +70,15 @@ def test_snapshots_come_four_times_a_second_when_watched(
 
 def test_failing_task_is_reported_and_goes_on(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     server, client = bridge.both()
-    role, failures = role_of(client), list[int]()
+    failures, tick = list[int](), replaced.CLIENT_TICK.value
 
-    def tick() -> None:
+    def fail_once(role: object) -> None:
         if not failures:
             failures.append(1)
             raise KeyError("a mistake of ours")
+        tick(role)
 
-    monkeypatch.setattr(role, "tick", tick)
+    replaced.CLIENT_TICK.set(monkeypatch, fail_once)
     eventually(lambda: happened(client, EventCode.ENGINE_ERROR, "a mistake of ours"))
     holds(lambda: linked(client) and linked(server), 7.0)  # it pings on
     bridge.expected.add(client)  # the error is what this test is about
@@ -101,7 +102,7 @@ def test_the_engine_stops_when_dds_hears_no_node(
     lost, later, other = LostPort("/a", 1), LostPort("/a", 2), LostPort("/b", 3)
     # It may follow its senders a moment later, and then lose the port again.
     told = iter(({lost}, (), {lost}, {later}, {other}, {later, other}))
-    monkeypatch.setattr(node, "lost_ports", lambda: frozenset(next(told)))
+    replaced.LOST_PORTS.set(monkeypatch, lambda: frozenset(next(told)))
     client = bridge.start(bridge.client_session(), node)
     eventually(lambda: not client.snapshot().running)
     assert happened(client, EventCode.ENGINE_ROS_FAILED, f"{RosProblem.DEAF(port='/b')}: the engine stops")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import os
 import socket
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 from tests.support.offline import loop, make_context
 from tests.support.waiting import eventually
 
@@ -191,7 +191,7 @@ def test_free_descriptors_are_known_without_listing_all(monkeypatch: pytest.Monk
     """Each stream of a route asks."""
     if not Path("/proc/self/fd").stat().st_size:
         return  # Linux before 6.2 gives no number
-    monkeypatch.setattr(os, "listdir", None)
+    replaced.LIST_DESCRIPTORS.set(monkeypatch, None)
     gc.collect()  # sockets of earlier tests
 
     def is_known() -> bool:

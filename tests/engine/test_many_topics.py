@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-import threading
 import time
 from typing import TYPE_CHECKING
 
@@ -86,7 +85,7 @@ def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatc
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "fe80::1%1"])
 def test_what_is_an_address_already_needs_no_thread(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(threading, "Thread", None)
+    replaced.LOOK_UP_IN_THREAD.set(monkeypatch, None)
     ((*_, found),) = asyncio.run(look_up(address, 49152, 1.0))
     assert found[:2] == (address.partition("%")[0], 49152)
 

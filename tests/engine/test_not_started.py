@@ -7,13 +7,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from tests.support import replaced
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.wire import codec
 
 
 def test_a_missing_key_is_in_the_log(tmp_path: Path) -> None:
@@ -45,7 +45,7 @@ def test_engines_load_their_decoders_one_at_a_time(tmp_path: Path, monkeypatch: 
         with pytest.raises(EngineError):
             Engine(session, base=tmp_path).start()
 
-    monkeypatch.setattr(codec, "decoders", load)
+    replaced.DECODERS.set(monkeypatch, load)
     session = Session(name="a", role="client", server_ip="127.0.0.1", server_port=5, key_file="none.key", domain_id=1)
     with ThreadPoolExecutor(4) as threads:
         for started in [threads.submit(start) for _ in range(4)]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 from tests.support.bridge import find, happened, link, now, route
 from tests.support.spun import Spun
 from tests.support.waiting import eventually
@@ -13,7 +14,6 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.participant import Participant
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
+
+    from rsb_bridge.ros.participant import Participant
 
 NODE = Topic("/stock", "receive", kind="parameters")
 OTHER = Topic("/chat", "receive")
@@ -35,11 +37,12 @@ def stock(robot: Domain) -> Iterator[Spun]:
 
 
 @pytest.mark.usefixtures("stock")
-@pytest.mark.parametrize("method", ["create_server", "create_client"])
-def test_failed_offer_is_told_twice_and_repeated(method: str, bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kind", ["server", "client"])
+def test_failed_offer_is_told_twice_and_repeated(kind: str, bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """rcl has no room, say: the real thing cannot be had at will."""
     refuses, attempts = [True], []
-    make = getattr(Participant, method)
+    place = replaced.CREATE_SERVER if kind == "server" else replaced.CREATE_CLIENT
+    make = place.value
 
     def made(self: Participant, service: str, *about: Any) -> Any:
         if refuses[0]:
@@ -47,14 +50,14 @@ def test_failed_offer_is_told_twice_and_repeated(method: str, bridge: Bridge, mo
             raise RosError(f"{service}: no room")
         return make(self, service, *about)
 
-    monkeypatch.setattr(Participant, method, made)
+    place.set(monkeypatch, made)
     engines = bridge.both(NODE, OTHER)
     for engine in engines:
         eventually(lambda engine=engine: find(engine, NODE.topic) and says(engine) == (State.DOWN, Cause.OFFER_FAILED))
         found = route(engine, NODE.topic)
         assert "no room" in found.reason
         assert any(stage.name == "offered" and stage.done is False for stage in found.stages) or found.from_peer
-    own = engines[method == "create_client"]
+    own = engines[kind == "client"]
     event = happened(own, EventCode.ROUTE_OFFER_FAILED)
     assert event is not None
     eventually(lambda: len(attempts) >= 3, what="it is tried again")

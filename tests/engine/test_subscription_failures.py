@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import pytest
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.bridge import carries, happened, heard, route, stage
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -19,6 +18,7 @@ from rsb_bridge.ros.ros_interface import RosError, RosProblem
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import pytest
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
@@ -42,13 +42,14 @@ def break_subscription(engine: Engine, topic: str) -> None:
 @contextlib.contextmanager
 def refused(engine: Engine) -> Iterator[None]:
     """Meanwhile nothing can be subscribed to, as where rcl refuses it for the same reason."""
-    ros = inside(engine).context.ros
+    ros, subscribe = inside(engine).context.ros, replaced.ROS_SUBSCRIBE.value
 
-    def refuse(*_: object, **__: object) -> None:
-        raise RosError(FAILURE)
+    def refuse(node: object, *arguments: object, **options: object) -> Any:
+        if node is ros:
+            raise RosError(FAILURE)
+        return subscribe(node, *arguments, **options)
 
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(ros, "subscribe", refuse)
+    with replaced.ROS_SUBSCRIBE.during(refuse):
         yield
 
 

@@ -8,8 +8,8 @@ from random import Random
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 
-from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -240,7 +240,7 @@ async def test_restart_waits_for_present_topics(
     loop: VirtualLoop, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each edit meanwhile replaces a route that will never be accepted."""
-    monkeypatch.setattr(ClientLink, "linked", True)
+    replaced.LINKED.set(monkeypatch, True)
     role = ClientRole(make_context(), {"robot1": ()})
     (link,) = role.links()
     link.add_entry(Topic("/chat", "transmit"))

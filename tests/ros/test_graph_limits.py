@@ -9,6 +9,7 @@ import pytest
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, ReliabilityPolicy
 from tests.ros.domains import ANOTHER
+from tests.support import replaced
 
 from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscriptions
 from rsb_bridge.ros.native.rcl_endpoints import endpoint_of
@@ -84,6 +85,6 @@ def test_topics_beyond_ros_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None
     participant = Participant(ANOTHER, "reader")
     graph = [("/fine", ["x" * 300]), ("/_hidden/too", [STRING]), ("/" + "x" * 255, [STRING])]
     graph += [(name, [STRING]) for name in ("/e\x1b[2J", "/a b", "/7", "no_slash", "")]
-    monkeypatch.setattr(participant, "_ask", lambda *_: graph)
+    replaced.PARTICIPANT_ASK.set(monkeypatch, lambda *_: graph)
     assert participant.topics() == {"/fine": ["x" * 255], "/_hidden/too": [STRING]}
     participant.leave()

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.support import constants
 from tests.support.captured import captured
 
 from rsb_bridge.config.keys import write_key
@@ -64,5 +65,5 @@ def test_the_index_of_every_installation_is_read(tmp_path: Path) -> None:
 
 
 def test_installation_without_index_is_left_to_rcl(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    constants.ROS_PREFIX.set(monkeypatch, str(tmp_path))
     check_middleware({"RMW_IMPLEMENTATION": "rmw_nonsense_cpp"})

@@ -17,7 +17,7 @@ from tests.support.wording import pattern
 
 from rsb_bridge.cdr.known_types import STRING, stamped_string
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros import participant, raw_types, self_test
+from rsb_bridge.ros import self_test
 from rsb_bridge.ros.distribution import described, package_of
 from rsb_bridge.ros.native import librcl, rclpy_extension
 from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
@@ -35,8 +35,8 @@ _TYPE_HASH = "RIHS01_" + "12" * 32
 def found_anew(monkeypatch: pytest.MonkeyPatch) -> Findings:
     """Test again, and have new nodes go by the result."""
     found = self_test.test()
-    for module in (participant, raw_types):
-        monkeypatch.setattr(module, "findings", lambda: found)
+    for place in (replaced.PARTICIPANT_FINDINGS, replaced.FINDINGS):
+        place.set(monkeypatch, lambda: found)
     return found
 
 

@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
 from typing import Any, TypeAlias
+from unittest import mock
 
 from tests.simulation.loop import PROGRAM
 from tests.simulation.machine import ANY, Machine, Process, os_error
@@ -366,8 +367,7 @@ def simulated() -> Iterator[None]:
         stand_ins = {"socket": _SocketModule(), "threading": _ThreadingModule(), "fcntl": _FcntlModule()}
         for name, stand_in in stand_ins.items():
             for module in _transport_modules(name):
-                stack.callback(setattr, module, name, vars(module)[name])
-                setattr(module, name, stand_in)
+                stack.enter_context(mock.patch.dict(vars(module), {name: stand_in}))
         yield
 
 

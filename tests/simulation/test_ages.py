@@ -14,7 +14,6 @@ from tests.simulation.world import Violation, World
 from tests.support import replaced
 from tests.support.long import long
 
-from rsb_bridge.channel.data_stream import StreamSender
 from rsb_bridge.model.clock import StampClock
 from rsb_bridge.route.age import MessageAge, PublisherClocks
 
@@ -117,14 +116,14 @@ def test_nothing_is_sent_when_already_old(monkeypatch: pytest.MonkeyPatch) -> No
     world, flow = aging_world(3)
     flow.max_age = float("inf")
     sent: list[float] = []
-    send = StreamSender.send
+    send = replaced.STREAM_SEND.value
 
     def noted(self: Any, batch: Any) -> None:
         now = self.route.context.stamps.now()
         sent.extend((now - stamp) / 1e9 for _, stamp, _ in batch)
         send(self, batch)
 
-    monkeypatch.setattr(StreamSender, "send", noted)
+    replaced.STREAM_SEND.set(monkeypatch, noted)
     world.play(life=aged(world))
     assert sent
     assert max(sent) <= MAX_AGE + 0.002

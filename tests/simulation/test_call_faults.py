@@ -8,7 +8,7 @@ from unittest.mock import patch
 
 import pytest
 from tests.simulation.beds import until
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.goals import cancel_request, goal, goal_request
 from tests.support.inside import clients_of, offers_of, paced, waiting_frames
 
@@ -32,7 +32,7 @@ async def test_uncallable_service_ends_route_not_link(harness: CallHarness, monk
     def fails(*_: Any) -> None:
         raise RosError("another version is installed")
 
-    monkeypatch.setattr(far.context.ros, "call_service", fails)
+    replaced.SIMULATED_CALL_SERVICE.set(monkeypatch, fails)
     harness.server()
     await asyncio.sleep(30.0)
     _, far = harness.halves()
@@ -111,7 +111,7 @@ async def test_expired_calls_hold_nothing(harness: CallHarness, monkeypatch: pyt
                 client.ask()
             if answers:
                 await until(lambda: len(server.asked) == 8, 1.0)
-            stuck.setattr(type(half.channel), "congested", True)
+            replaced.CHANNEL_CONGESTED.set(stuck, True)
             server.answer()
             await asyncio.sleep(5.0)
             assert harness.counted()[answers].expired == 8

@@ -101,7 +101,7 @@ def rsb_console(*words: str, may_crash: bool = False) -> subprocess.CompletedPro
         replaced.ALLOW_MANY_DESCRIPTORS.set(patch, lambda: None)  # of the test's process
         if not may_crash:
             replaced.UNEXPECTED.set(patch, raise_again)
-            patch.setattr(arguments, "parser_and_commands", parser_and_commands)
+            replaced.ARGUMENT_PARSER.set(patch, parser_and_commands)
         try:
             code = cli.main(words)
         except SystemExit as ended:

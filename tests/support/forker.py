@@ -301,8 +301,7 @@ def _become(request: Mapping[str, Any]) -> None:
             buffering=1 if name == "stderr" or os.isatty(number) else -1,
             closefd=False,
         )
-        setattr(sys, name, stream)
-        setattr(sys, f"__{name}__", stream)
+        vars(sys).update({name: stream, f"__{name}__": stream})
     sys.argv = [request["module"], *request["arguments"]]
     runpy.run_module(request["module"], run_name="__main__", alter_sys=True)
 

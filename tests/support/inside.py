@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from tests.support import replaced
+
 if TYPE_CHECKING:
     import asyncio
     import socket
@@ -75,7 +77,7 @@ def break_waiting(node: RosNode, patch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise RuntimeError("the wait set is broken")
 
-    patch.setattr(participant_of(node), "wait", broken)
+    replaced.PARTICIPANT_WAIT.set(patch, broken)
     participant_of(node).wake()
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from tests.support import constants
 
 import rsb_bridge
 from rsb_bridge.config.topic_rules import TopicMistake
@@ -54,7 +55,8 @@ def test_facts_of_transport_are_all_that_session_needs(monkeypatch: pytest.Monke
         def carries_links_to(host: str) -> bool:
             return host.startswith("/dev/")
 
-    monkeypatch.setattr(transports, "_BY_NAME", {"serial": Serial, **transports._BY_NAME})
+    by_name = constants.TRANSPORTS_BY_NAME
+    by_name.set(monkeypatch, {"serial": Serial, **by_name.value})
     topics = (Topic("/scan", "transmit"), Topic("/map", "transmit", protocol="tcp"))
     session = Session(name="robot1", role="client", server_ip="/dev/ttyS0", server_port=5000, topics=topics)
     (problem,) = (each for each in validate(session) if each.location != "key_file")

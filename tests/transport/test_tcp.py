@@ -171,7 +171,7 @@ def test_silent_name_server_delays_neither_server_nor_end(monkeypatch: pytest.Mo
             answers.wait(20)
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
-    monkeypatch.setattr(socket, "getaddrinfo", silent)
+    replaced.NAME_SERVER.set(monkeypatch, silent)
     constants.LISTEN_LOOKED_UP_WITHIN.set(monkeypatch, 0.1)
     try:
         with pytest.raises(ListenError, match=pattern(LookUpProblem.NO_NAME_SERVER)):

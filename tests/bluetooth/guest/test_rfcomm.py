@@ -10,11 +10,11 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants
 from tests.support.acceptors import Accepting
 from tests.support.wording import pattern
 
 from rsb_bridge.bluetooth.hci import ANY_ADAPTER
-from rsb_bridge.transport import rfcomm
 from rsb_bridge.transport.rfcomm import Rfcomm, RfcommProblem
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.transport import ListenError
@@ -162,7 +162,7 @@ async def test_refusals_are_explained(addresses: tuple[str, str]) -> None:
 
 
 async def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rfcomm, "CONNECT_TIMEOUT", 2.0)
+    constants.RFCOMM_CONNECT_TIMEOUT.set(monkeypatch, 2.0)
     started = time.monotonic()
     with pytest.raises(OSError, match=pattern(RfcommProblem.NO_ANSWER)):
         await Rfcomm().connect("00:11:22:33:44:55", 5, Recorder())

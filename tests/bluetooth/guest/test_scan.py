@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.support import constants
 from tests.support.wording import says
 
 from rsb_bridge.bluetooth import hci
@@ -217,7 +218,7 @@ def test_a_bus_without_bluez(rule: str, code: ScanProblem, tmp_path: Path, monke
     with subprocess.Popen(["dbus-daemon", f"--config-file={config}", "--nofork"]) as bus:
         wait_until(path.exists, "the bus is up")
         monkeypatch.setenv("DBUS_SYSTEM_BUS_ADDRESS", f"unix:path={path}")
-        monkeypatch.setattr("rsb_bridge.bluetooth.scan._TIMEOUT", 0.5)
+        constants.BLUEZ_ANSWERS_WITHIN.set(monkeypatch, 0.5)
         found = look()
         bus.terminate()
     assert says(found.problems[0], code)

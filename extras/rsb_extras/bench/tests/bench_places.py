@@ -6,3 +6,4 @@ from tests.support.places import Place
 
 BENCH_LATE = Place("rsb_extras.bench.bench_ends", "_LATE_SECONDS")
 BENCH_QUIET = Place("rsb_extras.bench.link_bench", "_QUIET")
+ASK_PEER = Place("rsb_extras.bench.link_bench", "LinkBench._ask")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 import pytest
 import zstandard
+from tests.support import replaced
 from tests.support.frames import write_frame
 from tests.support.inside import inside
 from tests.support.ports import free_port
@@ -168,11 +169,11 @@ def test_run_with_reopened_topic_has_no_figures(
             return False
         if first_heard == "the run":
 
-            async def wait_for_run(_: object) -> None:
+            async def wait_for_run(*_: object) -> None:
                 while not running.done():  # noqa: ASYNC110 -- a thread's state
                     await asyncio.sleep(0.01)
 
-            monkeypatch.setattr(link, "prepare_port", wait_for_run)
+            replaced.PREPARE_PORT.set(monkeypatch, wait_for_run)
         link.table.propose(route)
         return True
 

@@ -6,6 +6,8 @@ import asyncio
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
+from tests.support.virtual_time import virtual_loop
+
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.internal_ends import InternalEnds
@@ -13,6 +15,7 @@ from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_extras.bench import LIMITS, BenchmarkLimits
 from rsb_extras.bench.benchmark import BENCH, BenchmarkStep
 from rsb_extras.bench.link_bench import BenchAnswer, BenchAsk, LinkBench
+from rsb_extras.bench.tests import bench_places
 
 if TYPE_CHECKING:
     import pytest
@@ -136,19 +139,18 @@ def test_one_run_at_a_time_whatever_the_topics() -> None:
 def test_growing_count_of_peer_is_not_awaited_forever(monkeypatch: pytest.MonkeyPatch) -> None:
     here, received = Here(), 0
 
-    async def sleep(seconds: float) -> None:
-        here.time += seconds
-
     async def ask(*_: object, **__: Any) -> BenchAnswer:
         nonlocal received
         received += 1
+        here.time = loop.time()
         assert here.time < 60.0
         return BenchAnswer(1, received=received)
 
-    monkeypatch.setattr(asyncio, "sleep", sleep)
-    monkeypatch.setattr(here.bench, "_ask", ask)
+    bench_places.ASK_PEER.set(monkeypatch, ask)
     order = BenchmarkStep("run", PEER, "tcp", "transmit", 100, 100_000.0, 1_000_000)
-    assert asyncio.run(here.bench._settled_there(cast("Route", None), 1, order)).received == received
+    with virtual_loop() as loop:
+        settled = here.bench._settled_there(cast("Route", None), 1, order)
+        assert loop.run_until_complete(settled).received == received
 
 
 def test_message_beyond_limit_is_refused() -> None:

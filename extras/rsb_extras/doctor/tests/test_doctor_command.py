@@ -95,7 +95,8 @@ def test_terminals(
     environ: dict[str, str], size: tuple[int, int], grades: list[Grade], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     surroundings.print_to_terminal(monkeypatch)
-    monkeypatch.setattr("shutil.get_terminal_size", lambda *_, **__: os.terminal_size(size))
+    for name, cells in zip(("COLUMNS", "LINES"), size, strict=True):
+        monkeypatch.setenv(name, str(cells))
     assert [each.grade for each in terminal_check(environ).run()] == grades
 
 

@@ -179,19 +179,19 @@ def test_a_python_without_bluetooth(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     ("hard", "grade"), [(1024, Grade.WARNING), (65_536, Grade.OK), (resource.RLIM_INFINITY, Grade.OK)]
 )
 def test_open_files(hard: int, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (1024, hard))
+    doctor_places.OPEN_FILES.set(monkeypatch, lambda _: (1024, hard))
     assert grades(found("descriptors", tmp_path)) == [("descriptors", grade)]
 
 
 def test_a_full_disk_and_a_foreign_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert grades(found("disk", tmp_path)) == [("disk", Grade.OK)]
     usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
+    doctor_places.DISK_USAGE.set(monkeypatch, lambda _: usage._replace(free=1 << 20))
     assert grades(found("disk", tmp_path)) == [("disk", Grade.WARNING)]
     surroundings.forbid_access(monkeypatch)
     (finding,) = found("disk", tmp_path)
     assert (finding.grade, str(tmp_path) in finding.remedy) == (Grade.WARNING, True)
-    monkeypatch.setattr(os, "statvfs", lambda _: Mock(f_flag=os.ST_RDONLY))
+    doctor_places.FILE_SYSTEM.set(monkeypatch, lambda _: Mock(f_flag=os.ST_RDONLY))
     (finding,) = found("disk", tmp_path)
     assert "read-only" in finding.text
 
@@ -225,7 +225,7 @@ def test_multicast_comes_back_without_leaving_the_machine() -> None:
 def test_multicast_by_interface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flags = {"lo": 0x9, "up": 0x1001, "deaf": 0x1, "down": 0x1000}
     addresses = dict.fromkeys(flags, "127.0.0.1")
-    monkeypatch.setattr(socket, "if_nameindex", lambda: list(enumerate(flags)))
+    doctor_places.INTERFACES.set(monkeypatch, lambda: list(enumerate(flags)))
     doctor_places.INTERFACE_FLAGS.set(monkeypatch, flags.get)
     doctor_places.INTERFACE_ADDRESS.set(monkeypatch, addresses.get)
     good, bad = found("multicast", tmp_path)

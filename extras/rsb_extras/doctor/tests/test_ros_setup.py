@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.machinery
-import importlib.util
 import sys
 from pathlib import Path
 
@@ -99,8 +97,8 @@ def test_ros_that_is_not_sourced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_ros_that_is_sourced_and_for_another_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its setup file adds its packages to ``PYTHONPATH``, so that this Python finds rclpy."""
-    spec = importlib.machinery.PathFinder.find_spec("rclpy", [str(opt_ros(tmp_path, "jazzy", "3.1"))])
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: spec)
+    monkeypatch.delitem(sys.modules, "rclpy", raising=False)
+    monkeypatch.syspath_prepend(opt_ros(tmp_path, "jazzy", "3.1"))
     finding = found_in(tmp_path)
     assert (finding.grade, finding.facts) == (Grade.ERROR, {"python": "3.1", "prefix": str(tmp_path / "opt/ros/jazzy")})
     assert "python3.1" in finding.remedy

@@ -8,9 +8,8 @@ from tests.console.conftest import _parsed_once, _same_everywhere, _toasts_stay
 from tests.engine.conftest import _answers_take_their_time, consoles, loop, make_context
 from tests.engine.test_arming import both_armed
 from tests.support import constants
-from tests.support.long_lease import TIMES
+from tests.support.long_lease import lengthen_lease
 
-from rsb_bridge.route import lease
 from rsb_extras.driving.tests import driving_places
 
 __all__ = [
@@ -37,6 +36,5 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def long_lease(monkeypatch: pytest.MonkeyPatch) -> None:
     """Topics stay armed, and tickets valid, while a busy machine stands still for more than a second."""
-    for name, seconds in TIMES.items():
-        monkeypatch.setattr(lease, name, seconds)
+    lengthen_lease(monkeypatch)
     driving_places.TICKET_LIFE.set(monkeypatch, 60.0)

@@ -20,6 +20,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import SESSION, route
+from tests.support import replaced
 from tests.support.wording import says
 from textual.events import Key
 from textual.pilot import Pilot
@@ -96,11 +97,9 @@ class Clock:
 class Robot(PublishingEngine):
     """An engine that asks for a ticket, and takes 0.1 s for each command."""
 
-    clock: Clock
-
     def _execute(self, command: Any, step: Any) -> Future[Any]:
         if isinstance(command, Publish):
-            self.clock.now += 0.1
+            driving_places.DRIVE_TIME.value.now += 0.1
             if not self.published:
                 self.published = [Published(is_done=command.ticket > 0, ticket=command.ticket + 1)]
         return super()._execute(command, step)
@@ -111,7 +110,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     driving_places.DRIVE_TIME.set(monkeypatch, made)
     driving_places.DRIVE_STOOD_STILL.set(monkeypatch, float("inf"))  # as this clock does
-    monkeypatch.setattr(Robot, "clock", made, raising=False)
     return made
 
 
@@ -504,7 +502,7 @@ async def test_yes_arms_nothing_that_holder_has_released(app: ConsoleApp, pilot:
 async def test_second_key_disarms_what_first_has_just_armed(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(app.deadman, "keep", lambda *_: None)  # no answer says yet that this console holds it
+    replaced.DEADMAN_KEEP.set(monkeypatch, lambda *_: None)  # no answer says yet that this console holds it
     await arm(app, pilot)
     put(app, ARMED)
     await pilot.press("A")

@@ -50,6 +50,7 @@ from rsb_extras.fleet.rolling import Bridged
 from rsb_extras.fleet.rollout import ChangeField, RolloutPhase, RolloutScreen, _key_line
 from rsb_extras.fleet.rollout import _now as present_values
 from rsb_extras.fleet.server_source import ServerFleet
+from rsb_extras.fleet.tests import fleet_places
 from rsb_extras.fleet.tests.scripted_fleet import ScriptedSource, fleet_of
 
 if TYPE_CHECKING:
@@ -408,14 +409,14 @@ async def planned_for_the_worse(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> Ro
     """Type a change that makes each robot faulty, and wait for the question."""
     screen = await planned(bed, "/camera max_rate=5")
     await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
-    tell = screen._tell
+    tell = fleet_places.TELL_STEP.value
 
-    def worse(step: RobotChange, what: str) -> None:
-        tell(step, what)
+    def worse(screen: RolloutScreen, step: RobotChange, what: str) -> None:
+        tell(screen, step, what)
         if what == "settling":
             bed.source.put(step.name, state=RobotState.FAULT, why="refused")
 
-    monkeypatch.setattr(screen, "_tell", worse)
+    fleet_places.TELL_STEP.set(monkeypatch, worse)
     return screen
 
 

@@ -303,7 +303,7 @@ def test_what_finds_no_room_costs_one_walk_look(monkeypatch: pytest.MonkeyPatch)
         walks.append(len(self))
         return dict.items(self)
 
-    monkeypatch.setattr(timeline.TrackRecords, "items", items)
+    history_places.WALK_TRACKS.set(monkeypatch, items)
     world = World(*(f"/t{number}" for number in range(100)))
     world.go(1)
     walks.clear()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import io
 import os
 import pty
 import re
 import threading
 from collections.abc import Iterator
+from typing import TextIO, cast
 
 import pytest
 from PIL import Image
@@ -46,7 +48,7 @@ class Terminal:
 
 
 @pytest.fixture
-def answering(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Terminal]]:
+def answering() -> Iterator[list[Terminal]]:
     """Standard input and output are the terminal that the test adds."""
     terminals: list[Terminal] = []
     yield terminals
@@ -59,10 +61,10 @@ def protocol(answer: bytes, terminals: list[Terminal], monkeypatch: pytest.Monke
     terminals.append(terminal)
     with open(terminal.slave, "r+b", buffering=0, closefd=False) as stream:
         surroundings.set_stdin(monkeypatch, stream)
-        monkeypatch.setattr("sys.stdout", stream)
         picture_places.TERMINAL_ANSWERS_WITHIN.set(monkeypatch, 60.0)  # the answer comes from a thread of this process
         try:
-            return graphics_of_terminal()
+            with contextlib.redirect_stdout(cast("TextIO", stream)):
+                return graphics_of_terminal()
         finally:
             monkeypatch.undo()
 

@@ -19,7 +19,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.bridge import carries, linked, now
 from tests.support.domain import LATCHED
 from tests.support.inside import inside
@@ -281,7 +281,11 @@ def test_right_that_is_taken_away_ends_view(bridge: Bridge, robot: Domain) -> No
     (link,), context = inside(client).links(), inside(client).context
     assert views_drawn_by(link)
     denied = msgspec.structs.replace(context.session, deny=(Grant("/pose", may="look"),))
-    context.call(lambda: setattr(context, "session", denied))
+
+    def deny() -> None:
+        context.session = denied
+
+    context.call(deny)
     eventually(lambda: not views_drawn_by(link))
 
     def refused() -> bool:
@@ -395,9 +399,7 @@ def test_view_that_cannot_be_opened_leaves_no_route(
     looked_while(talker, server, "/pose")
 
 
-def test_early_viewer_gets_picture_after_sender_subscribes(
-    pair: tuple[Engine, Engine], robot: Domain, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_early_viewer_gets_picture_after_sender_subscribes(pair: tuple[Engine, Engine], robot: Domain) -> None:
     """It was refused: this route carries no pictures."""
     server, client = pair
     ends, looks = inside(client).context.internal[VIEW.name], itertools.count()
@@ -406,7 +408,7 @@ def test_early_viewer_gets_picture_after_sender_subscribes(
         def get(self, key: Any, default: Any = None) -> Any:
             return super().get(key, default) if next(looks) > 2 else default
 
-    monkeypatch.setattr(ends, "sources", Late(ends.sources))
+    ends.sources = Late(ends.sources)
     assert looked_while(Talker(robot, "/pose"), server, "/pose").where
     assert next(looks) > 3
 
@@ -591,15 +593,16 @@ def test_publishers_are_not_looked_up_for_each_picture(
     talker = Talker(pc, "/pose")
     server, _ = pair
     ros, asked = inside(server).context.ros, Counter[str]()
-    find = ros.publishers
+    find = replaced.ROS_PUBLISHERS.value
 
-    def counted(topic: str) -> list[Endpoint]:
-        asked[topic] += 1
-        return find(topic)
+    def counted(node: object, topic: str) -> list[Endpoint]:
+        asked[topic] += node is ros
+        found: list[Endpoint] = find(node, topic)
+        return found
 
     topics = ("/pose", "/absent")
     eventually(partial(ros.publishers, "/pose"))
-    monkeypatch.setattr(ros, "publishers", counted)
+    replaced.ROS_PUBLISHERS.set(monkeypatch, counted)
     began, pictures = time.monotonic(), 0
     future = look_at(server, "me", topics, WISH)
     while pictures < 20:

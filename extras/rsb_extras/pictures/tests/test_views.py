@@ -6,9 +6,9 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 from tests.support.wording import pattern, says
 
-from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.qos import Qos
@@ -35,7 +35,7 @@ async def test_a_look_without_an_answer_is_asked_again(
 ) -> None:
     """A peer that has too many questions already ignores further ones."""
     sent: list[Any] = []
-    monkeypatch.setattr(BaseLink, "send", lambda _, message: sent.append(message))
+    replaced.LINK_SEND.set(monkeypatch, lambda _, message: sent.append(message))
     context = make_context()
     (link,) = ClientRole(context, {"robot1": ()}).links()
     route: Any = SimpleNamespace(id=2, local_topic=VIEW.route_name("1"), outgoing=False, crossing=Crossing.YES)

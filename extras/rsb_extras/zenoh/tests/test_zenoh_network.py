@@ -509,7 +509,7 @@ class Stuck:
 async def test_session_that_closes_late_is_left(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
     """Zenoh raises then, on a thread of which nobody takes exceptions: pytest fails a test for one."""
     opens = zenoh.open
-    monkeypatch.setattr(zenoh, "open", lambda config: Stuck(opens(config)))
+    zenoh_places.OPEN_ZENOH.set(monkeypatch, lambda config: Stuck(opens(config)))
     network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
     await network.open()
     network.close()
