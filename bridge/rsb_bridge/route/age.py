@@ -27,21 +27,14 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.framing import Message
 
-_CALLER = 16
-"""Bytes of `Request.caller` that identify the caller; the others identify the request."""
-_SANE = 50_000_000
-"""ns by which a right clock may seem to be wrong, and so by which an age may be: as much as the smallest `max_age`.
-Nothing was measured. Ten times more would let commands pass that are half a second too old."""
-_DRIFT = 5e-4
-"""ns a ns by which a publisher's clock may run slower or faster, while it is being corrected, too: as much as
-adjtimex(2) may change a clock's frequency (500 ppm)."""
-_MOST_PUBLISHERS = 1024
-"""Wrong clocks that are remembered: any node of the domain can make publishers. A forgotten one is measured again."""
 EXPIRED = "expired"
 """The cause under which the receiver reports messages that were too old."""
-_AHEAD = 0.05
-"""s, beyond the uncertainty, by which a message may seem to come from the future. A round figure: nothing was measured.
-Ten times more would publish commands whose age is wrong by half a second."""
+_CALLER = 16  # bytes of `Request.caller` that identify the caller; the others identify the request
+_MOST_PUBLISHERS = 1024  # whose clocks are known to be wrong: any node can make some. A forgotten one is measured again
+# For the next two nothing was measured. With ten times as much, commands pass that are half a second too old.
+_SANE = 50_000_000  # ns by which a right clock may seem to be wrong, and so an age: as much as the smallest `max_age`
+_AHEAD = 0.05  # s, beyond the uncertainty, by which a message may seem to come from the future
+_DRIFT = 5e-4  # ns a ns by which a publisher's clock may run differently: as much as adjtimex(2) may change it, 500 ppm
 _REMEDIES = {
     Cause.LINK_SLOW: "the link is too slow: set max_rate or priority",
     Cause.CLOCK_UNKNOWN: "age unknown: wait 10 s, or raise max_age",
@@ -102,16 +95,11 @@ class PublisherClocks:
 
 
 class Expired(NamedTuple):
-    """Messages that were dropped lately because they were too old.
+    """Messages that were dropped lately because they were too old."""
 
-    Attributes:
-        cause: cause of most of them.
-        of: the number of messages among which these were lost.
-    """
-
-    cause: Cause
+    cause: Cause  # of most of them
     lost: int
-    of: int
+    of: int  # messages among which these were lost
     limit: float
     since: float
 

@@ -30,30 +30,25 @@ if TYPE_CHECKING:
     from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.wire.framing import Message
 
-ANSWERED_WITHIN = 5.0
-"""Seconds in which the other side has to agree (PROTOCOL.md, 7)."""
-CONSOLE_SILENT_AFTER = 5.0
-"""Seconds without a sign of life after which the console that armed a topic counts as gone: it gives one every 2 s at
-least (`link.holder_questions`), so that one may be late."""
-PEER_GRACE = 2.0
-"""Seconds beyond the deadman that a side waits if the other side armed it: keys are reported once a second."""
+# In s.
+ANSWERED_WITHIN = 5.0  # in which the other side has to agree (PROTOCOL.md, 7)
+CONSOLE_SILENT_AFTER = 5.0  # without a sign of life of a console, which gives one every 2 s (`link.holder_questions`)
+PEER_GRACE = 2.0  # beyond the deadman, if the other side armed it: keys are reported once a second
+_QUESTION_LASTS = 2.0  # beyond its end, until a question counts for nothing: the other side has given up. Round
 
 
 class Disarmed(StrEnum):
     """Reasons for a topic not being armed, also the cause of `EventCode.ROUTE_DISARMED`. Programs may rely on them."""
 
     NOT_YET = "not_yet"
-    """Nobody has armed it since it was opened."""
     OPERATOR = "operator"
     DEADMAN = "deadman"
-    """No key was pressed in time on the console that armed it."""
     CONSOLE_GONE = "console_gone"
     """The console that armed it was closed or killed, or has given no sign of life."""
     LINK_LOST = "link_lost"
     PAUSED = "paused"
     RELOADED = "reloaded"
     NO_ANSWER = "no_answer"
-    """The other side has not agreed in time."""
     TOO_OFTEN = "too_often"
     """The other side's operators arm topics more often than people do."""
     REMOVED = "removed"
@@ -61,11 +56,9 @@ class Disarmed(StrEnum):
     CHANNEL_LOST = "channel_lost"
     """Its data connection ended, which may be noticed before the end of the process at its other end."""
     REOPENED = "reopened"
-    """The topic was reopened: its type, its limits or its connection changed."""
+    """Its type, its limits or its connection changed."""
     LEASE = "lease"
-    """One of the two sides, or the link, stood still for too long."""
     LINK_SLOW = "link_slow"
-    """The link's round trip is too long for commands that must be young."""
 
 
 DISARM_TEXT = {
@@ -89,59 +82,35 @@ DISARM_TEXT = {
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """The question to a holder whether another operator may hold the arming instead.
+    """The question to a holder whether another operator may hold the arming instead."""
 
-    Attributes:
-        who: asks, in words.
-        number: among the questions of the asker's side.
-        until: s, when it goes over without an answer.
-        answered: takes the answer, or None once the arming has ended otherwise.
-        from_peer: whether an operator of the other side asks.
-    """
-
-    who: str
-    number: int
-    until: float
-    answered: Callable[[bool | None], None]
-    from_peer: bool = False
-
-
-_QUESTION_LASTS = 2.0
-"""s beyond its end after which a question counts for nothing: the other side has given up, or stands still. A
-round figure."""
+    who: str  # asks, in words
+    number: int  # among the questions of the asker's side
+    until: float  # s, when it goes over without an answer
+    answered: Callable[[bool | None], None]  # takes the answer, or None once the arming has ended otherwise
+    from_peer: bool = False  # whether an operator of the other side asks
 
 
 class ArmingPhase(Enum):
     """The phases of the one arming that an opening of a route may have."""
 
-    FREE = auto()
-    """It may be armed."""
-    ASKED = auto()
-    """An operator of this side has armed it; the other side has not agreed yet."""
-    BEGINS = auto()
-    """Both sides have agreed, and have not answered each other in time yet."""
+    FREE = auto()  # it may be armed
+    ASKED = auto()  # an operator of this side has armed it; the other side has not agreed yet
+    BEGINS = auto()  # both sides have agreed, and have not answered each other in time yet
     ARMED = auto()
-    SPENT = auto()
-    """It has ended; the next one needs a new opening."""
+    SPENT = auto()  # it has ended; the next one needs a new opening
 
 
 class ArmingEvent(Enum):
     """Events in an arming."""
 
-    OPEN = auto()
-    """The route has a new opening."""
-    ASK = auto()
-    """An operator of this side arms it."""
-    ARM_THERE = auto()
-    """An operator of the other side arms it."""
-    AGREE = auto()
-    """The other side agrees in time."""
-    LIVE = auto()
-    """The two sides hear each other, for the first time or again."""
-    KEY = auto()
-    """Its operator presses a key in time, on either side."""
-    END = auto()
-    """It is disarmed, or refused."""
+    OPEN = auto()  # the route has a new opening
+    ASK = auto()  # an operator of this side arms it
+    ARM_THERE = auto()  # an operator of the other side arms it
+    AGREE = auto()  # the other side agrees in time
+    LIVE = auto()  # the two sides hear each other, for the first time or again
+    KEY = auto()  # its operator presses a key in time, on either side
+    END = auto()  # it is disarmed, or refused
 
 
 _ALWAYS = {ArmingEvent.OPEN: ArmingPhase.FREE, ArmingEvent.END: ArmingPhase.SPENT}
@@ -154,10 +123,9 @@ TRANSITIONS: dict[ArmingPhase, dict[ArmingEvent, ArmingPhase]] = {
     ArmingPhase.SPENT: _ALWAYS,
 }
 
+# The phases in which an operator has armed it, and those in which both sides have agreed on that.
 HELD = (ArmingPhase.ASKED, ArmingPhase.BEGINS, ArmingPhase.ARMED)
-"""The phases in which an operator has armed it."""
 AGREED = (ArmingPhase.BEGINS, ArmingPhase.ARMED)
-"""The phases in which both sides have agreed on that."""
 
 _CROSSING = {
     ArmingPhase.FREE: Crossing.DISARMED,
@@ -224,7 +192,7 @@ class Arming:
     # --- demands
 
     def demand(self, *, required: bool, deadman: float) -> None:
-        """Add the demand of one side's session: whether arming is required, and the deadman in seconds."""
+        """Add the demand of one side's session."""
         if not required:
             return
         if not self.required:
@@ -310,8 +278,7 @@ class Arming:
         """Return the state for user interfaces at `now` (s), or None if arming is not required.
 
         Args:
-            on_end: what follows on the receiving side, in words.
-            velocity: that the receiving side has published last, or None.
+            velocity: that the receiving side has published last.
         """
         if not self.required:
             return None

@@ -321,23 +321,14 @@ def young_sieve(age: MessageAge, ledger: RouteLedger) -> Sieve[Message]:
 
 
 class SendingGates(NamedTuple):
-    """The gates of a topic's sending half, in the order in which they are asked.
+    """The gates of a topic's sending half, in the order in which they are asked."""
 
-    Attributes:
-        batch: asked once of messages that come together from ROS.
-        arriving: asked of these when they have the stamps for the other side.
-        sourced: asked of a volatile topic's messages when the loop filter has found their source.
-        kept: asked of a latched topic's messages when its histories release them.
-        packed: asked of the compressed messages if they are too long together.
-        leaving: asked right before the channel gets them, maybe after a wait in the queue.
-    """
-
-    batch: Gates
-    arriving: tuple[Sieve[RawMessage], ...]
-    sourced: tuple[Sieve[RawMessage], ...]
-    kept: tuple[Sieve[Sample], ...]
-    packed: tuple[Sieve[Message], ...]
-    leaving: tuple[Sieve[Message], ...]
+    batch: Gates  # once of messages that come together from ROS
+    arriving: tuple[Sieve[RawMessage], ...]  # of these when they have the stamps for the other side
+    sourced: tuple[Sieve[RawMessage], ...]  # of a volatile topic's when the loop filter has found their source
+    kept: tuple[Sieve[Sample], ...]  # of a latched topic's when its histories release them
+    packed: tuple[Sieve[Message], ...]  # of the compressed messages if they are too long together
+    leaving: tuple[Sieve[Message], ...]  # right before the channel gets them, maybe after a wait in the queue
 
 
 def sending_gates(
@@ -385,17 +376,11 @@ def unleased(payload: bytes, flags: int) -> tuple[int, bytes, int]:
 
 
 class IncomingGates(NamedTuple):
-    """The gates of a topic's receiving half.
+    """The gates of a topic's receiving half."""
 
-    Attributes:
-        batch: asked once of messages that arrive together, for nothing in them counts.
-        arriving: asked of each one before it is unpacked and checked.
-        leaving: asked right before DDS gets it.
-    """
-
-    batch: Gates
-    arriving: Gates
-    leaving: Gates
+    batch: Gates  # asked once of messages that arrive together, for nothing in them counts
+    arriving: Gates  # of each one before it is unpacked and checked
+    leaving: Gates  # right before DDS gets it
 
 
 def incoming_gates(route: Route) -> IncomingGates:
@@ -412,15 +397,10 @@ def incoming_gates(route: Route) -> IncomingGates:
 
 
 class CallingGates(NamedTuple):
-    """The gates of the callers' half.
+    """The gates of the callers' half."""
 
-    Attributes:
-        arriving: asked of each request from ROS.
-        leaving: asked right before the channel gets it.
-    """
-
-    arriving: tuple[Gate[Request], ...]
-    leaving: Gates
+    arriving: tuple[Gate[Request], ...]  # asked of each request from ROS
+    leaving: Gates  # right before the channel gets it
 
 
 def calling_gates(route: Route, outbox: Carries, rate: CallRateGate, *, limited: bool) -> CallingGates:
@@ -435,15 +415,10 @@ def calling_gates(route: Route, outbox: Carries, rate: CallRateGate, *, limited:
 
 
 class ProvidingGates(NamedTuple):
-    """The gates of the providing half. Between them, contents are checked.
+    """The gates of the providing half. Between them, contents are checked."""
 
-    Attributes:
-        arriving: asked of each call that comes.
-        leaving: asked right before ROS gets it.
-    """
-
-    arriving: Gates
-    leaving: tuple[Gate[CallFrame], ...]
+    arriving: Gates  # asked of each call that comes
+    leaving: tuple[Gate[CallFrame], ...]  # right before ROS gets it
 
 
 def providing_gates(route: Route, *, limited: bool) -> ProvidingGates:

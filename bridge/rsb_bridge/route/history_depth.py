@@ -27,84 +27,53 @@ if TYPE_CHECKING:
 
     from rsb_bridge.ros.ros_interface import RawMessage, Subscription
 
+# Where these were measured: bench/README.md, *Constants of latched topics*. The others are round figures.
 _SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
-_HELD_FOR = 0.3
-"""s; a probe takes 0.1 to 0.2 s on an idle machine. A publisher is busy that has not been quiet for so long."""
-_HELD = LATCHED_DEPTH
-"""Messages of one publisher. A longer burst is sent with the most that may be kept: its end stays too long for late
-joiners, as nothing shortens what a publisher of the peer keeps."""
-_PROBES_FOR = 1.0
-"""s until a probe ends that has not got what it waits for: five times as long as one takes on an idle machine."""
-_PROBE_SETTLES_AFTER = 0.05
-"""s after all that a probe waits for: what overtook it in the other subscription has come, too."""
-_PROBES_EACH_UNTIL = 16
-"""Up to this number each message is probed for, later every doubling of the number: a probe replays the history."""
-_MOST_TRIES = 5
-"""A round figure: nothing was measured. Each try subscribes once more, and has the publisher send its history again."""
-_MEANWHILE = 100
-"""Messages from the start of a probe to its end, up to which it bounds the depth from above. A faster publisher may
-overwrite the beginning of its history before DDS has sent it: at 5 kHz, 1,000 messages were taken for 300 at times."""
-_FORGOTTEN_AFTER = 20.0
-"""Seconds a publisher must be gone; longer than the peer keeps its history, whose numbers may be given here."""
+_HELD_FOR = 0.3  # s that messages wait for a probe; a publisher that has not been quiet for so long is busy
+_HELD = LATCHED_DEPTH  # messages of a publisher that wait; a longer burst is sent with the most that may be kept
+_FORGOTTEN_AFTER = 20.0  # s that a publisher is gone: longer than the peer keeps its history, whose numbers may return
 
+_PROBES_FOR = 1.0  # s until a probe ends that has not got what it waits for
+_PROBE_SETTLES_AFTER = 0.05  # s after all that it waits for: what overtook that in the other subscription has come, too
+_PROBES_EACH_UNTIL = 16  # number of a message, up to which each is probed for; later every doubling of the number is
+_MOST_TRIES = 5  # probes in a row that show no depth: each has the publisher send its history again
+_MEANWHILE = 100  # messages during a probe, up to which it bounds the depth from above
 
 Bounds: TypeAlias = tuple[int, int]
 """The least and the most messages that a publisher may keep."""
 
 
 class Sample(NamedTuple):
-    """A message of a latched topic.
-
-    Attributes:
-        replayed: whether it comes from its publisher's history rather than live.
-    """
+    """A message of a latched topic."""
 
     header: HistoryHeader
     message: RawMessage
-    replayed: bool
+    replayed: bool  # it comes from its publisher's history rather than live
 
 
 @dataclass(slots=True)
 class _Publisher:
-    """One publisher.
+    """One publisher. Times are in s."""
 
-    Attributes:
-        taken: the newest number that the peer has, or that was emitted or is held.
-        began: s, when `first` came.
-        latest: s, when `newest` came.
-        flows_since: s, when the first message came after the last silence of `_SETTLES_AFTER`.
-        first: the first message number that this subscription brought, or 0 before the first message.
-        settled: whether its whole history has come.
-        at_least: lower bound of the depth.
-        at_most: upper bound of the depth.
-        bounded: whether these come from an earlier opening, so that no message is held for a better one.
-        probe_at: the next probe begins at the message with this number.
-        tries: probes in a row that did not show the depth.
-        released: whether messages are no longer held.
-        held: messages held, each with whether it was replayed.
-        arrivals: of a topic with a lifespan, the newest live messages' numbers and when (s) they came.
-        gone_since: time (s) when it left the graph, or None while it is there.
-        is_ahead: whether its clock is: a message came before it was published.
-    """
-
-    taken: int
-    began: float
-    latest: float
-    flows_since: float
-    first: int = 0
+    taken: int  # the newest number that the peer has, or that was emitted or is held
+    began: float  # when `first` came
+    latest: float  # when `newest` came
+    flows_since: float  # when the first message came after the last silence of `_SETTLES_AFTER`
+    first: int = 0  # the first message number that this subscription brought, or 0 before the first message
     newest: int = 0
-    settled: bool = False
-    at_least: int = 1
+    settled: bool = False  # its whole history has come
+    at_least: int = 1  # bounds of the depth
     at_most: int = LATCHED_DEPTH
-    bounded: bool = False
-    probe_at: int = 2
-    tries: int = 0
-    released: bool = False
-    held: deque[tuple[RawMessage, bool]] = field(default_factory=deque)
+    bounded: bool = False  # these come from an earlier opening, so that no message is held for better ones
+    probe_at: int = 2  # the next probe begins at the message with this number
+    tries: int = 0  # probes in a row that did not show the depth
+    released: bool = False  # messages are no longer held
+    held: deque[tuple[RawMessage, bool]] = field(default_factory=deque)  # each with whether it was replayed
     held_size: int = 0
+    # Of a topic with a lifespan, the newest live messages' numbers, and when they came.
     arrivals: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=LATCHED_DEPTH))
-    gone_since: float | None = None
-    is_ahead: bool = False
+    gone_since: float | None = None  # when it left the graph, or None while it is there
+    is_ahead: bool = False  # its clock is: a message came before it was published
 
     @property
     def exact(self) -> bool:
@@ -131,7 +100,7 @@ class Histories:
         known: Mapping[bytes, int],
         bounds: Mapping[bytes, Bounds],
     ) -> None:
-        """Begin.
+        """Begin without publishers.
 
         Args:
             probe: subscribes a second time, with a receiver of its messages on the loop; may raise RosError.
@@ -166,11 +135,7 @@ class Histories:
     # --- messages
 
     def receive(self, batch: Sequence[RawMessage]) -> int:
-        """Take messages from ROS, oldest first.
-
-        Returns:
-            The number of new ones: the peer does not have them, and they were not taken before.
-        """
+        """Take messages from ROS, oldest first; return how many the peer does not have, and were not taken before."""
         now = self._loop.time()
         new, samples = 0, list[Sample]()
         for message in batch:
@@ -183,7 +148,9 @@ class Histories:
             replayed = not publisher.settled
             if not message.number:  # it gets one here, so that a message that overtakes it on the way stays the newest
                 publisher.taken += 1
-            if self._holds(publisher, message.number):
+            # The first one is never held: its publisher keeps at least one.
+            known = publisher.released or publisher.bounded or publisher.exact or self._depth or self._lifespan
+            if message.number > 1 and not known:
                 publisher.held.append((message, replayed))
                 publisher.held_size += len(message.payload)
             else:
@@ -218,11 +185,7 @@ class Histories:
                 del self._publishers[gid]
 
     def close(self) -> int:
-        """Stop emitting messages.
-
-        Returns:
-            The number of messages that were held.
-        """
+        """Stop emitting messages, and return how many were held."""
         self._end_probe()
         if self._timer is not None:
             self._timer.cancel()
@@ -250,11 +213,6 @@ class Histories:
             publisher.arrivals.append((message.number, now))
         return publisher
 
-    def _holds(self, publisher: _Publisher, number: int) -> bool:
-        """Whether a message is held. The first one is never: its publisher keeps at least one."""
-        known = publisher.released or publisher.bounded or publisher.exact
-        return number > 1 and not (known or self._depth or self._lifespan)
-
     def _depth_of(self, publisher: _Publisher, number: int) -> int:
         """Return the depth to emit a message with: the most that its publisher may keep.
 
@@ -266,13 +224,10 @@ class Histories:
             return self._depth
         if not number:
             return AUTO_DEPTH
-        if publisher.exact or publisher.bounded or self._lifespan or self._is_busy(publisher):
+        is_busy = publisher.latest - publisher.flows_since >= _HELD_FOR - _SETTLES_AFTER
+        if publisher.exact or publisher.bounded or self._lifespan or is_busy:
             return publisher.at_most  # with a lifespan the peer's publishers forget as quickly
         return min(number - publisher.first + 1, publisher.at_most)
-
-    @staticmethod
-    def _is_busy(publisher: _Publisher) -> bool:
-        return publisher.latest - publisher.flows_since >= _HELD_FOR - _SETTLES_AFTER
 
     # --- depths
 
@@ -314,26 +269,24 @@ class Histories:
     def _timed_out(self) -> None:
         self._timer = None
         if self._probe is not None and self._loop.time() >= self._probe.until:
-            self._finish_probe()
+            self._finish_probe(self._probe)
         self._work()
 
     def _start_probe(self, wanted: dict[bytes, int], now: float) -> None:
         probe = self._probe = _Probe(wanted, now + _PROBES_FOR)
+
+        def receive(batch: Sequence[RawMessage]) -> None:
+            if self._probe is probe:
+                probe.receive(batch, self._loop.time())
+                self._work()
+
         try:
-            probe.subscription = self._open_probe(self._probed)
+            probe.subscription = self._open_probe(receive)
         except RosError:
             probe.until = now  # finish at once, as a probe that got nothing
 
-    def _probed(self, batch: Sequence[RawMessage]) -> None:
-        if self._probe is not None:
-            self._probe.receive(batch, self._loop.time())
-            self._work()
-
-    def _finish_probe(self) -> None:
-        probe = self._probe
+    def _finish_probe(self, probe: _Probe) -> None:
         self._end_probe()
-        if probe is None:
-            return
         found = False
         for gid, target in probe.wanted.items():
             publisher = self._publishers.get(gid)
@@ -393,19 +346,12 @@ class Histories:
 
 @dataclass(slots=True)
 class _Found:
-    """Messages of one publisher that a probe got.
+    """Messages of one publisher that a probe got."""
 
-    Attributes:
-        first: the first number.
-        came: ns since the epoch, when that came.
-        last: the last number.
-        kept: the last number that its history may have had, unless its clock is ahead.
-    """
-
-    first: int
-    came: int
-    last: int = 0
-    kept: int = 0
+    first: int  # the first number
+    came: int  # ns since the epoch, when that came
+    last: int = 0  # the last number
+    kept: int = 0  # the last number that its history may have had, unless its clock is ahead
 
 
 _NOTHING = _Found(0, 0)

@@ -93,36 +93,24 @@ class _OutputHistory:
 
 
 class _Message(NamedTuple):
-    """A message, and the output that is to publish it.
-
-    Attributes:
-        look: asked right before DDS gets it, or None.
-        dropped: called if it is not published.
-    """
+    """A message, and the output that is to publish it."""
 
     output: _OutputHistory
     content: bytes
-    look: Look | None
-    dropped: Dropped
+    look: Look | None  # asked right before DDS gets it
+    dropped: Dropped  # called if it is not published
 
 
 @dataclass(slots=True)
 class _History:
-    """The history of one publisher of the sending side.
+    """The history of one publisher of the sending side."""
 
-    Attributes:
-        seen_at: time (s) when it was last seen.
-        newest: number of its newest message that came here.
-        outputs: the publishers here that have its messages.
-        waiting: messages that wait until an output is discovered, or has delivered what it published before.
-        last: the output that published last, or None.
-    """
-
-    seen_at: float
-    newest: int = 0
-    outputs: list[_OutputHistory] = field(default_factory=list)
+    seen_at: float  # s, when it was last seen
+    newest: int = 0  # number of its newest message that came here
+    outputs: list[_OutputHistory] = field(default_factory=list)  # the publishers here that have its messages
+    # Until an output is discovered, or has delivered what it published before.
     waiting: deque[_Message] = field(default_factory=deque)
-    last: _OutputHistory | None = None
+    last: _OutputHistory | None = None  # the output that published last
 
 
 def _ignored(_: object) -> None:

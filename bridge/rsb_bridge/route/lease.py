@@ -16,22 +16,13 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RawMessage, Request
     from rsb_bridge.ros.ros_thread import RosTurns
 
-LASTS = 1.0
-"""Seconds that a message of an armed route may be old at most when it is published."""
-BEAT = 0.25
-"""Seconds from one number to the next (PROTOCOL.md, 7.2): of four in `LASTS`, one may be lost."""
-GIVEN_UP_AFTER = 3.0
-"""Seconds without an answer after which everything is disarmed; nothing passes after the first of them.
-
-A limit of 1 s would disarm 532 times an hour on a link with a round trip of 0.3 s that loses 5 % of its packets, this
-one 2.5 times (`bench.lease`). It lets nothing older pass, as messages have their own limit.
-"""
-_FIRST_WITHIN = 10.0
-"""Seconds until it has to begin (PROTOCOL.md, 7.2); the asking side waits for half of that, and knows then why."""
-SLOW = LASTS - BEAT
-"""Round trip in seconds from which on a link is too slow: most messages would be too old."""
-_KEPT = 64
-"""Numbers that each side remembers: more than are sent within `GIVEN_UP_AFTER`."""
+# In s. Where these were measured: bench/README.md, *Constants of arming*.
+LASTS = 1.0  # that a message of an armed route may be old at most when it is published
+BEAT = 0.25  # from one number to the next (PROTOCOL.md, 7.2): of four in `LASTS`, one may be lost
+GIVEN_UP_AFTER = 3.0  # without an answer, until everything is disarmed; nothing passes after `LASTS`
+_FIRST_WITHIN = 10.0  # in which it has to begin (PROTOCOL.md, 7.2); the asking side waits for half of that
+SLOW = LASTS - BEAT  # round trip from which on a link is too slow: most messages would be too old
+_KEPT = 64  # numbers that each side remembers: more than are sent within `GIVEN_UP_AFTER`
 
 
 class Standstill(Enum):
@@ -45,16 +36,11 @@ class Standstill(Enum):
 class LeasePhase(Enum):
     """The phases of one side's half of a lease; a standstill ends each but the first."""
 
-    OFF = auto()
-    """Nothing is armed, so that no numbers are sent."""
-    SENDS = auto()
-    """Numbers are sent, and none has been answered in time yet."""
-    ANSWERED = auto()
-    """The other side hears this one, and does not know yet that it is heard itself."""
-    BEGUN = auto()
-    """The other side knows that it is heard, so that it takes what is sent from now on."""
-    OVER = auto()
-    """Something stood still; it stays dead until it is switched off and on again."""
+    OFF = auto()  # nothing is armed, so that no numbers are sent
+    SENDS = auto()  # numbers are sent, and none has been answered in time yet
+    ANSWERED = auto()  # the other side hears this one, and does not know yet that it is heard itself
+    BEGUN = auto()  # the other side knows that it is heard, so that it takes what is sent from now on
+    OVER = auto()  # something stood still; it stays dead until it is switched off and on again
 
 
 _BEGINS = (LeasePhase.SENDS, LeasePhase.ANSWERED)

@@ -27,37 +27,29 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RouteEnds
     from rsb_bridge.route.peer import Peer
 
-EXPLAINED_WITHIN = 3.0
-"""Seconds in which a bridge has to announce a publisher's hops; then the publisher counts as an ordinary node's. A
-round figure: nothing was measured. With less, messages could go round while DDS is slow. With more, messages
-from a node without a name would wait longer."""
-_HEARD_WITHIN = 1.0
-"""Seconds until an announcement that a publisher is no longer alive is heard. A round figure: it is said and read
-within 0.1 s."""
+# The numbers are round figures: nothing was measured.
+EXPLAINED_WITHIN = (
+    3.0  # s in which a publisher's hops are announced, or it counts as an ordinary node's. Messages could
+)
+# go round with less while DDS is slow; with more, those from a node without a name wait longer.
+_HEARD_WITHIN = 1.0  # s until it is heard that a publisher is no longer alive, which is said and read within 0.1
+_GONE_REMEMBERED = 256  # publishers
+_MOST_HELD = 10_000  # messages: 3 s at 3 kHz
+_MOST_NAMED = 5  # nodes in one sentence
 HELD = -1
 """No number yet: keep the message until there is one."""
 LEFT_OUT = -2
 """No number ever: the message must not be carried."""
-_GONE_REMEMBERED = 256  # publishers: a round figure
-_MOST_HELD = 10_000  # messages: 3 s at 3 kHz
-_MOST_NAMED = 5  # nodes in one sentence
 
 
 class Publication(NamedTuple):
-    """A publisher on a route's topic.
-
-    Attributes:
-        node: its node's name, without the ``/`` before it.
-        via: the bridges that its messages crossed: empty for an ordinary node, None if not known yet.
-        live: whether messages still reach it.
-        alive: whether its bridge asserts its liveliness.
-    """
+    """A publisher on a route's topic."""
 
     gid: bytes
-    node: str
-    via: Via | None
-    live: bool = True
-    alive: bool = False
+    node: str  # its node's name, without the ``/`` before it
+    via: Via | None  # the bridges that its messages crossed: empty for an ordinary node, None if not known yet
+    live: bool = True  # messages still reach it
+    alive: bool = False  # its bridge asserts its liveliness
 
 
 class SourceTable:
@@ -251,15 +243,11 @@ class LoopFilter:
             self._context.now(),
         )
         self._qos = {each.gid: each.qos for each in endpoints}
-        self._wait()
-        return [each for each in endpoints if not self.table.left_out(each.gid)]
-
-    def _wait(self) -> None:
-        """Call `due` when the wait for the next publisher is over; earlier announcements trigger `update` anyway."""
         self._cancel_timer()
-        if self.table.unexplained:
+        if self.table.unexplained:  # earlier announcements trigger `update` anyway
             delay = self.table.explained_by - self._context.now()
             self._timer = self._context.loop.call_later(delay, self._due)
+        return [each for each in endpoints if not self.table.left_out(each.gid)]
 
     def alive_left_out(self, requested: Qos) -> int:
         """Return how many publishers may be alive whose messages are left out, for a subscription of that QoS.
@@ -292,8 +280,12 @@ class LoopFilter:
             if number >= 0:
                 admitted.append(message)
             elif number != LEFT_OUT:
-                self._hold(message)
+                self._held.append(message)
+                self._held_bytes += len(message.payload)
                 unseen = unseen or not self.table.knows(message.gid)
+        while len(self._held) > 1 and (len(self._held) > _MOST_HELD or self._held_bytes > QUEUE_BYTES):
+            self._held_bytes -= len(self._held.popleft().payload)
+            self._overflowed += 1
         return admitted, unseen
 
     def release(self) -> list[RawMessage]:
@@ -311,13 +303,6 @@ class LoopFilter:
         self._held.clear()
         self._held_bytes = 0
         return held
-
-    def _hold(self, message: RawMessage) -> None:
-        self._held.append(message)
-        self._held_bytes += len(message.payload)
-        while len(self._held) > 1 and (len(self._held) > _MOST_HELD or self._held_bytes > QUEUE_BYTES):
-            self._held_bytes -= len(self._held.popleft().payload)
-            self._overflowed += 1
 
     def loop(self, topic: str) -> str:
         """Return the reason why the route would close a loop, or an empty string."""

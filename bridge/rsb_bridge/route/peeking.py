@@ -19,16 +19,11 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Peer
 
 # Round figures, which bound what looking costs a bridge: nothing was measured.
-LOOKERS = 32
-"""Most viewers at a time."""
-EVERY = 0.5
-"""Least seconds between two copies from one route."""
-BYTES_A_SECOND = 16 << 20
-"""Limit for all viewers together; a viewer that would exceed it waits."""
-WAITS_AT_MOST = 10.0
-"""Longest wait in seconds; a viewer asks again after that, so that one that is gone does not keep its place."""
-_LATE_JOINER = ("late joiner",)
-"""Differs from the names of all links."""
+LOOKERS = 32  # viewers at a time
+EVERY = 0.5  # s, at least, between two copies from one route
+BYTES_A_SECOND = 16 << 20  # of all viewers together; one that would exceed it waits
+WAITS_AT_MOST = 10.0  # s; a viewer asks again after that, so that one that is gone does not keep its place
+_LATE_JOINER = ("late joiner",)  # differs from the names of all links
 
 
 class PeekError(Exception):
@@ -113,7 +108,8 @@ class Peeking:
         self._lookers += 1
         try:
             async with asyncio.timeout(WAITS_AT_MOST):
-                await self._wait_until(max(self._free_at, route.peek_slot.free_at))
+                if (left := max(self._free_at, route.peek_slot.free_at) - self._context.now()) > 0:
+                    await asyncio.sleep(left)
                 if kept and route.qos is not None and route.qos.latched:
                     message = await self._first_of(route, route.qos)
                 else:
@@ -124,10 +120,6 @@ class Peeking:
             self._lookers -= 1
         self._free_at = max(self._free_at, self._context.now()) + len(message.payload) / BYTES_A_SECOND
         return message
-
-    async def _wait_until(self, moment: float) -> None:
-        if (left := moment - self._context.now()) > 0:
-            await asyncio.sleep(left)
 
     async def _first_of(self, route: Peekable, qos: Qos) -> PeekedMessage:
         """Return the first message that a late joiner on this side gets."""

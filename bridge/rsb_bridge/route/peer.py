@@ -22,30 +22,19 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.meters import ClockOffset
     from rsb_bridge.wire.messages import ControlMessageBase
 
-TYPES_PER_LINK = 256
-"""Each takes about 8 kB while an endpoint has it; a robot with all of ROS's common packages has some 200."""
-KEPT_LIMIT = 1 << 30
-"""Bytes of messages that all publishers of a link keep together. A round figure: it is enough for 1,000 publishers of
-latched topics (`latched.PUBLISHER_COST`), and a peer can make this side use so much memory."""
-UNACKNOWLEDGED_LIMIT = 512 << 20
-"""Bytes of messages that all publishers of a link hold together for subscribers that are slow. If one takes nothing,
-its topic gets half of that at most: the process had 384 MB then (bench/README, *volatile*)."""
-_FURTHER_PUBLISHERS = 256
-"""Only loops of bridges need more than one for a topic. Each costs every node of the domain a discovery."""
+# Of one link. Where these were measured: bench/README.md, *Constants of a link's budgets*.
+TYPES_PER_LINK = 256  # a robot with all of ROS's common packages has some 200
+KEPT_LIMIT = 1 << 30  # bytes that its publishers keep: enough for 1,000 latched ones (`latched.PUBLISHER_COST`)
+UNACKNOWLEDGED_LIMIT = 512 << 20  # bytes that they hold for slow subscribers; one topic gets half of that at most
+_FURTHER_PUBLISHERS = 256  # beyond one for each topic, which only loops of bridges need
 
-
-CALLS_UNDER_WAY = 4096
-BYTES_UNDER_WAY = 256 << 20
-"""Calls of one link that wait for their answers, and their bytes. Round figures: 1,000 calls at once were measured
-(bench/README), and a tenth of this would refuse most of them."""
-CALLS_A_SECOND = 5000.0
-"""As many may come at once after a quiet second. A bridge carries fewer: 3,855 a second (bench/README), with 1,000 at
-once."""
-PEERS_SHARE = 1.25
-"""The providing side allows that much more, as calls end a little later there, and clocks differ."""
-_LINGERS = 22.0
-"""s for which DDS holds what a stopped program does not take: until it is given up (20 s), and a little more."""
-_TOGETHER = 1.0  # s
+# Of its calls in one direction:
+CALLS_UNDER_WAY = 4096  # that wait for their answers
+BYTES_UNDER_WAY = 256 << 20  # of these
+CALLS_A_SECOND = 5000.0  # and at once after a quiet second
+PEERS_SHARE = 1.25  # of that on the providing side: calls end a little later there, and clocks differ
+_LINGERS = 22.0  # s for which DDS holds what a stopped program does not take: it is given up after 20
+_TOGETHER = 1.0  # s, of ended calls that are counted as one
 
 
 class PeerPings(Protocol):
@@ -163,10 +152,9 @@ class TypeBudget:
 
 
 class TypeUse:
-    """The type of one topic's endpoints."""
+    """The type of one topic's endpoints, while there are any."""
 
     def __init__(self, ros: RosInterface, budget: TypeBudget) -> None:
-        """Begin without a type."""
         self._ros = ros
         self._budget = budget
         self._key: tuple[str, str] | None = None

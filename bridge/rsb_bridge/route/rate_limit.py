@@ -18,15 +18,13 @@ if TYPE_CHECKING:
     from rsb_bridge.model.topic_keys import TopicKey
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.history_depth import Sample
+    from rsb_bridge.route.lifecycle import PauseState
     from rsb_bridge.wire.messages import Propose
 
-_AT_ONCE = 1.0
-"""s of the rate that may come at once, after a link has stalled."""
-_FEWEST_AT_ONCE = 2.0  # a bucket that holds less than one message never gives any
-_TOPICS = 2 * ROUTES_PER_LINK
-"""That have lately had messages, of routes that are there or were."""
-_CLOCKS_DIFFER = 1.01
-"""The sender keeps to the rate by its own clock, which may be faster: none of its messages is left out for that."""
+_AT_ONCE = 1.0  # s of the rate that may come at once, after a link has stalled
+_FEWEST_AT_ONCE = 2.0  # messages: a bucket that holds less than one never gives any
+_TOPICS = 2 * ROUTES_PER_LINK  # that have lately had messages, of routes that are there or were
+_CLOCKS_DIFFER = 1.01  # the sender's clock, by which it keeps to the rate, may be faster than this side's
 _MOST_PUBLISHERS = 4096  # of a latched topic, as in one control message (`wire.records`)
 
 
@@ -103,13 +101,12 @@ class RateLimit:
 
     def set_max_rate(self, rate: float) -> None:
         """Take the limit of the topic's entry."""
-        if rate != self._max_rate:
-            self._max_rate = rate
-            self._changed()
+        self._max_rate = rate
+        self._changed()
 
     def set_profile_rate(self, rate: float) -> None:
         """Take the limit of the link's profile, or 0 for none."""
-        if rate != self._profile:
+        if rate != self._profile:  # asked once a second
             self._profile = rate
             self._changed()
 
@@ -162,7 +159,7 @@ class Throttle:
         return self._interval > 0
 
     def passes(self, stamp: int, publisher: bytes = b"") -> bool:
-        """Whether a message passes that was received at `stamp` (ns)."""
+        """Whether a message passes that was received at `stamp` (ns); if so, the next one is due an interval later."""
         interval = self._interval
         if not interval:
             return True
@@ -218,7 +215,7 @@ class LastLater:
         """Send the message that waits, if one does."""
         message, self._waiting = self._waiting, None
         if message is not None:
-            # It passes anyway; the call sets when the next one is due.
+            # It passes anyway, and sets when the next one is due.
             self._throttle.passes(message.stamp + int(1e9 / self._throttle.rate))
             self._send(message)
 
@@ -241,17 +238,17 @@ class LatestLater:
         loop: asyncio.AbstractEventLoop,
         throttle: Throttle,
         send: Callable[[Sequence[Sample]], None],
-        paused: Callable[[], bool],
+        pausing: PauseState,
     ) -> None:
         """Begin.
 
         Args:
-            paused: whether no message may pass now; `resume` then sends the messages that are due.
+            pausing: no message passes while it is paused; `resume` then sends those that are due.
         """
         self._loop = loop
         self._throttle = throttle
         self._send = send
-        self._paused = paused
+        self._pausing = pausing
         self._waiting: dict[bytes, tuple[int, Sample]] = {}
         self._timers: dict[bytes, asyncio.TimerHandle] = {}
 
@@ -291,17 +288,16 @@ class LatestLater:
     def _forget(self, publisher: bytes) -> int:
         if self._waiting.pop(publisher, None) is None:
             return 0
-        timer = self._timers.pop(publisher, None)
-        if timer is not None:
+        if (timer := self._timers.pop(publisher, None)) is not None:
             timer.cancel()
         return 1
 
     def _pass(self, publisher: bytes) -> None:
         self._timers.pop(publisher, None)
-        if self._paused():
+        if self._pausing.paused:
             return
         due, sample = self._waiting.pop(publisher)
-        # This one passes anyway; the call sets when the next one is due.
+        # It passes anyway, and sets when the next one is due.
         self._throttle.passes(due, publisher)
         self._send([sample])
 

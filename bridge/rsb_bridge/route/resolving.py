@@ -24,21 +24,16 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.wire.messages import Propose
-_MOST_NODES = 3  # named of each type
-_MOST_TYPES = 4  # named in one sentence
+_MOST_NODES, _MOST_TYPES = 3, 4  # named of each type, and in one sentence
 
 
 class Resolved(NamedTuple):
-    """Type and QoS of the messages that a route sends.
-
-    Attributes:
-        warning: the publishers that are left out, for an operator, or empty.
-    """
+    """Type and QoS of the messages that a route sends."""
 
     type: str
     type_hash: str
     qos: Qos
-    warning: str
+    warning: str  # the publishers that are left out, for an operator, or empty
 
 
 class UnresolvedError(Exception):

@@ -36,16 +36,11 @@ if TYPE_CHECKING:
     Mover = Publisher | SourcePublishers
     """What has published a message that moves the robot."""
 
-EVERY = 0.1
-"""s from one rest to the next. A subscription that asks for best effort may miss one."""
-_BODY, _STAMPED_BODY = 4, 12
-"""Bytes before the fields of a message, and before those behind the stamp of its header."""
-TIMES = 6
-"""Rests in all, which take 0.5 s: as long as a key held on the drive screen counts."""
-HOLDS = LASTS
-"""s that a velocity holds without a further message: as old as a message may be when it is published."""
-_LATE = 0.001
-"""s by which a velocity holds longer, so that a message that comes at the last moment counts."""
+EVERY = 0.1  # s from one rest to the next. A subscription that asks for best effort may miss one
+TIMES = 6  # rests in all, which take 0.5 s: as long as a key held on the drive screen counts
+HOLDS = LASTS  # s that a velocity holds without a further message: as old as one may be when it is published
+_LATE = 0.001  # s by which it holds longer, so that a message that comes at the last moment counts
+_BODY, _STAMPED_BODY = 4, 12  # bytes before a message's fields, and before those behind the stamp of its header
 
 
 class RestMessage:
@@ -96,9 +91,6 @@ class RestMessage:
 
     def moved(self, message: bytes, mover: Mover) -> bool:
         """Note the newest message that this route, or an operator of this side by its arming, has published.
-
-        Args:
-            mover: has published it.
 
         Returns:
             Whether the robot begins or ceases to move by it.

@@ -50,18 +50,12 @@ _PUBLISHER = attrgetter("header.publisher")
 
 
 class QueueLimits(NamedTuple):
-    """The limits of a queue. Beyond them the oldest messages are dropped, but one message may always wait.
+    """The limits of a queue. Beyond them the oldest messages are dropped, but one message may always wait."""
 
-    Attributes:
-        depth: messages of one publisher (or of all where publishers are not distinguished), or 0 for any number.
-        younger_than: s; younger messages may wait even beyond the depth.
-        older_than: s; older messages do not wait even within the depth.
-    """
-
-    depth: int
-    younger_than: float
+    depth: int  # messages of one publisher (or of all where publishers are not distinguished), or 0 for any number
+    younger_than: float  # s; younger messages may wait even beyond the depth
     size: int
-    older_than: float = math.inf
+    older_than: float = math.inf  # s; older messages do not wait even within the depth
 
 
 class SendQueue:
@@ -81,7 +75,7 @@ class SendQueue:
 
     @property
     def oldest_since(self) -> float | None:
-        """When (s) the oldest message was added, or None if the queue is empty."""
+        """When (s) the oldest message was added, or None without any."""
         return self.waiting[0][2] if self.waiting else None
 
     def add(self, messages: Sequence[Message], now: float, publisher: bytes = b"") -> None:
@@ -92,15 +86,11 @@ class SendQueue:
             self._counts[publisher] += len(messages)
 
     def trim(self, limits: QueueLimits, now: float, publisher: bytes = b"") -> int:
-        """Drop what is beyond the limits after messages of a publisher were added.
-
-        Returns:
-            How many messages were dropped.
-        """
+        """Drop what is beyond the limits after messages of a publisher were added; return how many messages."""
         before = len(self.waiting)
         if limits.depth:
-            while self._count(publisher) > limits.depth:
-                index = self._oldest_of(publisher)
+            while (self._counts[publisher] if publisher else len(self.waiting)) > limits.depth:
+                index = next(at for at, each in enumerate(self.waiting) if each[1] == publisher or not publisher)
                 if now - self.waiting[index][2] < limits.younger_than:
                     break
                 self._forget(*self.waiting[index])
@@ -132,14 +122,6 @@ class SendQueue:
         self._size = 0
         self._counts.clear()
         return count
-
-    def _count(self, publisher: bytes) -> int:
-        return self._counts[publisher] if publisher else len(self.waiting)
-
-    def _oldest_of(self, publisher: bytes) -> int:
-        if not publisher:
-            return 0
-        return next(index for index, waiting in enumerate(self.waiting) if waiting[1] == publisher)
 
     def _forget(self, message: Message, publisher: bytes, _: float) -> None:
         self._size -= len(message[0])
@@ -342,7 +324,7 @@ class OutgoingPath:
         self._ledger = ledger
         self._loop_filter = loop_filter
         self._throttle = Throttle(route.limit.rate)
-        self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.pausing.paused)
+        self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, route.pausing)
         self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
         self._outbox = Outbox(route, ledger)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None

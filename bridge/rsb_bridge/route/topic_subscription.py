@@ -33,13 +33,10 @@ if TYPE_CHECKING:
     from rsb_bridge.route.topic_route import TopicRoute
 
 
-_LOOKS_EVERY = 1.0
-"""Seconds, at most, between two looks at who is alive. A round figure."""
-_ASKED_ANEW = 10.0, 60.0
-"""Seconds: the longest until DDS is first asked anew who is alive, and the shortest between late times.
-Round figures."""
-_MATCHED_WITHIN = 2
-"""Ticks. A round figure: DDS matches a publisher that it lists within milliseconds."""
+# Round figures.
+_LOOKS_EVERY = 1.0  # s, at most, between two looks at who is alive
+_ASKED_ANEW = 10.0, 60.0  # s: the longest until DDS is first asked anew who is alive, the shortest between late times
+_MATCHED_WITHIN = 2  # ticks: DDS matches a publisher that it lists within milliseconds
 
 
 class TopicSubscription:
@@ -100,12 +97,13 @@ class TopicSubscription:
         self._receiver = _Receiver(self._path.offer)
         self._lost_seen = self.lost
         if spec.qos.latched:
+            kept = LATCHED_DEPTH if spec.qos.history == "keep_all" else max(1, spec.qos.depth)
             self.histories = Histories(
                 self._context.loop,
                 self._probe,
                 self._path.emit,
                 self._found,
-                depth=0 if automatic else _kept(spec.qos),
+                depth=0 if automatic else kept,
                 lifespan=spec.qos.lifespan,
                 known=known,
                 bounds=self._bounds,
@@ -122,12 +120,7 @@ class TopicSubscription:
         self._subscription = LastingSubscription(self._context.loop, self._subscribe, self._changed)
         if self.spec.qos.liveliness_lease_duration:
             self._liveliness = _Liveliness(
-                self._context.loop,
-                self._subscription,
-                self._ask_anew,
-                self.spec.qos.liveliness_lease_duration,
-                partial(self._loop_filter.alive_left_out, self.spec.qos),
-                self._found,
+                self._context.loop, self._route, self.spec, self._subscription, self._loop_filter, self._found
             )
 
     def unsubscribe(self) -> None:
@@ -229,12 +222,6 @@ class TopicSubscription:
         # What this node publishes for the same peer is left out.
         return self._route.ends.subscribe(spec, sink, self._route.peer.name, on_failure)
 
-    def _ask_anew(self) -> Subscription:
-        """Subscribe once more, only to be told who is alive."""
-        assert self.spec is not None
-        qos = msgspec.structs.replace(self.spec.qos, history="keep_last", depth=1)
-        return self._route.ends.subscribe(self.spec._replace(qos=qos), _ignored, self._route.peer.name)
-
     def _changed(self) -> None:
         if self.failure:
             self._route.notices.record(self.failure)
@@ -259,26 +246,27 @@ class _Liveliness:
     def __init__(
         self,
         loop: asyncio.AbstractEventLoop,
+        route: TopicRoute[SendingChannel],
+        spec: TopicSpec,
         first: LastingSubscription,
-        subscribe: Callable[[], Subscription],
-        lease: float,
-        left_out: Callable[[], int],
+        loop_filter: LoopFilter,
         changed: Callable[[], None],
     ) -> None:
         """Begin to look, in the next turn of the loop.
 
         Args:
-            left_out: returns how many publishers may be alive that do not count.
+            first: the route's subscription.
             changed: called after `alive` has changed.
         """
         self.alive = False
         self._loop = loop
+        self._route = route
+        self._spec = spec
         self._first = first
-        self._subscribe = subscribe
-        self._looks_every = min(parts_of_lease(lease), _LOOKS_EVERY)
-        self._left_out = left_out
+        self._loop_filter = loop_filter
         self._changed = changed
-        soonest, latest = _ASKED_ANEW
+        lease, (soonest, latest) = spec.qos.liveliness_lease_duration, _ASKED_ANEW
+        self._looks_every = min(parts_of_lease(lease), _LOOKS_EVERY)
         self._asks_after = Backoff(min(lease, soonest), max(lease, latest))
         self._asks_at = loop.time() + self._asks_after.next()
         self._further: Subscription | None = None
@@ -286,7 +274,7 @@ class _Liveliness:
 
     def _look(self) -> None:
         self._looks_again = self._loop.call_later(self._looks_every, self._look)
-        alive = self._is_alive(self._left_out())
+        alive = self._is_alive(self._loop_filter.alive_left_out(self._spec.qos))
         if alive != self.alive:
             self.alive = alive
             self._changed()
@@ -304,8 +292,11 @@ class _Liveliness:
         if (now := self._loop.time()) >= self._asks_at:
             self._asks_at = now + self._asks_after.next()
             self._ask_no_further()
+            qos = msgspec.structs.replace(self._spec.qos, history="keep_last", depth=1)
             with suppress(RosError):
-                self._further = self._subscribe()
+                self._further = self._route.ends.subscribe(
+                    self._spec._replace(qos=qos), lambda _: None, self._route.peer.name
+                )
         return False
 
     def _ask_no_further(self) -> None:
@@ -323,11 +314,3 @@ class _Receiver:
 
     def __init__(self, offer: Callable[[Sequence[RawMessage]], None]) -> None:
         self.offer = offer
-
-
-def _ignored(_: Sequence[RawMessage]) -> None:
-    pass
-
-
-def _kept(qos: Qos) -> int:
-    return LATCHED_DEPTH if qos.history == "keep_all" else max(1, qos.depth)
