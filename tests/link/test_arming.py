@@ -26,7 +26,6 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import (
     ANSWERED_WITHIN,
     CONSOLE_SILENT_AFTER,
-    DISARM_TEXT,
     PEER_GRACE,
     ArmingPhase,
     Disarmed,
@@ -319,7 +318,7 @@ def test_topic_disarms_without_key_in_time(at: int, pair: Pair, loop: VirtualLoo
     loop.jump(1.0)
     assert passes(side) == [False]  # not a moment later, tick or not
     assert route(side).snapshot().cause == (Cause.DISARMING if route(side).outgoing else Cause.DISARMED)
-    assert route(side).snapshot().reason.startswith(DISARM_TEXT[Disarmed.DEADMAN])
+    assert route(side).snapshot().reason.startswith(Disarmed.DEADMAN.text)
     let_time_pass(pair, 0.0)
     hear_all(pair)
     assert passes(*pair) == [False, False]
@@ -604,7 +603,7 @@ def test_unarmable_topic_says_so_in_advance(pair: Pair) -> None:
     assert route(pc).status().can_be_armed
     route(pc).arming.end(Disarmed.LINK_SLOW)
     status = route(pc).status()
-    assert (status.can_be_armed, status.disarmed) == (False, DISARM_TEXT[Disarmed.LINK_SLOW])
+    assert (status.can_be_armed, status.disarmed) == (False, Disarmed.LINK_SLOW.text)
     verdict = blocked(status)
     assert verdict is not None
     assert (verdict.state, verdict.cause, verdict.text) == (State.DISARMED, Cause.DISARMED, status.disarmed)
@@ -619,7 +618,7 @@ def test_link_with_long_round_trip_cannot_be_armed(pair: Pair) -> None:
             side.hear()
     hear_all(pair)
     turn(pair[0])
-    assert DISARM_TEXT[Disarmed.LINK_SLOW] in str(task.exception())
+    assert Disarmed.LINK_SLOW.text in str(task.exception())
     assert why(pc) == why(robot) == Disarmed.LINK_SLOW
     assert stands(*pair) == [False, False]
 

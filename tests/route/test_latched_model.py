@@ -228,6 +228,7 @@ class Route:
 
     def make_subscription(self) -> TopicSubscription:
         route: Any = SimpleNamespace(
+            context=self.context,
             ends=self.context.ros,
             peer=FakePeer(),
             meter=self.meter,
@@ -235,7 +236,7 @@ class Route:
             log=lambda *_: pytest.fail("the subscription did not fail"),
         )
         loop_filter: Any = SimpleNamespace(alive_left_out=lambda qos: 0)
-        return TopicSubscription(self.context, route, cast("OutgoingPath", self), loop_filter, self.tell)
+        return TopicSubscription(route, cast("OutgoingPath", self), loop_filter, self.tell)
 
     def open(self) -> None:
         qos = msgspec.structs.replace(LATCHED, lifespan=self.near.lifespan)

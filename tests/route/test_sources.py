@@ -94,7 +94,8 @@ class Route:
     def __init__(self, link: Link, topic: str, remote_topic: str) -> None:
         context: Any = SimpleNamespace(announcements=link.near, ros=link.near, now=lambda: 0.0, loop=NoTimers())
         self.link, self.topic, self.remote_topic = link, topic, remote_topic
-        self.loop_filter = LoopFilter(context, context.ros, link, lambda: None)  # type: ignore[arg-type]
+        route: Any = SimpleNamespace(context=context, ends=link.near, peer=link, advance=lambda: None)
+        self.loop_filter = LoopFilter(route)
         self.described: tuple[Source, ...] = ()
         self.waiting: deque[RawMessage] = deque()
         self.control: deque[tuple[Source, ...]] = deque()

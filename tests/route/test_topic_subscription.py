@@ -78,6 +78,7 @@ class Owner:
         self.peer = FakePeer()
         self.arming = SimpleNamespace(required=False)
         self.notices = SimpleNamespace(record=lambda text: None)
+        self.context: Any = None
         self.ends: Any = None
 
     def log(self, level: object, code: EventCode, text: str) -> None:
@@ -87,11 +88,9 @@ class Owner:
 def make_subscription(
     context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
 ) -> TopicSubscription:
-    owner.ends = context.ros
+    owner.context, owner.ends = context, context.ros
     loop_filter: Any = SimpleNamespace(alive_left_out=lambda qos: 0)
-    subscription = TopicSubscription(
-        context, cast("Any", owner), cast("OutgoingPath", Path()), loop_filter, lambda: None
-    )
+    subscription = TopicSubscription(cast("Any", owner), cast("OutgoingPath", Path()), loop_filter, lambda: None)
     spec = TopicSpec("/fast", "std_msgs/msg/String", "", qos)
     subscription.begin(spec, automatic=automatic, expected_rate=expected_rate, known={})
     subscription.subscribe()

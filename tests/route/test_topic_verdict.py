@@ -19,7 +19,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import EXPIRES, FINE, LASTING, Cause, LinkCause, Verdict, about, worse
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
-from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
+from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.blocking_rules import ACCEPTED, LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
 from rsb_bridge.route.crossing import Crossing
@@ -520,13 +520,13 @@ def test_what_recovers_begins_no_new_fault(facts: dict[str, Any]) -> None:
     assert "%" not in verdict.text
 
 
-_WHY_DISARMED = [*DISARM_TEXT.values(), *(each.value for each in Standstill)]
+_WHY_DISARMED = [*(each.text for each in Disarmed), *(each.value for each in Standstill)]
 
 
 @pytest.mark.parametrize("why", _WHY_DISARMED)
 @pytest.mark.parametrize("state", [State.DISARMED, State.DISARMING])
 def test_disarmed_topic_has_its_text_on_one_line(why: str, state: State) -> None:
-    can_be_armed = why != DISARM_TEXT[Disarmed.LINK_SLOW]
+    can_be_armed = why != Disarmed.LINK_SLOW.text
     crossing = Crossing.DISARMING if state is State.DISARMING else Crossing.DISARMED
     if crossing is Crossing.DISARMING and not can_be_armed:
         return

@@ -24,7 +24,7 @@ from rsb_bridge.model.demands import (
 )
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.route.arming import AGREED, ANSWERED_WITHIN, DISARM_TEXT, ArmingEvent, ArmingPhase, Disarmed
+from rsb_bridge.route.arming import AGREED, ANSWERED_WITHIN, ArmingEvent, ArmingPhase, Disarmed
 from rsb_bridge.route.lease import BEAT, LeaseHalf, LeasePhase
 from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire import messages as wire
@@ -476,7 +476,7 @@ class LinkArming:
 
     def _not_armed(self, route: Route, why: Disarmed, who: str) -> None:
         """Record an attempt of the other side's operator, which the budget of armings bounds."""
-        route.log(Level.WARNING, EventCode.ROUTE_DISARMED, f"not armed: {DISARM_TEXT[why]} ({who})", cause=why)
+        route.log(Level.WARNING, EventCode.ROUTE_DISARMED, f"not armed: {why.text} ({who})", cause=why)
 
     def _armed_by(self, route: Route, who: str, *, from_peer: bool = False) -> None:
         self._record(EventCode.OPERATOR_ARMED, route, who, "disarmed", "armed", from_peer=from_peer)

@@ -238,7 +238,6 @@ class MessageAge:
 
     @property
     def total(self) -> int:
-        """Messages that this side has dropped."""
         return self._counts.total()
 
     def update(self, messages: int, now: float) -> None:

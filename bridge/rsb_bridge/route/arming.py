@@ -38,46 +38,38 @@ _QUESTION_LASTS = 2.0  # beyond its end, until a question counts for nothing: th
 
 
 class Disarmed(StrEnum):
-    """Reasons for a topic not being armed, also the cause of `EventCode.ROUTE_DISARMED`. Programs may rely on them."""
+    """Reasons for a topic not being armed, also the cause of `EventCode.ROUTE_DISARMED`. Programs may rely on them.
 
-    NOT_YET = "not_yet"
-    OPERATOR = "operator"
-    DEADMAN = "deadman"
-    CONSOLE_GONE = "console_gone"
-    """The console that armed it was closed or killed, or has given no sign of life."""
-    LINK_LOST = "link_lost"
-    PAUSED = "paused"
-    RELOADED = "reloaded"
-    NO_ANSWER = "no_answer"
-    TOO_OFTEN = "too_often"
-    """The other side's operators arm topics more often than people do."""
-    REMOVED = "removed"
-    EDITED = "edited"
-    CHANNEL_LOST = "channel_lost"
-    """Its data connection ended, which may be noticed before the end of the process at its other end."""
-    REOPENED = "reopened"
-    """Its type, its limits or its connection changed."""
-    LEASE = "lease"
-    LINK_SLOW = "link_slow"
+    Attributes:
+        text: the same in words.
+    """
 
+    text: str
 
-DISARM_TEXT = {
-    Disarmed.NOT_YET: "nobody has armed it",
-    Disarmed.OPERATOR: "disarmed by an operator",
-    Disarmed.DEADMAN: "no key was pressed in time",
-    Disarmed.CONSOLE_GONE: "the console that armed it is gone",
-    Disarmed.LINK_LOST: "the link was lost",
-    Disarmed.PAUSED: "it was paused",
-    Disarmed.RELOADED: "the session file was read again",
-    Disarmed.NO_ANSWER: "the other side has not agreed in time",
-    Disarmed.TOO_OFTEN: "it was armed too often",
-    Disarmed.REMOVED: "the topic is not bridged any more",
-    Disarmed.EDITED: "the topic was edited",
-    Disarmed.CHANNEL_LOST: "its data connection ended",
-    Disarmed.REOPENED: "the topic was reopened",
-    Disarmed.LEASE: "a side or the link stood still",
-    Disarmed.LINK_SLOW: f"the link is too slow: a round trip takes over {SLOW:g} s; use a faster link",
-}
+    def __new__(cls, code: str, text: str = "") -> Disarmed:  # `Disarmed(code)` finds one
+        member = str.__new__(cls, code)
+        member._value_, member.text = code, text
+        return member
+
+    NOT_YET = "not_yet", "nobody has armed it"
+    OPERATOR = "operator", "disarmed by an operator"
+    DEADMAN = "deadman", "no key was pressed in time"
+    # It was closed or killed, or has given no sign of life.
+    CONSOLE_GONE = "console_gone", "the console that armed it is gone"
+    LINK_LOST = "link_lost", "the link was lost"
+    PAUSED = "paused", "it was paused"
+    RELOADED = "reloaded", "the session file was read again"
+    NO_ANSWER = "no_answer", "the other side has not agreed in time"
+    # By the other side's operators: more often than people do.
+    TOO_OFTEN = "too_often", "it was armed too often"
+    REMOVED = "removed", "the topic is not bridged any more"
+    EDITED = "edited", "the topic was edited"
+    # This may be noticed before the end of the process at its other end.
+    CHANNEL_LOST = "channel_lost", "its data connection ended"
+    # Its type, its limits or its connection changed.
+    REOPENED = "reopened", "the topic was reopened"
+    LEASE = "lease", "a side or the link stood still"
+    LINK_SLOW = "link_slow", f"the link is too slow: a round trip takes over {SLOW:g} s; use a faster link"
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +160,7 @@ class Arming:
         self.limited_by: tuple[str, ...] = ()
         self.demanded_by: tuple[str, ...] = ()
         self.why = Disarmed.NOT_YET
-        self.reason = DISARM_TEXT[self.why]
+        self.reason = self.why.text
         self.lease: LeaseHalf | None = None
         self.first = 0
         self._answered: Callable[[], None] | None = None
@@ -253,7 +245,7 @@ class Arming:
     def why_at(self, now: float) -> tuple[Disarmed, str]:
         """Return the reason why it is not armed at `now` (s), also in words."""
         overdue = self.overdue(now)
-        return (self.why, self.reason) if overdue is None else (overdue, DISARM_TEXT[overdue])
+        return (self.why, self.reason) if overdue is None else (overdue, overdue.text)
 
     @property
     def newest_number(self) -> int:
@@ -346,7 +338,6 @@ class Arming:
         return True
 
     def arm_for_peer(self, by: str, now: float) -> None:
-        """Arm it for an operator of the other side at `now` (s)."""
         if self._hold(ArmingEvent.ARM_THERE, by, None):
             # This side's operator may have asked at the same moment: that command ends, and names the other operator.
             self._answer()
@@ -361,7 +352,7 @@ class Arming:
 
     def end(self, why: Disarmed, reason: str = "") -> None:
         """Disarm this opening for good; `reason` replaces the usual text of `why`."""
-        self.why, self.reason = why, reason or DISARM_TEXT[why]
+        self.why, self.reason = why, reason or why.text
         self._handle(ArmingEvent.END)
         self._clear()
 
@@ -448,7 +439,6 @@ class Settling:
         return self._timer is not None
 
     def begin(self, route_id: int, seconds: float) -> None:
-        """Begin for an opening, for at most `seconds`."""
         # The lease of the last message has run out already.
         if seconds <= 0:
             return

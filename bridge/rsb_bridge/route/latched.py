@@ -375,7 +375,6 @@ class LatchedTopic:
             dropped(why)
 
     def _published(self, history: _History, message: _Message, why: Refused | RosError | None) -> None:
-        """Go on after a long message, which is published unless there is a reason."""
         self.is_busy = False
         output = message.output
         output.waiting -= 1

@@ -153,7 +153,6 @@ class LeaseHalf:
         return not self.alive or self.round_trip > SLOW
 
     def passes(self, number: int) -> bool:
-        """Whether a message with this number of this side may be published now."""
         sent = self._sent.get(number)
         return sent is not None and self.alive and self._steady() - sent <= LASTS
 

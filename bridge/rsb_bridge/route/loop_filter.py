@@ -20,12 +20,11 @@ from rsb_bridge.wire.records import Source
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
-    from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RouteEnds
-    from rsb_bridge.route.peer import Peer
+    from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
+    from rsb_bridge.route.route import Route
 
 # The numbers are round figures: nothing was measured.
 EXPLAINED_WITHIN = (
@@ -175,7 +174,6 @@ class SourceTable:
         return min(self._first_seen[each.gid] for each in self.unexplained) + EXPLAINED_WITHIN
 
     def left_out(self, gid: bytes) -> bool:
-        """Whether a publisher's messages must not be carried."""
         return self._numbers.get(gid) == LEFT_OUT
 
     @property
@@ -206,19 +204,17 @@ class LoopFilter:
         table: the sources of the present opening.
     """
 
-    def __init__(self, context: Context, ends: RouteEnds, peer: Peer, due: Callable[[], None]) -> None:
+    def __init__(self, route: Route) -> None:
         """Begin with an empty table.
 
         Args:
-            due: called when the wait for a publisher's hops is over: `update` decides about it then.
+            route: advances when the wait for a publisher's hops is over: `update` decides about it then.
         """
         self.table = SourceTable()
         self._overflowed = 0
-        self._context = context
-        self._ends = ends
-        self._due = due
+        self._route = route
+        self._context = route.context
         self._timer: asyncio.TimerHandle | None = None
-        self._peer = peer
         self._held: deque[RawMessage] = deque()
         self._held_bytes = 0
         self._qos: dict[bytes, Qos] = {}  # of the publishers, by id
@@ -226,8 +222,8 @@ class LoopFilter:
 
     def update(self, topic: str, remote_topic: str) -> list[Endpoint]:
         """Update the table from the ROS graph; return the publishers whose messages may be carried."""
-        announcements, ros = self._context.announcements, self._context.ros
-        endpoints = [*self._ends.publishers(topic), *announcements.own_publishers(topic, besides=self._peer.name)]
+        announcements, ros, peer = self._context.announcements, self._context.ros, self._route.peer
+        endpoints = [*self._route.ends.publishers(topic), *announcements.own_publishers(topic, besides=peer.name)]
         publications = [
             Publication(each.gid, each.node.lstrip("/"), *(announcements.origin_of(each) or (None,)))
             for each in endpoints
@@ -239,14 +235,14 @@ class LoopFilter:
             publications,
             hop(ros.node_name, topic),
             topic_place(announcements.bridges, topic),
-            topic_place(self._peer.bridges, remote_topic),
+            topic_place(peer.bridges, remote_topic),
             self._context.now(),
         )
         self._qos = {each.gid: each.qos for each in endpoints}
         self._cancel_timer()
         if self.table.unexplained:  # earlier announcements trigger `update` anyway
             delay = self.table.explained_by - self._context.now()
-            self._timer = self._context.loop.call_later(delay, self._due)
+            self._timer = self._context.loop.call_later(delay, self._route.advance)
         return [each for each in endpoints if not self.table.left_out(each.gid)]
 
     def alive_left_out(self, requested: Qos) -> int:
@@ -298,7 +294,6 @@ class LoopFilter:
         return self.admit(held)[0]
 
     def forget(self) -> int:
-        """Drop the held messages and return their number."""
         held = len(self._held)
         self._held.clear()
         self._held_bytes = 0
@@ -353,7 +348,6 @@ class LoopFilter:
         return given_up
 
     def clear(self) -> None:
-        """Begin a new opening with an empty table and no held messages."""
         self._cancel_timer()
         self.table = SourceTable()
         self._overflowed = 0

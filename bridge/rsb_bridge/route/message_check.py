@@ -163,7 +163,6 @@ class ExpansionBudget:
         self._is_busy = False
 
     def expand(self, expansion: _Expansion, loop: asyncio.AbstractEventLoop) -> None:
-        """Unpack a message on another thread, after all that already wait for it."""
         self._aside.append(expansion)
         self._do_next(loop)
 

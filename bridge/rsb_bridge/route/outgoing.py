@@ -147,9 +147,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._report: ReceivedReport | None = None  # of the present opening
         self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
         self._described: Describe | None = None
-        self._loop_filter = LoopFilter(context, self.ends, peer, self.advance)
-        self._path = OutgoingPath(context, self, self._ledger, self._loop_filter)
-        self._subscription = TopicSubscription(context, self, self._path, self._loop_filter, self._look_who_is_present)
+        self._loop_filter = LoopFilter(self)
+        self._path = OutgoingPath(self, self._ledger, self._loop_filter)
+        self._subscription = TopicSubscription(self, self._path, self._loop_filter, self._look_who_is_present)
         self._resolver = Resolver(context, proposal)
         self._health = Health()
         self.delays = SendersDelay()

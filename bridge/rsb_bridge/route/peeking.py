@@ -44,7 +44,6 @@ class PeekSlot:
         self._waiting: set[asyncio.Future[PeekedMessage]] = set()
 
     def put(self, message: PeekedMessage, now: float) -> None:
-        """Hand a message to all waiting viewers."""
         waiting, self._waiting = self._waiting, set()
         self.wanted = False
         self.free_at = now + EVERY
@@ -54,7 +53,6 @@ class PeekSlot:
                 future.set_result(message)
 
     async def next(self) -> PeekedMessage:
-        """Return the next message that passes."""
         future: asyncio.Future[PeekedMessage] = asyncio.get_running_loop().create_future()
         self._waiting.add(future)
         self.wanted = True
@@ -75,12 +73,10 @@ class Peekable(Protocol):
     type_hash: str
 
     @property
-    def peer(self) -> Peer:
-        """The other side of its link."""
+    def peer(self) -> Peer: ...
 
     @property
-    def local_topic(self) -> str:
-        """Its topic's name on this side."""
+    def local_topic(self) -> str: ...
 
 
 class Peeking:

@@ -70,7 +70,6 @@ class Peer(Protocol):
     budget: PeerBudget
     revisions: Revisions
     clock: ClockOffset
-    """Offset of the peer's clock."""
     stamps: ClockOffset
     """Offset of the clock by which the peer stamps messages."""
 
@@ -86,8 +85,7 @@ class Peer(Protocol):
         """Number of connections so far, which identifies the present one."""
 
     @property
-    def linked(self) -> bool:
-        """Whether the peer is connected and authenticated."""
+    def linked(self) -> bool: ...
 
     @property
     def instance(self) -> str:
@@ -145,7 +143,6 @@ class TypeBudget:
         self._users[key] += 1
 
     def give(self, key: tuple[str, str]) -> None:
-        """Count one topic less with a type."""
         self._users[key] -= 1
         if not self._users[key]:
             del self._users[key]

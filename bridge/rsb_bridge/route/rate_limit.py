@@ -100,12 +100,10 @@ class RateLimit:
         self._changed()
 
     def set_max_rate(self, rate: float) -> None:
-        """Take the limit of the topic's entry."""
         self._max_rate = rate
         self._changed()
 
     def set_profile_rate(self, rate: float) -> None:
-        """Take the limit of the link's profile, or 0 for none."""
         if rate != self._profile:  # asked once a second
             self._profile = rate
             self._changed()
@@ -120,7 +118,6 @@ class RateLimit:
         return True
 
     def allow_there(self, rate: float) -> None:
-        """Take the rate that the other side allows."""
         self._there = rate
         self._changed()
         # Kept over openings, so that the same limit is logged once.
@@ -148,14 +145,12 @@ class Throttle:
         self.limit(rate)
 
     def limit(self, rate: float) -> None:
-        """Keep to another rate from now on."""
         self.rate = rate
         self._interval = int(1e9 / rate) if rate else 0
         self._due.clear()
 
     @property
     def is_on(self) -> bool:
-        """Whether there is a highest rate."""
         return self._interval > 0
 
     def passes(self, stamp: int, publisher: bytes = b"") -> bool:
@@ -212,7 +207,6 @@ class LastLater:
         return int(before is not None)
 
     def flush(self) -> None:
-        """Send the message that waits, if one does."""
         message, self._waiting = self._waiting, None
         if message is not None:
             # It passes anyway, and sets when the next one is due.
@@ -282,7 +276,6 @@ class LatestLater:
             self._pass(publisher)
 
     def clear(self) -> int:
-        """Drop the waiting messages, and return their number."""
         return sum(self._forget(publisher) for publisher in tuple(self._waiting))
 
     def _forget(self, publisher: bytes) -> int:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
+    from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.wire.messages import Propose
 _MOST_NODES, _MOST_TYPES = 3, 4  # named of each type, and in one sentence
@@ -82,13 +82,32 @@ class Resolver:
         """
         self.unresolved = None
         try:
-            resolved = resolve(self._proposal, self._publishers, self.publisher_qos, used, self.hint, self._context.ros)
+            resolved = self._resolve(used)
             if not loop_filter.table.to_describe():
                 raise UnresolvedError(loop_filter.unexplained(), cause=Cause.NO_MESSAGE)
         except UnresolvedError as error:
             self.unresolved = error.with_traceback(None)  # whose frames have this resolver
             return None
         return resolved
+
+    def _resolve(self, used: TypeVersion) -> Resolved:
+        proposal, publishers, qos = self._proposal, self._publishers, self.publisher_qos
+        wanted = "" if proposal.type in ("", "auto") else expand_type_name(proposal.type)
+        name, type_hash = choose_type(publishers, wanted, used, self.hint, self._context.ros.installed_hash)
+        if name and not type_hash:
+            why = f"{name} is not installed here, and nobody publishes it yet"
+            raise UnresolvedError(why, cause=Cause.TYPE_UNKNOWN)
+        warning = left_out(publishers, wanted, name)
+        # Only publishers of the type that is sent: a node with another type must not change the QoS.
+        if warning:
+            qos = match_publishers([each.qos for each in publishers if each.type_name == name])
+        if proposal.qos is not None:
+            qos = proposal.qos
+        elif qos is not None:
+            qos = msgspec.structs.replace(qos, depth=0)
+        if not name or qos is None:
+            raise UnresolvedError("", cause=Cause.NO_PUBLISHER)
+        return Resolved(name, type_hash, qos, warning)
 
     def why(self) -> str:
         """Return the reason why type or QoS is unknown, or an empty string."""
@@ -110,44 +129,6 @@ class Resolver:
         if similar and self._nodes and self._nodes.isdisjoint(p.node for p in self._context.ros.publishers(similar)):
             return ""
         return similar
-
-
-def resolve(
-    proposal: Propose,
-    publishers: Sequence[Endpoint],
-    publisher_qos: Qos | None,
-    used: TypeVersion,
-    hint: TypeVersion,
-    ros: RosInterface,
-) -> Resolved:
-    """Find type and QoS of a route's messages.
-
-    Args:
-        publisher_qos: the QoS that all publishers offer, or None without publishers.
-        used: the type that the route has sent so far.
-        hint: the type that the topic has on the receiving side.
-        ros: has the hashes of the types that are installed here.
-
-    Raises:
-        UnresolvedError: type or QoS is unknown.
-    """
-    wanted = "" if proposal.type in ("", "auto") else expand_type_name(proposal.type)
-    name, type_hash = choose_type(publishers, wanted, used, hint, ros.installed_hash)
-    if not name:
-        raise UnresolvedError("", cause=Cause.NO_PUBLISHER)
-    if not type_hash:
-        why = f"{name} is not installed here, and nobody publishes it yet"
-        raise UnresolvedError(why, cause=Cause.TYPE_UNKNOWN)
-    warning = left_out(publishers, wanted, name)
-    # Only publishers of the type that is sent: a node with another type must not change the QoS.
-    if warning:
-        publisher_qos = match_publishers([each.qos for each in publishers if each.type_name == name])
-    qos = proposal.qos
-    if qos is None and publisher_qos is not None:
-        qos = msgspec.structs.replace(publisher_qos, depth=0)
-    if qos is None:
-        raise UnresolvedError("", cause=Cause.NO_PUBLISHER)
-    return Resolved(name, type_hash, qos, warning)
 
 
 def choose_type(

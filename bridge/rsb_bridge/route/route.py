@@ -21,7 +21,7 @@ from rsb_bridge.model.session import HIGHEST, weight_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
-from rsb_bridge.route.arming import AGREED, DISARM_TEXT, Arming, Disarmed, Settling
+from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.crossing import Crossing
@@ -372,7 +372,7 @@ class Route:
             self.settling.begin(self.id, lease.left)
         # `LinkArming` records an operator's disarm. Other causes are logged once nothing is published any more.
         if why is not Disarmed.OPERATOR:
-            text = f"disarmed: {reason or DISARM_TEXT[why]} ({arming.by} armed it)"
+            text = f"disarmed: {reason or why.text} ({arming.by} armed it)"
             self.settling.then(lambda: self.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=why))
         arming.end(why, reason)
         self._verdict = None

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
-    from rsb_bridge.context import Context
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.gates import Sieve
     from rsb_bridge.route.history_depth import Histories, Sample
@@ -79,7 +78,6 @@ class SendQueue:
         return self.waiting[0][2] if self.waiting else None
 
     def add(self, messages: Sequence[Message], now: float, publisher: bytes = b"") -> None:
-        """Append messages of one publisher, at `now` (s)."""
         self.waiting.extend([(message, publisher, now) for message in messages])
         self._size += sum([len(message[0]) for message in messages])
         if publisher:
@@ -154,11 +152,9 @@ class Overload:
         return self._grows or now - self._shown_at < _LASTS
 
     def turn(self) -> None:
-        """Note that the queue gives messages."""
         self._turned = self._turned_since_drop = True
 
     def dropped(self, now: float) -> None:
-        """Note that the queue has dropped messages."""
         if self._turned_since_drop and now - self._dropped_at < _LASTS:
             self._shown_at = now
         self._turned_since_drop, self._dropped_at = False, now
@@ -315,11 +311,9 @@ class OutgoingPath:
         gates: all that are on.
     """
 
-    def __init__(
-        self, context: Context, route: TopicRoute[SendingChannel], ledger: RouteLedger, loop_filter: LoopFilter
-    ) -> None:
+    def __init__(self, route: TopicRoute[SendingChannel], ledger: RouteLedger, loop_filter: LoopFilter) -> None:
         self.histories: Histories | None = None
-        self._context = context
+        self._context = context = route.context
         self._route = route
         self._ledger = ledger
         self._loop_filter = loop_filter
@@ -487,7 +481,6 @@ class OutgoingPath:
         self.flush()
 
     def flush(self) -> None:
-        """Send the waiting messages while the channel takes them."""
         if (channel := self._route.channel) is not None:
             self._outbox.flush(channel, self._context.now())
 

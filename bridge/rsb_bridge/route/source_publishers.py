@@ -419,7 +419,6 @@ class SourcePublishers:
 
     @property
     def subscriber_count(self) -> int:
-        """How many subscriptions of other nodes there are."""
         return max((sink.subscriber_count for sink in self.sinks), default=0)
 
     def close(self, first: int = 0) -> None:
@@ -460,7 +459,6 @@ class SourcePublishers:
 
     @property
     def has_kept(self) -> bool:
-        """Whether messages of the sending side are kept."""
         return any(topic.has_kept for topic in self._latched())
 
     def present(self, publishers: Mapping[bytes, int]) -> None:
@@ -469,7 +467,6 @@ class SourcePublishers:
             topic.present(publishers)
 
     def tick(self) -> None:
-        """Once a second."""
         for topic in self._latched():
             try:
                 topic.tick()

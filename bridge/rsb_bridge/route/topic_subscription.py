@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
-    from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription, TopicSpec
     from rsb_bridge.route.history_depth import Bounds
@@ -56,7 +55,6 @@ class TopicSubscription:
 
     def __init__(
         self,
-        context: Context,
         route: TopicRoute[SendingChannel],
         path: OutgoingPath,
         loop_filter: LoopFilter,
@@ -65,7 +63,7 @@ class TopicSubscription:
         self.spec: TopicSpec | None = None
         self.histories: Histories | None = None
         self._liveliness: _Liveliness | None = None
-        self._context = context
+        self._context = context = route.context
         self._route = route
         self._path = path
         self._loop_filter = loop_filter
@@ -119,9 +117,7 @@ class TopicSubscription:
         self._type.begin(self.spec.type_name, self.spec.type_hash)
         self._subscription = LastingSubscription(self._context.loop, self._subscribe, self._changed)
         if self.spec.qos.liveliness_lease_duration:
-            self._liveliness = _Liveliness(
-                self._context.loop, self._route, self.spec, self._subscription, self._loop_filter, self._found
-            )
+            self._liveliness = _Liveliness(self._route, self.spec, self._subscription, self._loop_filter, self._found)
 
     def unsubscribe(self) -> None:
         """Take no more messages for now. May be called twice."""
@@ -245,7 +241,6 @@ class _Liveliness:
 
     def __init__(
         self,
-        loop: asyncio.AbstractEventLoop,
         route: TopicRoute[SendingChannel],
         spec: TopicSpec,
         first: LastingSubscription,
@@ -259,7 +254,7 @@ class _Liveliness:
             changed: called after `alive` has changed.
         """
         self.alive = False
-        self._loop = loop
+        self._loop = loop = route.context.loop
         self._route = route
         self._spec = spec
         self._first = first
