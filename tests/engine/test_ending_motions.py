@@ -10,7 +10,7 @@ import pytest
 from tests.support import replaced
 
 from rsb_bridge.engine.bridge import Bridge
-from rsb_bridge.engine.part import EnginePart
+from rsb_bridge.engine.part import EnginePart, MovingPart
 from rsb_bridge.feature import Feature
 from rsb_bridge.model.codes import EventCode
 
@@ -25,7 +25,7 @@ TOPIC = "/cmd_vel"
 SNAPSHOTS: Any = SimpleNamespace(newest=None)
 
 
-class Mover(EnginePart):
+class Mover(MovingPart):
     """Has a robot move whenever it may, as its operator presses keys all the time; to stop it takes some seconds."""
 
     def __init__(self, bridge: Bridge, seconds: float) -> None:
@@ -43,7 +43,7 @@ class Mover(EnginePart):
         return bool(self._seconds)
 
 
-class Failing(EnginePart):
+class Failing(MovingPart):
     async def end_motions(self, topics: Collection[str] | None) -> bool:
         raise RuntimeError("it fails")
 

@@ -160,7 +160,8 @@ def command(
     async def no_motions(_: set[str]) -> None:
         """Nobody drives by hand."""
 
-    commands = ArmingCommands(cast("Any", SimpleNamespace(links=lambda: [side], end_motions=no_motions)))
+    bridge = SimpleNamespace(links=lambda: [side], find=lambda key: (side, side.routes[key]), end_motions=no_motions)
+    commands = ArmingCommands(cast("Any", bridge))
     key = route(side).key
 
     async def give() -> None:

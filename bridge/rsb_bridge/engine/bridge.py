@@ -23,7 +23,8 @@ from rsb_bridge.config.keys import shared_key_problem
 from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.inspector import RouteInspector
-from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, find_route, undo_mark
+from rsb_bridge.engine.part import MovingPart
+from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, named_in, undo_mark
 from rsb_bridge.feature import installed
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.graph_watch import Follower, GraphWatch, NameWatch
@@ -126,6 +127,7 @@ class Bridge:
         self._shutdown_watch: LastingSubscription | None = None
         self._parts: list[EnginePart] = [TopicCommands(self), self._arming, RouteInspector(self)]
         self._parts += [part for feature in installed() for part in feature.parts(self)]
+        self._moving = [part for part in self._parts if isinstance(part, MovingPart)]
         for part in self._parts:
             self.handlers |= part.handlers
         self._errors_logged: dict[str, float] = {}
@@ -140,15 +142,18 @@ class Bridge:
         Raises:
             LinkError: there is none.
         """
-        return find_route(self, key)
+        link, _, route = named_in(self.links(), key)
+        if route is None:
+            raise LinkError("a pattern carries nothing itself: choose one of the topics that it matches")
+        return link, route
 
     async def end_motions(self, topics: set[str] | None = None) -> bool:
         ending = Counter((_EVERY_TOPIC,) if topics is None else topics)
         self._ending += ending
         waited = False
         try:
-            for part in self._parts:
-                with self._guarded(part):
+            for part in self._moving:
+                with self._part_may_fail(part):
                     waited |= await part.end_motions(topics)
         finally:
             # Until the caller waits for anything, by when it has disarmed them.
@@ -221,7 +226,7 @@ class Bridge:
                 link.guarded(link.tick)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
             for part in self._parts:
-                with self._guarded(part):
+                with self._part_may_fail(part):
                     part.tick(self._snapshots.latest)
             if number % _LISTENS_EVERY == 0:
                 before, lost = lost, ros.lost_ports()
@@ -229,7 +234,7 @@ class Bridge:
                     self._ros_failed(RosProblem.DEAF(port=min(stuck).path))
 
     @contextlib.contextmanager
-    def _guarded(self, part: EnginePart) -> Iterator[None]:
+    def _part_may_fail(self, part: EnginePart) -> Iterator[None]:
         """Do work of a part; a failure of it is logged, and ends nothing else."""
         try:
             yield
@@ -249,7 +254,7 @@ class Bridge:
         self._ending[_EVERY_TOPIC] += 1
         await self.end_motions()
         for part in self._parts:
-            with self._guarded(part):
+            with self._part_may_fail(part):
                 await part.close()
         self.context.descriptions.close()
         await self.role.stop()
@@ -260,7 +265,7 @@ class Bridge:
         self._snapshots.refresh_now(self.role, running=False)
         # Last: the loop stands still meanwhile, and while all this took its time, a scrape or a command could end.
         for part in self._parts:
-            with self._guarded(part):
+            with self._part_may_fail(part):
                 part.join()
 
     def _bridges_changed(self) -> None:

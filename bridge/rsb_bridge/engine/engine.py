@@ -289,7 +289,7 @@ class Engine(EngineApi):
             ros.stop()
             raise
         for each in self._observers:
-            with self._guarded(each):
+            with self._observer_may_fail(each):
                 each.start()
 
     def _end(self, timeout: float) -> None:
@@ -305,12 +305,12 @@ class Engine(EngineApi):
         self._commands.end()  # the thread does so itself, unless it hangs
         bridge.context.ros.stop()
         for each in self._observers:
-            with self._guarded(each):
+            with self._observer_may_fail(each):
                 each.stop(max(_OBSERVED_WITHIN, deadline - self.clock.steady()))
         self._thread = None
 
     @contextlib.contextmanager
-    def _guarded(self, observer: EngineObserver) -> Iterator[None]:
+    def _observer_may_fail(self, observer: EngineObserver) -> Iterator[None]:
         """Do work of an observer; a failure of it is logged, and ends nothing else."""
         try:
             yield

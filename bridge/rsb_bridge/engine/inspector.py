@@ -9,7 +9,6 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
 from rsb_bridge.engine.part import EnginePart
-from rsb_bridge.engine.topic_commands import find_route
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.peer_operators import acting_operator, called
 from rsb_bridge.model.calls import SEND_GOAL
@@ -52,23 +51,23 @@ class RouteInspector(EnginePart):
         }
 
     async def peek(self, command: Peek) -> PeekedMessage | None:
-        _, route = find_route(self._bridge, command.key)
+        _, route = self._bridge.find(command.key)
         if not isinstance(route, TopicRoute):
             raise LinkError(f"{route.local_topic} has calls, no messages")
         return await self._bridge.peeking.peek(route, kept=command.kept)
 
     async def describe(self, command: DescribeType) -> str:
-        link, route = find_route(self._bridge, command.key)
+        link, route = self._bridge.find(command.key)
         return await link.type_questions.describe(route)
 
     async def template(self, command: Template) -> str:
-        route = _callable(find_route(self._bridge, command.key)[1])
+        route = _callable(self._bridge.find(command.key)[1])
         number = _lane_named(route, command.lane)
         return await asyncio.to_thread(self._defaults, route, number, route.entry(number))
 
     async def call(self, command: Call) -> str:
         """Call by hand; both sides record the operator."""
-        link, found = find_route(self._bridge, command.key)
+        link, found = self._bridge.find(command.key)
         route = _callable(found)
         if self._calls >= CALLS_AT_ONCE:
             raise LinkError(Denied.TOO_MANY_CALLS(limit=CALLS_AT_ONCE))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
@@ -32,16 +33,6 @@ class EnginePart:
     def open(self) -> None:
         """Begin, before the links do. May raise what `Bridge.start` takes for a reason not to start."""
 
-    async def end_motions(self, topics: Collection[str] | None) -> bool:
-        """Stop the robots that it moves on some topics, or on all, as that is about to become impossible.
-
-        Before it has a robot move, it asks `Bridge.may_move`.
-
-        Returns:
-            Whether it waited for anything.
-        """
-        return False
-
     def tick(self, snapshot: Snapshot) -> None:
         """Do the regular work, once a second, with the newest snapshot."""
 
@@ -50,6 +41,18 @@ class EnginePart:
 
     def join(self) -> None:
         """Wait for its threads, at the very end."""
+
+
+class MovingPart(EnginePart):
+    """A part that moves robots. Before it does, it asks `Bridge.may_move`."""
+
+    @abstractmethod
+    async def end_motions(self, topics: Collection[str] | None) -> bool:
+        """Stop the robots that it moves on some topics, or on all, as that is about to become impossible.
+
+        Returns:
+            Whether it waited for anything.
+        """
 
 
 class EngineObserver:

@@ -81,6 +81,13 @@ class CommandedBridge(Protocol):
     def links(self) -> list[Link]:
         """Return all links, up or down."""
 
+    def find(self, key: str) -> tuple[Link, Route]:
+        """Return a route and its link by the route's key.
+
+        Raises:
+            LinkError: there is none.
+        """
+
     async def end_motions(self, topics: set[str] | None = None) -> bool:
         """Stop the robots that operators move, on some topics or all, before that is no longer possible.
 
@@ -116,20 +123,13 @@ class Named(NamedTuple):
         return tuple(each for each in self.link.routes.values() if self.link.patterns.has_made(each, self.entry))
 
 
-def find_route(bridge: CommandedBridge, key: str) -> tuple[Link, Route]:
-    """Return a route and its link by the route's key.
+def named_in(links: Iterable[Link], key: str) -> Named:
+    """Return the entry of a key.
 
     Raises:
         LinkError: there is none.
     """
-    link, _, route = _named(bridge, key)
-    if route is None:
-        raise LinkError("a pattern carries nothing itself: choose one of the topics that it matches")
-    return link, route
-
-
-def _named(bridge: CommandedBridge, key: str) -> Named:
-    for link in bridge.links():
+    for link in links:
         if (route := link.routes.get(key)) is not None:
             return Named(link, route.spec, route)
         if (pattern := link.patterns.find(key)) is not None:
@@ -153,9 +153,11 @@ class TopicCommands(EnginePart):
 
     async def _stopped(self, key: str) -> Named:
         """Return what a key names after the motions on its topics have ended."""
-        named = _named(self._bridge, key)
+        named = named_in(self._bridge.links(), key)
         if await self._bridge.end_motions({route.local_topic for route in named.routes()}):
-            return _named(self._bridge, key)  # the peer may have removed or edited it while the robots came to rest
+            return named_in(
+                self._bridge.links(), key
+            )  # the peer may have removed or edited it while the robots came to rest
         return named
 
     async def add(self, command: AddTopic) -> str:
@@ -312,29 +314,29 @@ class ArmingCommands(EnginePart):
         }
 
     async def arm(self, command: ArmTopic) -> None:
-        link, route = find_route(self._bridge, command.key)
+        link, route = self._bridge.find(command.key)
         # Raises at its end if the console has gone, which would leave the topic armed by nobody.
         with link.table.arming.waiting(route, console()) as waiting:
             await link.table.arming.load_type(route)
-            link, route = find_route(self._bridge, command.key)  # it may have been edited meanwhile
+            link, route = self._bridge.find(command.key)  # it may have been edited meanwhile
             await link.table.arming.until_open(route, waiting)
-        link, route = find_route(self._bridge, command.key)
+        link, route = self._bridge.find(command.key)
         await link.table.arming.arm(route, console(), shared=command.shared)
 
     async def ask(self, command: AskHolder) -> None:
-        link, route = find_route(self._bridge, command.key)
+        link, route = self._bridge.find(command.key)
         opening = route.id
         with link.table.arming.waiting(route, console()):
             await link.table.questions.ask(route, console())
         await self._take(command, opening)
 
     async def take(self, command: TakeArming) -> None:
-        _, route = find_route(self._bridge, command.key)
+        _, route = self._bridge.find(command.key)
         await self._take(command, route.id)
 
     async def _take(self, command: AskHolder | TakeArming, opening: int) -> None:
         """Disarm a route if it is still held in an opening, and arm it. The robot stops in between."""
-        link, route = find_route(self._bridge, command.key)
+        link, route = self._bridge.find(command.key)
         with link.table.arming.waiting(route, console()):
             # The holder of a later opening was not asked.
             if route.id == opening and route.arming.held and route.arming.console != console():
@@ -342,11 +344,11 @@ class ArmingCommands(EnginePart):
         await self.arm(ArmTopic(command.key, command.shared))
 
     async def answer(self, command: AnswerAsker) -> None:
-        link, route = find_route(self._bridge, command.key)
+        link, route = self._bridge.find(command.key)
         link.table.questions.answer(route, console(), gives=command.gives, who=command.who)
 
     async def disarm(self, command: DisarmTopic) -> None:
-        link, route = find_route(self._bridge, command.key)
+        link, route = self._bridge.find(command.key)
         # A command that is about to arm it would do so afterwards.
         link.table.arming.withdraw(route, console() if command.own else None)
         if not command.own or route.arming.console == console():

@@ -152,9 +152,10 @@ class SnapshotPublisher:
         self._publish(bridge, running=running)
 
     def refresh_route(self, bridge: ShownBridge, link: ShownLink, route: ShownRoute) -> None:
-        """Renew one route and its link at once: a bridge with hundreds of routes stands still until all are renewed."""
+        """Renew one route at once: a bridge with hundreds of routes stands still until all are renewed."""
         self._renew(route)
-        self._renew_link(link)
+        if link not in self._links:  # it is shown with its route
+            self._renew_link(link)
         self._publish(bridge, running=True)
 
     def _renew(self, route: ShownRoute) -> None:

@@ -14,7 +14,7 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.cdr.known_types import reduced, speeds_of, stamped
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
-from rsb_bridge.engine.part import EnginePart
+from rsb_bridge.engine.part import MovingPart
 from rsb_bridge.link.extension import LinkError, check_names
 from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.peer_operators import acting_operator
@@ -147,7 +147,7 @@ class _Publication:
         return rest
 
 
-class Publishing(EnginePart):
+class Publishing(MovingPart):
     """Executes `Publish` and `DraftMessage`."""
 
     def __init__(self, bridge: Bridge) -> None:

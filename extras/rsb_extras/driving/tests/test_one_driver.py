@@ -19,7 +19,7 @@ from tests.simulation.ros import Writer, hash_of
 from tests.simulation.world import Violation
 from tests.support.long import long_cases
 
-from rsb_bridge.engine.topic_commands import ArmingCommands, find_route
+from rsb_bridge.engine.topic_commands import ArmingCommands
 from rsb_bridge.model.commands import (
     AnswerAsker,
     ArmTopic,
@@ -228,7 +228,7 @@ def _anybody(*_: object) -> bool:
 async def _handed_over(self: ArmingCommands, command: Any, opening: int) -> None:
     """Replace `ArmingCommands._take` by a form that hands the arming over as it is."""
 
-    _, route = find_route(self._bridge, command.key)
+    _, route = self._bridge.find(command.key)
     if not route.arming.held or route.arming.console is None:
         await self.arm(ArmTopic(command.key, command.shared))
     else:
