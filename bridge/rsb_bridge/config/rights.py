@@ -285,6 +285,8 @@ class Rights:
 
     def _about(self, grants: Sequence[Grant], use: Use, also: Sequence[str] = ()) -> list[Grant]:
         """Return the entries that apply to a use, by its name or by other names."""
+        if not grants:
+            return []
         own = (use.topic, *also)
         names = {*own, *(client_topic(name, self.prefix) or name for name in own if self.prefix)}
         return [

@@ -197,6 +197,8 @@ def unreported(found: Iterable[Problem], reported: Sequence[Problem]) -> list[Pr
     def within(location: str, outer: str) -> bool:
         return not outer or location == outer or location.startswith((f"{outer}.", f"{outer}["))
 
+    if not reported:
+        return [*found]
     locations = [problem.location for problem in reported]
     return [
         new for new in found if not any(within(new.location, old) or within(old, new.location) for old in locations)
@@ -228,9 +230,14 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
         yield from limits_problems(topic.limits, join(location, "limits"), "topic", topic.type, topic.topic)
 
 
-def problems_here(topic: Topic, session: Session) -> Iterator[Problem]:
-    """Yield the mistakes that a peer's topic has only under this side's name for it, or on this side's link."""
-    yield from _name_problems(topic, "", session, None)
+def problems_here(topic: Topic, session: Session, *, renamed: bool) -> Iterator[Problem]:
+    """Yield the mistakes that a peer's topic has only under this side's name for it, or on this side's link.
+
+    Args:
+        renamed: whether this side's name is another one than the peer's, which has been checked.
+    """
+    if renamed:
+        yield from _name_problems(topic, "", session, None)
     yield from _transport_problems(topic, "", session)
 
 
@@ -506,6 +513,8 @@ def service_names(kind: Kind, name: str) -> list[str]:
 def overlap(topic: Topic, others: Iterable[Topic]) -> str:
     """Return the reason why an entry cannot be bridged together with others of the link, or an empty string."""
     names = set(service_names(topic.kind, topic.topic))
+    if not names:
+        return ""
     # What overlaps among the others is not this entry's fault.
     related = [other for other in others if not names.isdisjoint(service_names(other.kind, other.topic))]
     return next((f"{topic.topic}: {problem.message}" for problem in overlaps([*related, topic], "")), "")

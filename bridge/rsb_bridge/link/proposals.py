@@ -255,9 +255,9 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> tuple[Pro
         return proposal, entry
     entry = check_wanted(proposal, link)
     ours = link.with_local_name(proposal)
-    if ours != proposal:
+    if renamed := ours != proposal:
         entry = topic_of(ours)
-    for problem in problems_here(entry, session):
+    for problem in problems_here(entry, session, renamed=renamed):
         raise LinkError(str(problem))
     own = link.routes.get(route_key(link.name, ours))
     if own is None or not own.listed or listed_differently(own.spec, own.own or own.proposal, ours, link):
@@ -355,7 +355,7 @@ def check_overlap(topic: Topic, routes: Iterable[Route]) -> None:
     Raises:
         LinkError: one is, by a route that is open or that this side proposes.
     """
-    if clash := overlap(topic, [route.spec for route in routes if route.id or route.proposed_here]):
+    if clash := overlap(topic, (route.spec for route in routes if route.id or route.proposed_here)):
         raise LinkError(clash)
 
 

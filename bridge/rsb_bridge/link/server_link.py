@@ -377,7 +377,8 @@ class ServerLink(Link):
     def with_local_name(self, proposal: Propose) -> Propose:
         """Prefix this side's name of the topic with the client's name if the entry wants that."""
         field = "remote_topic" if proposal.from_client else "topic"
-        return msgspec.structs.replace(proposal, **{field: self.entry.server_name(getattr(proposal, field))})
+        name, here = getattr(proposal, field), self.entry.server_name(getattr(proposal, field))
+        return proposal if here == name else msgspec.structs.replace(proposal, **{field: here})
 
     def shows(self, topic: str, kind: Kind = "topic") -> bool:
         return self.entry.shows(topic, kind)
