@@ -307,7 +307,7 @@ def test_nothing_old_and_nothing_unarmed_gets_to_channel(world: World) -> None:
     assert order(gates.packed) == [size_sieve]
     assert order(gates.leaving) == [young_sieve]
     world.route.qos = Qos(durability="transient_local")  # its messages wait in their histories, and are asked later
-    world.route.settle_age()
+    world.path.compose()
     assert order(world.path.gates.arriving) == [loop_sieve]
 
 

@@ -309,8 +309,7 @@ class RouteTable(Extension):
             if self._link.linked and route.proposed_here and not route.id:
                 self.propose(route)
 
-    def _reopen(self, route: Route, route_id: int) -> None:
-        route.close("reopened")
+    def _open(self, route: Route, route_id: int) -> None:
         route.open(route_id)
         self.arming.opened(route)
         route.age.accepted = None
@@ -325,7 +324,8 @@ class RouteTable(Extension):
         Args:
             who: operator who has just added or edited it, or an empty string.
         """
-        self._reopen(route, self._link.ids.new())
+        route.close("reopened")
+        self._open(route, self._link.ids.new())
         self._link.spawn(self._propose(route, route.id, who))
 
     async def _propose(self, route: Route, route_id: int, who: str) -> None:
@@ -415,12 +415,13 @@ class RouteTable(Extension):
             route = known
             if known.own is None:
                 known.amend(amended_topic(known.spec, ours), amended(known.proposal, ours))
+            known.close("reopened")
         else:
             route = self._changed_by_peer(known, ours)
         if before is not None:
             route.arming.follow(before.arming)
         same_process = route.instance == link.instance  # before it is opened, which notes the present process
-        self._reopen(route, proposal.route)
+        self._open(route, proposal.route)
         self._take_pause(route, proposal, known=same_process)
         if (route.pausing.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
             self._tell_pause(route)  # an operator of this side changed it while the link was down

@@ -109,7 +109,7 @@ class MessageAge:
 
     Attributes:
         is_on: whether ages are limited at all.
-        switched: called whenever `is_on` may have changed.
+        switched: called whenever `is_on` has changed.
         max_age: s that holds for the two sides, or 0 for no limit.
         accepted: s that the other side's session sets where it has accepted the route, 0 for no limit, or None if it
             sets none.
@@ -141,8 +141,9 @@ class MessageAge:
         self.max_age = effective_max_age(demands, armed=armed)
         self._limit = min(filter(None, (self.max_age, lifespan)), default=0.0)
         self._limit_ns = int(self._limit * 1e9)
-        self.is_on = self._limit > 0.0
-        self.switched()  # also for the same limit: what is latched, as its QoS says now, is asked its age later
+        was_on, self.is_on = self.is_on, self._limit > 0.0
+        if self.is_on != was_on:
+            self.switched()
 
     # --- the side that takes from ROS
 

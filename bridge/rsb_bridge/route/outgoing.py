@@ -236,6 +236,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._described = described
         self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
         self.settle_age()
+        self._path.compose()  # what is latched, as its QoS says now, is asked its age later
         self.log_other_end(self.type_name)
         self._loop_filter.table.described()
         self._told = None  # the peer may have new outputs

@@ -322,9 +322,10 @@ class OutgoingPath:
         self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
         self._outbox = Outbox(route, ledger)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
-        compose_when_switched(route, self._compose)
+        compose_when_switched(route, self.compose)
 
-    def _compose(self) -> None:
+    def compose(self) -> None:
+        """Choose the gates that are on."""
         if (rate := self._route.limit.rate) != self._throttle.rate:
             # Only on a change: `limit` restarts the beat, and gates are composed for other reasons, too.
             self._last_later.flush()
