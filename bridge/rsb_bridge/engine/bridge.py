@@ -499,7 +499,8 @@ class Bridge:
         """Yield the parts that follow the names of this side's graph."""
         for link in self.links():
             yield link.patterns
-            yield link.patterns.followed
+            if (followed := link.patterns.followed) is not None:
+                yield followed
 
     async def _topics(self, command: commands.Topics) -> tuple[TopicInfo, ...]:
         if command.link is None:

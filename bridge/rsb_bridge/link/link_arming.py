@@ -157,12 +157,7 @@ class LinkArming:
         propose: reopens a route that this side proposes.
     """
 
-    def __init__(
-        self,
-        peer: BaseLink,
-        peer_operators: PeerOperators,
-        propose: Callable[[Route], None],
-    ) -> None:
+    def __init__(self, peer: BaseLink, peer_operators: PeerOperators, propose: Callable[[Route], None]) -> None:
         self._context = context = peer.context
         self._peer = peer
         self._peer_operators = peer_operators
@@ -178,17 +173,17 @@ class LinkArming:
 
     def opened(self, route: Route) -> None:
         """Prepare a new opening of a route, which begins disarmed."""
-        proposal = route.proposal
-        route.arming.opened(required=proposal.arm, deadman=proposal.deadman)
-        route.arming.lease = self.lease.state
-        own = route.arming.own = self._own(route)
+        arming, proposal = route.arming, route.proposal
+        arming.opened(required=proposal.arm, deadman=proposal.deadman)
+        arming.lease = self.lease.state
+        own = arming.own = self._own(route)
         # A proposal of this side has its own demands; the peer's come with Accept.
-        route.arming.peer_arm = proposal.arm and not route.proposed_here
-        route.arming.peer_on_end = "" if route.proposed_here else _suiting(route, proposal.on_end)
-        route.arming.peer_limits = None if route.proposed_here else proposal.limits
-        route.arming.demand(required=own.arm, deadman=own.deadman)
+        arming.peer_arm = proposal.arm and not route.proposed_here
+        arming.peer_on_end = "" if route.proposed_here else _suiting(route, proposal.on_end)
+        arming.peer_limits = None if route.proposed_here else proposal.limits
+        arming.demand(required=own.arm, deadman=own.deadman)
         self._say_who_demands(route)
-        if route.arming.required:  # begun now, since the operator who arms it waits for it, up to a second
+        if arming.required:  # begun now, since the operator who arms it waits for it, up to a second
             self._context.load_type(full_type(route.proposal.type))
 
     async def load_type(self, route: Route) -> None:
@@ -197,15 +192,8 @@ class LinkArming:
 
     def demanded(self, route: Route) -> dict[str, Any]:
         """Return this side's demand for the present opening, as fields of a proposal."""
-        own = route.arming.own
-        max_age = self.max_age(route, route.proposal)
-        return {
-            "arm": own.arm,
-            "deadman": own.deadman,
-            "max_age": max_age,
-            "on_end": own.on_end,
-            "limits": own.limits,
-        }
+        own, max_age = route.arming.own, self.max_age(route, route.proposal)
+        return {"arm": own.arm, "deadman": own.deadman, "max_age": max_age, "on_end": own.on_end, "limits": own.limits}
 
     def max_age(self, route: Route, proposal: Propose) -> float | None:
         """Return what this side demands of the age of messages, and the proposal of a route that it proposes."""
@@ -353,7 +341,7 @@ class LinkArming:
             self._peer.send_urgent(message)
         self._ended(route, why, f"disarmed by {who}" if who else reason)
         if why is Disarmed.OPERATOR:  # recorded once the other side publishes nothing more
-            route.settling.then(lambda: self._disarmed_by(route, who))
+            route.settling.then(lambda: self._record(route, who, armed=False))
 
     def _ended(self, route: Route, why: Disarmed, reason: str = "") -> None:
         """Disarm it, and reopen it under another id, so that it can be armed again."""
@@ -435,7 +423,7 @@ class LinkArming:
                 if route.arming.phase is ArmingPhase.ASKED and self.lease.state.slow:
                     self.disarm(route, Disarmed.LINK_SLOW)
                 elif route.arming.agreed(self._context.now()):
-                    self._armed_by(route, route.arming.by)
+                    self._record(route, route.arming.by, armed=True)
                     self._open_if_begun(route)
             case Disarm() if message.cause == DROPPED:
                 self._peer_operators.dropped_demand(route, message.who)
@@ -445,7 +433,7 @@ class LinkArming:
                     if why is Disarmed.OPERATOR:
                         who = self._peer_operators.says(message.who)
                         reason = f"disarmed ({who})"
-                        self._disarmed_by(route, who, from_peer=True)
+                        self._record(route, who, armed=False, from_peer=True)
                     self._ended(route, why, reason)
                     route.settling.answered(route_id)  # the side that disarms has stopped already, and sends no Settled
 
@@ -460,12 +448,13 @@ class LinkArming:
             self._refuse(route, Disarmed.TOO_OFTEN)
         elif route.pausing.paused:
             self._refuse(route, Disarmed.PAUSED)
-            self._not_armed(route, Disarmed.PAUSED, who)
+            text = f"not armed: {Disarmed.PAUSED.text} ({who})"
+            route.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=Disarmed.PAUSED)
         else:
             self.lease.hold()  # first: a Lease goes right before Armed (PROTOCOL.md, 7.2)
             arming.arm_for_peer(who, now)
             self._peer.send(Armed(route.id))
-            self._armed_by(route, who, from_peer=True)
+            self._record(route, who, armed=True, from_peer=True)
             self._open_if_begun(route)
 
     def _refuse(self, route: Route, why: Disarmed) -> None:
@@ -474,18 +463,10 @@ class LinkArming:
         if route.proposed_here:
             self._propose(route)
 
-    def _not_armed(self, route: Route, why: Disarmed, who: str) -> None:
-        """Record an attempt of the other side's operator, which the budget of armings bounds."""
-        route.log(Level.WARNING, EventCode.ROUTE_DISARMED, f"not armed: {why.text} ({who})", cause=why)
-
-    def _armed_by(self, route: Route, who: str, *, from_peer: bool = False) -> None:
-        self._record(EventCode.OPERATOR_ARMED, route, who, "disarmed", "armed", from_peer=from_peer)
-
-    def _disarmed_by(self, route: Route, who: str, *, from_peer: bool = False) -> None:
-        self._record(EventCode.OPERATOR_DISARMED, route, who, "armed", "disarmed", from_peer=from_peer)
-
-    def _record(self, code: EventCode, route: Route, who: str, old: str, new: str, *, from_peer: bool) -> None:
-        """Record an operator's action. The budget of armings bounds these events."""
+    def _record(self, route: Route, who: str, *, armed: bool, from_peer: bool = False) -> None:
+        """Record that an operator has armed or disarmed a route. The budget of armings bounds these events."""
+        code = EventCode.OPERATOR_ARMED if armed else EventCode.OPERATOR_DISARMED
+        old, new = ("disarmed", "armed") if armed else ("armed", "disarmed")
         text = f"{new}, {who}" if from_peer else f"{new} by {who or 'an operator'}"
         route.log(Level.WARNING, code, text, who=who, old=old, new=new, from_peer=from_peer)
 

@@ -107,43 +107,30 @@ class PatternEntry:
 
 
 class PeerSubscription:
-    """Sends the peer the names of this side's graph that match its patterns."""
+    """The names of this side's graph that match the patterns of the peer's newest `Follow`; the peer gets changes."""
 
-    def __init__(self, link: BaseLink) -> None:
+    def __init__(self, link: BaseLink, asked: Follow) -> None:
         self._link = link
-        self._request: int | None = None  # None: the peer follows nothing
-        self._asked_for: tuple[NamePattern, ...] = ()  # not compiled yet
-        self._patterns: list[tuple[Kind, Pattern]] = []
+        self._asked = asked
+        self._patterns: list[tuple[Kind, Pattern]] | None = None  # not compiled yet
         self._told: Names = {}
         self._more = 0
         self._answered = False
 
-    def disconnected(self) -> None:
-        """Forget what the peer follows."""
-        self._request, self._asked_for, self._patterns, self._told = None, (), [], {}
-
-    def asked(self, message: Follow) -> None:
-        """Take the peer's patterns, which replace its earlier ones."""
-        self.disconnected()
-        self._request, self._answered, self._more = message.request, False, 0
-        self._asked_for = message.patterns
-        self._link.context.names_changed()
-
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
         """Return the peer's patterns. They are compiled when the graph is searched, not each time the peer asks."""
-        if self._asked_for:
+        if self._patterns is None:
             self._patterns = [
                 (kind, Pattern(each.pattern))
-                for each in self._asked_for
+                for each in self._asked.patterns
                 if (kind := KINDS.get(each.kind)) is not None and is_valid(each.pattern)
             ]
-            self._asked_for = ()
         return self._patterns
 
     def update_names(self, names: Names) -> None:
         """Send the peer the changes of the matching names."""
-        # While the newest patterns wait to be compiled, these names match the earlier ones.
-        if self._request is None or self._asked_for or not (self._patterns or self._told or not self._answered):
+        # A search that had begun before the patterns were compiled looked for earlier ones.
+        if self._patterns is None or (self._answered and not self._patterns):
             return
         matching = [(named, type_name) for named, type_name in sorted(names.items()) if self._tells(named, type_name)]
         known = [each for each in matching if each[0] in self._told]  # first: a full list stays the same
@@ -158,11 +145,11 @@ class PeerSubscription:
         # At least one message: that nothing matches is an answer, too.
         for at in range(0, max(len(present), len(gone), 1), _IN_ONE_MESSAGE):
             part = slice(at, at + _IN_ONE_MESSAGE)
-            self._link.send(Followed(self._request, tuple(present[part]), tuple(gone[part]), more))
+            self._link.send(Followed(self._asked.request, tuple(present[part]), tuple(gone[part]), more))
 
     def _tells(self, named: Named, type_name: str) -> bool:
         kind, name = named
-        matches = any(kind == each and pattern.match(name) is not None for each, pattern in self._patterns)
+        matches = any(kind == each and pattern.match(name) is not None for each, pattern in self.patterns_here())
         # The other side would end the connection for a longer text (PROTOCOL.md, 3).
         return matches and max(len(name), len(type_name)) <= TEXT_LENGTH and self._link.shows(name, kind)
 
@@ -179,7 +166,7 @@ class LinkPatterns(Extension):
     that an operator removes becomes an exception of its patterns, and one that an operator edits an entry of its own.
 
     Attributes:
-        followed: the names of this side's graph that the peer follows.
+        followed: the names of this side's graph that the peer follows, or None if it follows none.
         there: the matching names in the peer's graph, or None as long as they are unknown.
         unseen: number of further matching names that the peer does not tell.
         gone: routes whose topic or service is gone, by identity, each with the time since when.
@@ -191,8 +178,8 @@ class LinkPatterns(Extension):
         self._table = table
         self._proposed = proposed
         self._transport = link.transport.name
-        self.followed = PeerSubscription(link)
-        self.messages = {Follow: self.followed.asked, Followed: self._receive}
+        self.followed: PeerSubscription | None = None
+        self.messages = {Follow: self._asked, Followed: self._receive}
         self.entries: list[PatternEntry] = []
         self._here: Names | None = None  # matching names of this side's graph, or None as long as they are unknown
         self.there: Names | None = None
@@ -318,7 +305,7 @@ class LinkPatterns(Extension):
 
     def disconnected(self) -> None:
         """Forget the peer's names, without counting them as gone."""
-        self.followed.disconnected()
+        self.followed = None
         self.there, self.unseen = None, 0
         self.reconcile()
 
@@ -330,6 +317,11 @@ class LinkPatterns(Extension):
             self._request += 1
             self.there, self.unseen = None, 0
             self._link.send(Follow(self._request, theirs))
+
+    def _asked(self, message: Follow) -> None:
+        """Take the peer's patterns, which replace its earlier ones."""
+        self.followed = PeerSubscription(self._link, message)
+        self._context.names_changed()
 
     def _receive(self, message: Followed) -> None:
         if message.request != self._request:
