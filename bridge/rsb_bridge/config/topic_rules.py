@@ -267,7 +267,8 @@ def _name_problems(topic: Topic, location: str, session: Session | None, client:
     names = [(topic.topic, name)]
     if topic.remote_topic is not None:
         names.append((topic.remote_topic, remote))
-    yield from _exception_problems(topic.topic, topic.excepts, join(location, "except"))
+    if topic.excepts:
+        yield from _exception_problems(topic.topic, topic.excepts, join(location, "except"))
     if topic.is_pattern:
         found = [problem for each in names for problem in form_problems(*each)]
         yield from found

@@ -267,22 +267,20 @@ class AttachedConsole:
         self.send(protocol.ConsoleWelcome(info, bool(changes), may_take=not takes))
 
     def _request(self, request: protocol.CommandRequest) -> None:
-        if reason := self._denied.get(request.command.right):
-            asks = request.command.right is Right.TAKE and not self._denied[Right.CHANGE]
+        command, most = request.command, protocol.REQUESTS_WAITING
+        if reason := self._denied.get(command.right):
+            asks = command.right is Right.TAKE and not self._denied[Right.CHANGE]
             text = RequestRefused.ASKS_FIRST if asks else RequestRefused.READ_ONLY
             self.send(protocol.CommandFailed(request.id, text(reason=reason)))
-        elif self._requests >= protocol.REQUESTS_WAITING:
-            self.send(
-                protocol.CommandFailed(request.id, RequestRefused.TOO_MANY_WAITING(count=protocol.REQUESTS_WAITING))
-            )
-        elif request.command.expires and not 0 <= self._tickets.age(request.ticket) <= TICKET_LIFE:
-            self.send(
-                protocol.CommandFailed(request.id, RequestRefused.LATE(), late=True, ticket=self._tickets.issue())
-            )
+        elif self._requests >= most:
+            self.send(protocol.CommandFailed(request.id, RequestRefused.TOO_MANY_WAITING(count=most)))
+        elif command.expires and not 0 <= self._tickets.age(request.ticket) <= TICKET_LIFE:
+            late, ticket = RequestRefused.LATE(), self._tickets.issue()
+            self.send(protocol.CommandFailed(request.id, late, late=True, ticket=ticket))
         else:
             self._requests += 1
             # Before it is carried out: the console may go meanwhile, and `gone` has to know.
-            self._has_armed |= isinstance(request.command, ArmTopic | AskHolder | TakeArming)
+            self._has_armed |= isinstance(command, ArmTopic | AskHolder | TakeArming)
             self._tasks.spawn(self._answer(request, self._begin(request)))
 
     def _begin(self, request: protocol.CommandRequest) -> asyncio.Future[Any]:
