@@ -21,9 +21,8 @@ from rsb_bridge.wire.messages import AskEnded, AskForArming
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-    from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.peer_operators import PeerOperators
-    from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import HolderMessage, HowAsked
 
@@ -82,8 +81,8 @@ class HolderQuestions:
     Both sides record each question and how it ended. A peer's budget of questions bounds these events.
     """
 
-    def __init__(self, context: Context, peer: Peer, peer_operators: PeerOperators) -> None:
-        self._context = context
+    def __init__(self, peer: BaseLink, peer_operators: PeerOperators) -> None:
+        self._context = context = peer.context
         self._peer = peer
         self._peer_operators = peer_operators
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())

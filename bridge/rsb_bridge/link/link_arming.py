@@ -33,7 +33,6 @@ from rsb_bridge.wire.messages import Arm, Armed, Disarm
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
 
-    from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.peer_operators import PeerOperators
     from rsb_bridge.model.demands import Demand, RunningDemands
@@ -75,7 +74,8 @@ class WaitingCommand:
 class LinkLease:
     """Keeps a link's lease as long as anything is armed (PROTOCOL.md, 7.2): numbers to and from the other side."""
 
-    def __init__(self, context: Context, peer: BaseLink, arming: LinkArming) -> None:
+    def __init__(self, peer: BaseLink, arming: LinkArming) -> None:
+        context = peer.context
         self.state = LeaseHalf(context.clock.steady, context.ros.turns, self._over)
         self._loop = context.loop
         self._peer = peer
@@ -164,7 +164,7 @@ class LinkArming:
         self._propose = propose
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
         self._waiting: list[WaitingCommand] = []
-        self.lease = LinkLease(context, peer, self)
+        self.lease = LinkLease(peer, self)
 
     def _routes(self) -> tuple[Route, ...]:
         return tuple(self._peer.routes.values())  # routes come and go with what is done to them

@@ -116,8 +116,7 @@ class RouteTable(Extension):
         self._refused: dict[str, str] = {}
         self.peer_operators = PeerOperators(link.context, "server" if link.is_client else link.name)
         self.arming = LinkArming(link, self.peer_operators, self.propose)
-
-        self.questions = HolderQuestions(link.context, link, self.peer_operators)
+        self.questions = HolderQuestions(link, self.peer_operators)
 
     # --- the connection
 
@@ -277,16 +276,15 @@ class RouteTable(Extension):
             paused, revision = route.pausing.paused, route.pausing.revision
             self._link.send(Pause(route=route.id, paused=paused, revision=revision, who=who))
 
-    def _take_pause(self, route: Route, message: Pause | Propose, *, known: bool = True) -> None:
+    def _take_pause(self, route: Route, *, paused: bool, revision: int, who: str = "", known: bool = True) -> None:
         """Take the peer's state of the pause, and record the change of an operator there.
 
         Args:
             known: whether this side's revisions are about the peer's present process.
         """
-        was, who = route.pausing.paused, message.who if isinstance(message, Pause) else ""
-        revision = message.revision if isinstance(message, Pause) else message.pause_revision
-        take = route.pausing.merge if known else route.pausing.adopt
-        take(paused=message.paused, revision=revision, who=self.peer_operators.says(who))
+        pausing, was = route.pausing, route.pausing.paused
+        take = pausing.merge if known else pausing.adopt
+        take(paused=paused, revision=revision, who=self.peer_operators.says(who))
         if route.pausing.paused != was and known:
             self.peer_operators.paused(route, who)
 
@@ -375,7 +373,7 @@ class RouteTable(Extension):
         """Take a pause, which outlives openings: the end of one, by its data connection, may have come before it."""
         if (route := self._link.ids.find(message.route)) is None:
             return
-        self._take_pause(route, message)
+        self._take_pause(route, paused=message.paused, revision=message.revision, who=message.who)
         if route.pausing.paused and route.id:
             self.arming.disarm(route, Disarmed.PAUSED)
 
@@ -422,7 +420,7 @@ class RouteTable(Extension):
             route.arming.follow(before.arming)
         same_process = route.instance == link.instance  # before it is opened, which notes the present process
         self._open(route, proposal.route)
-        self._take_pause(route, proposal, known=same_process)
+        self._take_pause(route, paused=proposal.paused, revision=proposal.pause_revision, known=same_process)
         if (route.pausing.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
             self._tell_pause(route)  # an operator of this side changed it while the link was down
         return route, before is None
