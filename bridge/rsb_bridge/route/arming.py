@@ -194,10 +194,10 @@ class Arming:
             self.deadman = min(filter(None, (self.deadman, deadman)), default=0.0)
 
     def opened(self, *, required: bool, deadman: float) -> None:
-        if self.required:
-            self.required = False
+        """Begin a new opening, with the demand of its proposal in place of the demands before."""
+        before, self.required, self.deadman = self.required, required, deadman
+        if required != before:
             self.switched()
-        self.demand(required=required, deadman=deadman)
         self._handle(ArmingEvent.OPEN)
         self._clear()
 
