@@ -133,7 +133,8 @@ class SnapshotPublisher:
 
     async def refresh(self, bridge: ShownBridge) -> None:
         """Renew the links, and a part of the routes, in turn; new ones at once, resting ones only if somebody looks."""
-        links, routes = bridge.links(), _routes_of(bridge)
+        links = bridge.links()
+        routes = _routes_of(links)
         # Nothing else lets go of a removed route.
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
         changing = routes if self._is_looked_at else [route for route in routes if not route.idle]
@@ -147,8 +148,9 @@ class SnapshotPublisher:
 
     def refresh_now(self, bridge: ShownBridge, *, running: bool = True) -> None:
         """Renew everything at once: after a command, whose outcome a user waits for."""
-        self._routes = {route: route.snapshot() for route in _routes_of(bridge)}
-        self._links = {link: link.snapshot() for link in bridge.links()}
+        links = bridge.links()
+        self._routes = {route: route.snapshot() for route in _routes_of(links)}
+        self._links = {link: link.snapshot() for link in links}
         self._publish(bridge, running=running)
 
     def refresh_route(self, bridge: ShownBridge, link: ShownLink, route: ShownRoute) -> None:
@@ -167,9 +169,10 @@ class SnapshotPublisher:
     def _publish(self, bridge: ShownBridge, *, running: bool) -> None:
         """Publish the renewed links and routes that still exist; new ones follow in the next refresh."""
         # Between the slices of a refresh, links and routes come and go.
-        self._links = {link: self._links[link] for link in bridge.links() if link in self._links}
+        present = bridge.links()
+        self._links = {link: self._links[link] for link in present if link in self._links}
         now, self._published_at = self._clock.time_ns() / 1e9, self._clock.steady()
-        shown = [self._routes[route] for route in _routes_of(bridge) if route in self._routes]
+        shown = [self._routes[route] for route in _routes_of(present) if route in self._routes]
         links, routes = self.acknowledged.mark(self._links.values(), shown, now)
         self.latest = dataclasses.replace(
             self.latest,
@@ -183,8 +186,8 @@ class SnapshotPublisher:
         )
 
 
-def _routes_of(bridge: ShownBridge) -> list[ShownRoute]:
-    return [route for link in bridge.links() for route in link.routes.values() if route.purpose.is_shown]
+def _routes_of(links: Sequence[ShownLink]) -> list[ShownRoute]:
+    return [route for link in links for route in link.routes.values() if route.purpose.is_shown]
 
 
 def out_of_reach(shown: Snapshot, reason: str, *, since: float, now: float) -> Snapshot:
