@@ -66,14 +66,13 @@ class ControlServer:
         self._one_less = asyncio.Event()
         self._at_end: list[Callable[[], None]] = []
         self._ending = ""
+        self._ready = threading.Event()
         self._ends = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="rsb-control", daemon=True)
 
     def start(self) -> None:
-        ready = threading.Event()
-        self._ready = ready
         self._thread.start()
-        ready.wait()
+        self._ready.wait()
 
     def close(self, reason: str = "the bridge has ended") -> None:
         """Tell the consoles why, and stop serving; takes half a second where they do not listen."""

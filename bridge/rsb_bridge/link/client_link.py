@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import shlex
 import socket
 from typing import TYPE_CHECKING
@@ -244,20 +245,13 @@ class ClientLink(Link):
         """Wait until the next attempt is due, or an operator asks for one."""
         delay: float | None = None
         if not self._stays_down:
-            delay = self._delay()
+            asks = self.status.cause is LinkCause.SHUT_DOWN
+            delay = self._asking.next() if asks else max(self._backoff.next(self._longest), self._retry_after)
             self.status.retry_at = self.context.now() + delay
-        try:
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(delay):
                 await self._retry.wait()
-        except TimeoutError:
-            pass
         self.status.retry_at = None
-
-    def _delay(self) -> float:
-        """Return the seconds until the next attempt."""
-        if self.status.cause is LinkCause.SHUT_DOWN:
-            return self._asking.next()
-        return max(self._backoff.next(self._longest), self._retry_after)
 
     def on_duplicate(self, message: Duplicate) -> None:
         now = self.context.now()

@@ -146,7 +146,7 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[ReloadStep]:
                 text = f"{named(topic)}: {', '.join(changes(route.spec, topic))}{effect}"
                 yield ReloadStep(text, partial(_replace, link, topic))
         else:
-            yield ReloadStep(_added(topic), partial(_add, link, topic))
+            yield ReloadStep(_added(topic), partial(link.add_entry, topic))
 
 
 def _pattern_steps(link: Link, topics: Sequence[Topic]) -> Iterator[ReloadStep]:
@@ -172,10 +172,6 @@ def _added(topic: Topic) -> str:
 
 def _removed(topic: Topic) -> str:
     return f"{named(topic)}: removed (it was {described(topic)})"
-
-
-def _add(link: Link, topic: Topic) -> None:
-    link.add_entry(topic)
 
 
 def _add_to_client(server: Server, name: str, topic: Topic) -> None:
