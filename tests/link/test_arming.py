@@ -22,7 +22,7 @@ from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.session import ArmedName as ArmedEntry
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.arming import (
     ANSWERED_WITHIN,
     CONSOLE_SILENT_AFTER,
@@ -601,13 +601,12 @@ def test_budget_of_armings_bounds_events_of_attempts(pair: Pair) -> None:
 def test_unarmable_topic_says_so_in_advance(pair: Pair) -> None:
     _, pc = pair
     pc.linked = True
-    assert route(pc).status().can_be_armed
+    before = blocked(route(pc), route(pc).crossing)
+    assert before is not None
+    assert "rsb-console arm" in before.text
     route(pc).arming.end(Disarmed.LINK_SLOW)
-    status = route(pc).status()
-    assert (status.can_be_armed, status.disarmed) == (False, Disarmed.LINK_SLOW.text)
-    verdict = blocked(status)
-    assert verdict is not None
-    assert (verdict.state, verdict.cause, verdict.text) == (State.DISARMED, Cause.DISARMED, status.disarmed)
+    verdict = blocked(route(pc), route(pc).crossing)
+    assert verdict == Verdict(State.DISARMED, Cause.DISARMED, Disarmed.LINK_SLOW.text)
 
 
 def test_link_with_long_round_trip_cannot_be_armed(pair: Pair) -> None:

@@ -95,7 +95,7 @@ def test_the_first_reason_in_order_counts(
         assert route.arming.crossing(route.context.now()) is armed, "a pause or a loop says nothing of the arming"
         refused = armed_gate(route.arming)(NO_SAMPLE, route.context.now())
         assert refused is {Crossing.YES: None, Crossing.UNHEARD: Refused.UNHEARD}.get(armed, Refused.DISARMED)
-        verdict = blocked(route.status())
+        verdict = blocked(route, first)
         assert (verdict.state if verdict is not None else None) is STATES.get(first)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tests.support import replaced
 from tests.support.offline import FakePeer, half_of
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     import pytest
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.topic_verdict import Facts
+    from rsb_bridge.route.crossing import Crossing
 
 
 def test_snapshots_keep_verdict_until_change(
     make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    judged: list[Facts] = []
+    judged: list[Crossing] = []
 
-    def counted(facts: Facts) -> Verdict:
-        judged.append(facts)
-        return judge(facts)
+    def counted(half: OutgoingRoute, crossing: Crossing, rules: Any) -> Verdict:
+        judged.append(crossing)
+        return judge(half, crossing, rules)
 
     replaced.JUDGE.set(monkeypatch, counted)
     route = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit"))
@@ -81,10 +81,10 @@ def test_receiver_does_not_claim_what_sender_knows(make_context: Callable[..., C
     for number in (1, 3):
         receiver.close("reopened")
         receiver.open(number)
-        assert waits_for(receiver.status(), receiver.progress()) == ACCEPTED
+        assert waits_for(receiver) == ACCEPTED
         receiver.on_accepted()
         claims = {stage.name for stage in receiver.stages()}
-        assert waits_for(receiver.status(), receiver.progress()) not in claims
+        assert waits_for(receiver) not in claims
         assert {stage.name for stage in receiver.stages() if stage.done is False} == set()
         before = receiver.verdict()
         assert (before.state, before.cause) == (State.WAITING, Cause.NO_MESSAGE)
@@ -100,12 +100,12 @@ def test_sender_knows_of_messages_before_start(make_context: Callable[..., Conte
     for route in (sender, receiver):
         route.open(1)
         route.on_accepted()
-    assert not sender.status().came_before
+    assert not sender.came_before
     receiver.meter.last = receiver.opened_at - 46.0
     report = receiver.news()
     assert report is not None
     sender.reported(report)
-    assert sender.status().came_before
-    assert receiver.status().came_before
+    assert sender.came_before
+    assert receiver.came_before
     sender.count(1, 10, sender.context.now())
-    assert not sender.status().came_before
+    assert not sender.came_before

@@ -181,11 +181,11 @@ def test_missed_messages_are_time_at_usual_rate() -> None:
     missed.lost(100.0)
     missed.estimate(101.0, 500, published=True)
     missed.lost(101.0)
-    assert (missed.count, missed.down) == (20, True)
+    assert (missed.count, missed.since is not None) == (20, True)
     missed.estimate(151.0, 500, published=False)  # paused, or nobody is there
     missed.subscribed(151.5, 500)
     missed.estimate(152.0, 504, published=True)
-    assert (missed.count, missed.down) == (36, False)
+    assert (missed.count, missed.since is not None) == (36, False)
     missed.estimate(200.0, 1500, published=True)
     assert missed.count == 36
 
@@ -197,7 +197,7 @@ def test_silent_publishers_miss_nothing_for_long() -> None:
     missed.subscribed(0.0, 7)
     for second in range(1, 10):
         missed.estimate(float(second), 7, published=True)
-    assert (missed.count, missed.down) == (60, False)
+    assert (missed.count, missed.since is not None) == (60, False)
 
 
 def test_burst_of_kept_messages_is_no_negative_miss() -> None:

@@ -9,6 +9,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.judged import topic_verdict
 
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.faults import PathFault
@@ -20,7 +21,7 @@ from rsb_bridge.model.verdict import EXPIRES, FINE, LASTING, Cause, LinkCause, V
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
 from rsb_bridge.route.arming import Disarmed
-from rsb_bridge.route.blocking_rules import ACCEPTED, LossyPath, RouteStatus
+from rsb_bridge.route.blocking_rules import ACCEPTED, LossyPath
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
@@ -29,11 +30,7 @@ from rsb_bridge.route.topic_verdict import (
     PUBLISHED_NOTHING,
     STOPPED_PUBLISHING,
     USE_TCP,
-    Facts,
-    TopicProgress,
     audience,
-    judge,
-    topic_stages,
 )
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import DeafRecord, ReceivedReport, VerdictRecord
@@ -51,20 +48,14 @@ def endpoint(node: str, qos: Qos = RELIABLE, type_name: str = STRING, type_hash:
     return Endpoint(node, type_name, type_hash, qos, node.encode())
 
 
-TOPIC_STAGES = (
-    "publisher seen", "type known", "QoS compatible", "subscribed", "link up", "peer accepted", "sent", "received",
-    "published", "subscriber seen",
-)  # fmt: skip
-"""Scripts read these names in JSON."""
 TALKER = endpoint("/talker")
-SENDER = Facts(
-    RouteStatus(sends=True, topic="/chat", domain_id=2, accepted=True, crossing=Crossing.YES, came=True),
-    TopicProgress([TALKER], publishers=1, described=True, type_name=STRING, qos=RELIABLE, subscribed=True),
-)
-RECEIVER = Facts(
-    SENDER.status._replace(sends=False, topic="/robot1/chat", domain_id=3),
-    SENDER.progress._replace(endpoints=[endpoint("/rviz")]),
-)
+SENDER: dict[str, Any] = {
+    "sends": True, "topic": "/chat", "domain_id": 2, "accepted": True, "crossing": Crossing.YES, "came": True,
+    "endpoints": [TALKER], "described": True, "type_name": STRING, "qos": RELIABLE,
+}  # fmt: skip
+RECEIVER: dict[str, Any] = SENDER | {
+    "sends": False, "topic": "/robot1/chat", "domain_id": 3, "endpoints": [endpoint("/rviz")],
+}  # fmt: skip
 
 
 LOSSY = PathFault(LinkCause.LOSSY, "30 % of packets are lost")
@@ -92,16 +83,13 @@ def unresolved(cause: Cause) -> dict[str, Any]:
     return {"crossing": Crossing.NOT_OPEN, "came": False, "unresolved": cause, "why_unresolved": "as told"}
 
 
-def verdict_on(facts: Facts, **changes: Any) -> Verdict:
-    """Judge with some facts changed, in any part."""
-    of_route = {name: changes.pop(name) for name in RouteStatus._fields if name in changes}
-    of_path = {name: changes.pop(name) for name in TopicProgress._fields if name in changes}
-    status, progress = facts.status._replace(**of_route), facts.progress._replace(**of_path)
-    return judge(facts._replace(status=status, progress=progress, **changes))
+def verdict_on(side: dict[str, Any], **changes: Any) -> Verdict:
+    """Judge with some facts changed."""
+    return topic_verdict(NOW, **(side | changes))
 
 
 def test_a_route_that_flows_is_fine() -> None:
-    assert judge(SENDER) == judge(RECEIVER) == FINE
+    assert verdict_on(SENDER) == verdict_on(RECEIVER) == FINE
 
 
 @pytest.mark.parametrize(
@@ -181,7 +169,7 @@ def test_a_route_that_flows_is_fine() -> None:
     ],
 )  # fmt: skip
 def test_each_cause_is_named_in_words(
-    facts: Facts, changes: dict[str, Any], state: State, cause: Cause, words: list[str]
+    facts: dict[str, Any], changes: dict[str, Any], state: State, cause: Cause, words: list[str]
 ) -> None:
     verdict = verdict_on(facts, **changes)
     assert (verdict.state, verdict.cause) == (state, cause)
@@ -282,85 +270,52 @@ losses = st.none() | st.builds(
 texts = st.sampled_from(["", "words"])
 WAITS = Verdict(State.WAITING, Cause.AWAITS_LINK, "words")
 NO_PATH = Verdict(State.DOWN, Cause.NO_PATH, "words")
-numbers = st.sampled_from([None, 0, 2])
-facts = st.builds(
-    Facts,
-    status=st.builds(
-        RouteStatus,
-        sends=st.booleans(),
-        topic=st.just("/chat"),
-        link_down=st.sampled_from([None, "", "words"]),
-        accepted=st.sampled_from([None, True, False]),
-        refusal=st.builds(Reason, texts, st.sampled_from(EndCode)),
-        crossing=st.sampled_from(Crossing),
-        disarmed=st.just("words"),
-        no_path=st.sampled_from([None, WAITS, NO_PATH]),
-        awaits_full_link=st.booleans(),
-        came=st.booleans(),
-        limit=st.sampled_from([0.0, 5.0]),
-    ).map(lambda status: status._replace(loop="words" if status.crossing is Crossing.LOOP else "")),
-    progress=st.builds(
-        TopicProgress,
-        endpoints=endpoints,
-        publishers=numbers,
-        similar=texts,
-        described=st.booleans(),
-        type_name=st.sampled_from(["", STRING]),
-        qos=st.none() | qos,
-        unresolved=st.sampled_from([None, Cause.NO_PUBLISHER, Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT]),
-        why_unresolved=st.just("why"),
-        clash=texts,
-        subscribed=st.booleans(),
-        subscribe_failed=texts,
-        sent=st.integers(0, 1),
-        kept=st.booleans(),
-        subscribers=numbers,
-    ),
-    left_out=texts,
-    stale_since=moments,
-    stopped_since=moments,
-    slow_since=moments,
-    expected_rate=st.none() | st.floats(0.001, 1e6),
-    loss=losses,
+facts = st.fixed_dictionaries(
+    {
+        "sends": st.booleans(),
+        "link_down": st.sampled_from([None, "", "words"]),
+        "accepted": st.sampled_from([None, True, False]),
+        "refusal": st.builds(Reason, texts, st.sampled_from(EndCode)),
+        "crossing": st.sampled_from(Crossing),
+        "disarmed": st.just("words"),
+        "loop": st.just("words"),
+        "no_path": st.sampled_from([None, WAITS, NO_PATH]),
+        "full": st.sampled_from([None, FULL]),
+        "came": st.booleans(),
+        "limit": st.sampled_from([0.0, 5.0]),
+        "endpoints": endpoints,
+        "similar": texts,
+        "described": st.booleans(),
+        "type_name": st.sampled_from(["", STRING]),
+        "qos": st.none() | qos,
+        "unresolved": st.sampled_from([None, Cause.NO_PUBLISHER, Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT]),
+        "why_unresolved": st.just("why"),
+        "subscribe_failed": texts,
+        "sent": st.integers(0, 1),
+        "left_out": texts,
+        "stale_since": moments,
+        "stopped_since": moments,
+        "slow_since": moments,
+        "expected_rate": st.none() | st.floats(0.001, 1e6),
+        "loss": losses,
+    }
 )
 
 
 @given(facts)
-def test_whatever_is_wrong_has_a_cause_and_words(known: Facts) -> None:
-    verdict = judge(known)
-    assert verdict == judge(known)
+def test_whatever_is_wrong_has_a_cause_and_words(known: dict[str, Any]) -> None:
+    verdict = verdict_on(known)
+    assert verdict == verdict_on(known)
     if verdict.state is not State.OK:
         assert verdict.cause
         assert 0 < len(verdict.said(NOW)) <= REASON_LENGTH
-    if known.status.link_down is not None:
+    if known["link_down"] is not None:
         assert verdict.state is State.DOWN
 
 
-@given(facts)
-def test_stages_follow_from_same_facts_as_verdict(known: Facts) -> None:
-    stages = {each.name: each for each in topic_stages(known.status, known.progress)}
-    assert tuple(stages) == TOPIC_STAGES
-    if known.status.link_down is not None:
-        assert {name for name, each in stages.items() if each.done is not None} == {"link up"}
-        return
-    no_path = known.status.no_path
-    assert stages["link up"].detail == (no_path.text if no_path else "")
-    assert stages["link up"].done is {None: True, WAITS: None, NO_PATH: False}[no_path]
-    assert stages["peer accepted"].done is known.status.accepted
-    if known.status.loop or known.progress.subscribe_failed:
-        assert stages["subscribed"].done is False
-    if not stages["type known"].done:
-        assert stages["QoS compatible"].done is None
-    verdict = judge(known)
-    if verdict.cause is Cause.NO_MESSAGE and not known.status.crossing.flows and known.status.sends:
-        missing = min((each for each in stages.values() if not each.done), key=lambda each: each.done is None)
-        assert (missing.detail or missing.name) in verdict.text
-
-
 @given(facts, moments)
-def test_a_further_fault_never_makes_it_better(known: Facts, stale: float | None) -> None:
-    before = judge(known._replace(stale_since=None))
-    after = judge(known._replace(stale_since=stale))
+def test_a_further_fault_never_makes_it_better(known: dict[str, Any], stale: float | None) -> None:
+    before, after = verdict_on(known, stale_since=None), verdict_on(known, stale_since=stale)
     assert after.state.rank <= before.state.rank
 
 

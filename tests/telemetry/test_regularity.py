@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
 from rsb_bridge.model.snapshot import Ledger
-from rsb_bridge.route.blocking_rules import RouteStatus
-from rsb_bridge.route.outgoing import Flow, Health
-from rsb_bridge.route.topic_verdict import Facts
+from rsb_bridge.route.health import Flow, Health
 from rsb_bridge.telemetry.meters import RateMeter
 
 if TYPE_CHECKING:
@@ -49,8 +46,8 @@ def watched(
             times.append(due)
         due += gap
     meter, health = RateMeter(0.0), Health()
-    said: list[Facts] = [Facts(RouteStatus(sends=True, topic="/chat"))]
-    stopped, sent, second = [], 0, 0
+    stopped: list[float] = []
+    slow, sent, second = 0, 0, 0
     while (second := second + 1) < seconds:
         now = second + random.uniform(0.0, 0.02)
         while sent < len(times) and times[sent] <= now:
@@ -61,11 +58,11 @@ def watched(
         flow = Flow(
             True, True, meter.last or 0.0, meter.rate, given, meter.usual_rate, 0.0, frozenset([publisher]), Ledger()
         )
+        had_stopped, was_slow = health.stop.since is not None, health.slow.since is not None
         health.judge(flow, now)
-        said.append(health.added_to(said[0]))
-        if said[-1].stopped_since is not None and said[-2].stopped_since is None:
+        if health.stop.since is not None and not had_stopped:
             stopped.append(now)
-    slow = sum(after.slow_since is not None and before.slow_since is None for before, after in pairwise(said))
+        slow += health.slow.since is not None and not was_slow
     return Watched(stopped, slow)
 
 

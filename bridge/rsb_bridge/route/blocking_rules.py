@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Protocol, TypeAlias, TypeVar
 
 from rsb_bridge.channel.channel import REOPENS
-from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
+from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import FINE, Cause, LinkCause, Verdict
+from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.crossing import Crossing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.faults import PathFault
+    from rsb_bridge.model.reason import Reason
+    from rsb_bridge.route.arming import Arming
+    from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening
+    from rsb_bridge.route.notices import Notices
+    from rsb_bridge.route.peer import Peer
+    from rsb_bridge.route.rate_limit import RateLimit
+    from rsb_bridge.transport.transport import Transport
 
-FactsT = TypeVar("FactsT")
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
 # Of a lossy path.
@@ -33,88 +42,79 @@ _BETWEEN_LOSSES = frozenset(
 """Verdicts on a route that has recovered for a moment, or opens again."""
 
 
-class RouteStatus(NamedTuple):
-    """The part of one half's knowledge that does not depend on what its route carries.
+class JudgedRoute(Protocol):
+    """One half of a route, as the rules of its verdict and of its stages read it."""
 
-    Attributes:
-        sends: whether it is the sending half; of calls, the callers' half.
-        topic: its name on this side.
-        far_topic: its name on the other side.
-        link_down: the reason why the link is down, which may be empty, or None if it is up.
-        accepted: whether both sides want it, False if it is refused, or None while the peer has not answered.
-        refusal: the reason why the route is refused or has ended, now or until shortly ago, or an empty one.
-        reopens: whether its data connection broke a short time ago, and has not been open since.
-        crossing: whether messages or calls may cross.
-        loop: the reason why they would loop, or empty.
-        paused_by: the operator, or empty if unknown.
-        disarmed: the reason why it is not armed, if it has to be and is not.
-        can_be_armed: whether an operator may arm it; if not, `disarmed` names the step that has to come first.
-        no_path: the verdict on its channel, over which nothing gets through, or None.
-        awaits_full_link: whether its stream only waits for a full link, so that `no_path` is no fault.
-        breaking: the reason why its channel breaks before anything arrives, or empty.
-        came: whether messages or calls have crossed since it was opened, or the receiving side keeps some of a latched
-            topic.
-        came_before: whether messages or calls crossed in an earlier opening, but none in this one.
-        limit: Hz that an operator allows, or 0 for no limit.
-        limited_by: the reason for the limit, in words.
-        path: the fault of the link's path, or None.
-    """
+    outgoing: ClassVar[bool]
+    context: Context
+    transport: Transport
+    local_topic: str
+    far_topic: str
+    life: Lifecycle
+    reopening: Reopening
+    notices: Notices
+    pausing: PauseState
+    arming: Arming
+    limit: RateLimit
 
-    sends: bool
-    topic: str
-    far_topic: str = ""
-    domain_id: int = 0
-    link_down: str | None = None
-    accepted: bool | None = None
-    refusal: Reason = NO_REASON
-    reopens: bool = False
-    crossing: Crossing = Crossing.NOT_OPEN
-    loop: str = ""
-    paused_by: str = ""
-    disarmed: str = ""
-    can_be_armed: bool = True
-    no_path: Verdict | None = None
-    awaits_full_link: bool = False
-    breaking: str = ""
-    came: bool = False
-    came_before: bool = False
-    limit: float = 0.0
-    limited_by: str = "set on purpose (max_rate)"
-    path: PathFault | None = None
+    @property
+    def peer(self) -> Peer: ...
+
+    @property
+    def link_full(self) -> Fullness | None: ...
+
+    @property
+    def shown_refusal(self) -> Reason: ...
+
+    @property
+    def breaking(self) -> str: ...
+
+    @property
+    def came(self) -> bool: ...
+
+    @property
+    def came_before(self) -> bool: ...
+
+    def trouble(self) -> Verdict | None: ...
 
 
-Rules: TypeAlias = "tuple[Callable[[FactsT], Verdict | None], ...]"
-"""Rules for what a route carries, over one half's facts. The order counts: of equally bad verdicts, the first does."""
+HalfT = TypeVar("HalfT", bound=JudgedRoute)
+Rules: TypeAlias = "tuple[Callable[[HalfT, Crossing], Verdict | None], ...]"
+"""Rules for what a route carries, over one half and whether messages may cross it, which takes a while to find out.
+The order counts: of equally bad verdicts, the first does."""
 
 
-def worst(status: RouteStatus, rules: Rules[FactsT], facts: FactsT) -> tuple[Verdict, list[Verdict]]:
+def worst(half: HalfT, crossing: Crossing, rules: Rules[HalfT]) -> tuple[Verdict, list[Verdict]]:
     """Return the verdict that counts, and all that were found.
 
     A blocking verdict counts alone, because it keeps the others from being known. Otherwise the worst one counts,
     and of equally bad ones the first.
     """
-    if (blocking := blocked(status)) is not None:
-        return explained(status, blocking), [blocking]
-    found = [] if status.no_path is None or status.awaits_full_link else [status.no_path]
+    if (blocking := blocked(half, crossing)) is not None:
+        return explained(half, blocking), [blocking]
+    # A stream of a full link only waits for its turn.
+    no_path = half.trouble()
+    found = [] if no_path is None or (half.transport.reliable and half.link_full is not None) else [no_path]
     # A generator would take a call for each rule, once a second for each route.
-    found += [verdict for rule in rules if (verdict := rule(facts)) is not None]
-    if status.limit:
-        found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {status.limit:g} Hz, {status.limited_by}"))
-    return explained(status, min(found, key=lambda verdict: verdict.state.rank)) if found else FINE, found
+    found += [verdict for rule in rules if (verdict := rule(half, crossing)) is not None]
+    if half.limit.rate:
+        found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {half.limit.rate:g} Hz, {half.limit.why}"))
+    return explained(half, min(found, key=lambda verdict: verdict.state.rank)) if found else FINE, found
 
 
-def explained(status: RouteStatus, verdict: Verdict) -> Verdict:
+def explained(half: JudgedRoute, verdict: Verdict) -> Verdict:
     """Return a verdict with the fault of the path as its cause, if that explains it.
 
     A silent link says nothing of its topics: they wait.
     """
-    cause = None if status.path is None else status.path.of_topic(verdict.cause)
-    if status.path is None or cause is None:
+    path = half.peer.path.fault
+    cause = None if path is None else path.of_topic(verdict.cause)
+    if path is None or cause is None:
         return verdict
-    if verdict.cause is Cause.UNANSWERED and not status.sends:
+    if verdict.cause is Cause.UNANSWERED and not half.outgoing:
         return verdict  # the calls came, and it is a node of this side that has not answered them
     state = State.WAITING if cause is Cause.AWAITS_LINK else verdict.state
-    return replace(verdict, state=state, cause=cause, text=status.path.text)
+    return replace(verdict, state=state, cause=cause, text=path.text)
 
 
 class LossyPath:
@@ -148,12 +148,10 @@ class LossyPath:
         return Verdict(State.SLOW, Cause.LOSSY, path.text)
 
 
-def blocked(status: RouteStatus) -> Verdict | None:
+def blocked(half: JudgedRoute, crossing: Crossing) -> Verdict | None:
     """Return the verdict that keeps the others from being known, or None."""
-    for rule in _BLOCKING:
-        if (verdict := rule(status)) is not None:
-            return verdict
-    return None
+    # Each loss of a channel refuses the route, too, so `_breaking` is asked before `_refused`: its text has the remedy.
+    return _link(half) or _breaking(half) or _refused(half) or _held_back(half, crossing)
 
 
 def stage(name: str, passed: bool, reason: str = "", *, failed: bool = False, note: str = "") -> Stage:
@@ -162,21 +160,20 @@ def stage(name: str, passed: bool, reason: str = "", *, failed: bool = False, no
     return Stage(name, done, note if done else reason)
 
 
-def link_and_acceptance(status: RouteStatus) -> tuple[Stage, Stage]:
+def link_and_acceptance(half: JudgedRoute) -> tuple[Stage, Stage]:
     """Return the stages of the link, which needs a working channel, and of the peer's acceptance."""
-    no_path = status.no_path
-    failed = status.link_down is not None or (no_path is not None and no_path.state is State.DOWN)
-    trouble = no_path.text if no_path is not None else status.link_down or ""
-    refused = status.accepted is False
+    no_path, linked, refusal = half.trouble(), half.peer.linked, half.life.refusal
+    failed = not linked or (no_path is not None and no_path.state is State.DOWN)
+    trouble = no_path.text if no_path is not None else "" if linked else half.peer.down_reason
     return (
         stage(_LINK_STAGE, not failed and no_path is None, trouble, failed=failed),
-        stage(ACCEPTED, bool(status.accepted), str(status.refusal) if refused else "", failed=refused),
+        stage(ACCEPTED, half.life.accepted, str(refusal), failed=bool(refusal)),
     )
 
 
-def as_known(status: RouteStatus, stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
+def as_known(half: JudgedRoute, stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
     """Return the stages as far as they are known: without a link, only the link's is."""
-    if status.link_down is None:
+    if half.peer.linked:
         return stages
     return tuple(each if each.name == _LINK_STAGE else Stage(each.name, None) for each in stages)
 
@@ -188,51 +185,51 @@ def first_missing(stages: Iterable[Stage]) -> str:
     return (first.detail or first.name) if first else ""
 
 
-def _link(status: RouteStatus) -> Verdict | None:
-    if status.link_down is None:
+def _link(half: JudgedRoute) -> Verdict | None:
+    if half.peer.linked:
         return None
-    return Verdict(State.DOWN, Cause.LINK_DOWN, status.link_down or "the link is down")
+    return Verdict(State.DOWN, Cause.LINK_DOWN, half.peer.down_reason or "the link is down")
 
 
-def _breaking(status: RouteStatus) -> Verdict | None:
-    if not status.breaking:
+def _breaking(half: JudgedRoute) -> Verdict | None:
+    if not (why := half.breaking):
         return None
     text = (
-        f"its data connection ends before a message arrives ({status.breaking}), though the link is up: check "
+        f"its data connection ends before a message arrives ({why}), though the link is up: check "
         "firewalls and NAT between the two sides"
     )
     return Verdict(State.DOWN, Cause.NO_PATH, text)
 
 
-def _refused(status: RouteStatus) -> Verdict | None:
-    if not status.refusal.text:
+def _refused(half: JudgedRoute) -> Verdict | None:
+    refusal = half.shown_refusal
+    if not refusal.text:
         return None
-    if status.refusal.code is EndCode.LISTED_DIFFERENTLY:
-        return Verdict(State.DOWN, Cause.LISTED_DIFFERENTLY, status.refusal.text)
-    if not status.refusal.broke:
-        return Verdict(State.DOWN, Cause.REFUSED, status.refusal.text)
+    if refusal.code is EndCode.LISTED_DIFFERENTLY:
+        return Verdict(State.DOWN, Cause.LISTED_DIFFERENTLY, refusal.text)
+    if not refusal.broke:
+        return Verdict(State.DOWN, Cause.REFUSED, refusal.text)
     # Nobody has refused it. If the path is at fault, the link finds out within seconds, and shows it for all topics.
-    if status.reopens and status.path is None:
-        return Verdict(State.WAITING, Cause.AWAITS_LINK, f"{REOPENS} ({status.refusal.text})")
-    return Verdict(State.DOWN, Cause.NO_PATH, str(status.refusal))
+    if half.peer.path.fault is None and half.reopening.reopens(half.context.now()):
+        return Verdict(State.WAITING, Cause.AWAITS_LINK, f"{REOPENS} ({refusal.text})")
+    return Verdict(State.DOWN, Cause.NO_PATH, str(refusal))
 
 
-def _held_back(status: RouteStatus) -> Verdict | None:
-    match status.crossing:
+def _held_back(half: JudgedRoute, crossing: Crossing) -> Verdict | None:
+    match crossing:
         case Crossing.LOOP:
-            return Verdict(State.DOWN, Cause.LOOP, status.loop)
+            return Verdict(State.DOWN, Cause.LOOP, half.notices.loop)
         case Crossing.DISARMING:
-            text = f"{status.disarmed}; earlier messages may still act for 1 s"
+            _, disarmed = half.arming.why_at(half.context.now())
+            text = f"{disarmed}; earlier messages may still act for 1 s"
             return Verdict(State.DISARMING, Cause.DISARMING, text)
         case Crossing.PAUSED:
-            text = f"paused ({status.paused_by})" if status.paused_by else "paused by an operator"
-            return Verdict(State.PAUSED, Cause.PAUSED, text)
+            who = half.pausing.who
+            return Verdict(State.PAUSED, Cause.PAUSED, f"paused ({who})" if who else "paused by an operator")
         case Crossing.DISARMED | Crossing.ASKED | Crossing.BEGINS:
-            remedy = f": arm it (key A, rsb-console arm {status.topic})" if status.can_be_armed else ""
-            return Verdict(State.DISARMED, Cause.DISARMED, status.disarmed + remedy)
+            why, disarmed = half.arming.why_at(half.context.now())
+            # That reason names the step that has to come first.
+            remedy = "" if why is Disarmed.LINK_SLOW else f": arm it (key A, rsb-console arm {half.local_topic})"
+            return Verdict(State.DISARMED, Cause.DISARMED, disarmed + remedy)
         case Crossing.NOT_OPEN | Crossing.UNHEARD | Crossing.YES:
             return None
-
-
-# Each loss of a channel refuses the route, too, so `_breaking` is asked before `_refused`: its text has the remedy.
-_BLOCKING: tuple[Callable[[RouteStatus], Verdict | None], ...] = (_link, _breaking, _refused, _held_back)

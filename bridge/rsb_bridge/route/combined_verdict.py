@@ -81,6 +81,7 @@ class CombinedVerdict:
     Attributes:
         peer: the other side's.
         announced: the verdict for operators at the last `announce`.
+        shown_cause: the cause that was shown last, or an empty string.
     """
 
     def __init__(self, *, sends: bool, peer_name: str) -> None:
@@ -89,6 +90,7 @@ class CombinedVerdict:
         self._sends = sends
         self._peer_name = peer_name
         self._announcer = Announcer()
+        self.shown_cause: str = Cause.NONE
         self._shows: tuple[State, str] | None = None
         self._since = 0.0
 
@@ -121,11 +123,6 @@ class CombinedVerdict:
         text = f"{self._peer_name}: {verdict.text}" if verdict.text else ""
         return Shown(replace(verdict, text=text), from_peer=True)
 
-    @property
-    def shown_cause(self) -> str:
-        """The cause that was shown last, or an empty string."""
-        return "" if self._shows is None else self._shows[1]
-
     def announce(self, own: Verdict, now: float, path: PathFault | None = None) -> StateEvent | None:
         """Return the event to log, if any; a fault of the link's path is logged once, for the link.
 
@@ -145,7 +142,7 @@ class CombinedVerdict:
         """
         shows = (verdict.state, verdict.cause)
         if shows != self._shows:
-            self._shows = shows
+            self._shows, self.shown_cause = shows, verdict.cause
             self._since = now if verdict.since is None else verdict.since
         return self._since
 

@@ -40,6 +40,6 @@ class Crossing(Enum):
         return self in _UNARMED
 
 
-for _each in Crossing:  # a property would be asked ten times in a route's tick
+for _each in Crossing:  # a property would be asked ten times for a route's verdict
     _each.flows = _each in (Crossing.YES, Crossing.UNHEARD)
 _UNARMED = (Crossing.DISARMING, Crossing.DISARMED, Crossing.ASKED, Crossing.BEGINS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 import zstandard
@@ -25,17 +25,18 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import agreed_type, type_hint
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
+from rsb_bridge.route.blocking_rules import as_known, link_and_acceptance, stage
 from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import CAUSES, reported_ledger
-from rsb_bridge.route.lifecycle import DESCRIBED, RouteEvent, RoutePhase
+from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.message_check import PUBLISHED_ASIDE, ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
 from rsb_bridge.route.source_publishers import SlowSubscriberError, SourcePublishers, bounded
 from rsb_bridge.route.topic_route import Signs, TopicRoute
-from rsb_bridge.route.topic_verdict import TopicProgress, audience
+from rsb_bridge.route.topic_verdict import OF_RECEIVER, audience, no_subscriber
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready, Refuse
@@ -50,9 +51,11 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.gates import LastLook
     from rsb_bridge.route.route import Owner
@@ -112,12 +115,20 @@ def _failure_of(peer: Verdict) -> str:
 class IncomingRoute(TopicRoute[ReceivingChannel]):
     """Publishes here what the peer sends.
 
+    It has more than 40 methods because 24 of them fill in hooks of `TopicRoute` and `Route`.
+
     Attributes:
         rest: follows the last message of an arming.
+        offered: the QoS of the publishers here, or None if unknown.
+        others: other publishers of the topic here, if a subscription does not match.
+        audience: the subscriptions here.
+        report_now: the sender's last report on the present opening, or None.
+        clocks: if it is a clock, the nodes and links that publish it here besides this link.
     """
 
     peer_report = SentReport
     outgoing: ClassVar[bool] = False
+    rules: ClassVar[Rules[Any]] = OF_RECEIVER
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
@@ -133,14 +144,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._malformed = ""
         self._before: tuple[str, ReceivedReport] | None = None
         self._report: SentReport | None = None
-        self._is_reported = False  # this opening
+        self.report_now: SentReport | None = None
         self._sender_ledger = Ledger()
-        self._offered: Qos | None = None  # by the publishers here
+        self.offered: Qos | None = None
         self._subscriber_qos: Qos | None = None
-        self._audience = NOBODY
+        self.audience = NOBODY
         self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
-        self._others: Collection[Endpoint] = ()  # publishers here, if a subscription does not match
-        self._clocks: frozenset[str] = frozenset()  # further sources of a clock
+        self.others: Collection[Endpoint] = ()
+        self.clocks: frozenset[str] = frozenset()
         self._asked_at = float("-inf")
         self._received_before = 0
         self._expired_before = 0
@@ -152,7 +163,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def open(self, route_id: int) -> None:
         """Begin a new opening, without a report of the sender yet."""
-        self._is_reported = False
+        self.report_now = None
         # Nobody here hears the type of the last one's publishers, and a participant can publish no second type.
         if self._hint[0] not in ("", self.type_name):
             self.outputs.close()
@@ -200,7 +211,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._refuse_type(str(error))
             return
         self.type_name, self.type_hash, self.qos = type_and_qos
-        self._offered = spec.qos
+        self.offered = spec.qos
         self.settle_age()
         self.check.begin(description.type)
         newest: dict[bytes, int] = {}
@@ -301,7 +312,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         matched, now = self.outputs.subscriber_count, self.context.now()
         if matched:
             self._unmatched_since = None
-        if matched and matched == self._audience.count and now - self._asked_at < _ASKED_EVERY:
+        if matched and matched == self.audience.count and now - self._asked_at < _ASKED_EVERY:
             return  # the same ones, most likely: to ask for them costs too much to do so at every change of the graph
         self._asked_at = now
         self.endpoints = self.ends.subscriptions(self.remote_topic)
@@ -313,13 +324,13 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._hint = agreed_type(self.endpoints)
         requested = [endpoint.qos for endpoint in self.endpoints]
         self._subscriber_qos = match_subscriptions(requested) if requested else None
-        if self._offered is None:
+        if self.offered is None:
             return
-        self._audience = audience(self.type_name, self._offered, self.endpoints, matched)
+        self.audience = audience(self.type_name, self.offered, self.endpoints, matched)
         # Only then: it searches the graph, and only a clash needs the result.
-        clash = any(each.cause == Cause.QOS_INCOMPATIBLE for each in self._audience.deaf)
-        self._others = tuple(self.ends.publishers(self.remote_topic)) if clash else ()
-        self._clocks = _further_clocks(self) if self.type_name == CLOCK else frozenset()
+        clash = any(each.cause == Cause.QOS_INCOMPATIBLE for each in self.audience.deaf)
+        self.others = tuple(self.ends.publishers(self.remote_topic)) if clash else ()
+        self.clocks = _further_clocks(self) if self.type_name == CLOCK else frozenset()
 
     def destroy(self) -> None:
         """End it for good, its publisher too."""
@@ -512,22 +523,22 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _came_here(self) -> int:
         return self._received
 
-    def _judge_lateness(self, now: float, *, flows: bool) -> None:
+    def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
         uncertainty = self.peer.stamps.uncertainty
         if uncertainty is None or not flows:
             self.lateness.reset()
         else:
             recent = self.latency.recent
-            self.lateness.judge(recent, uncertainty, self.late_after, now, recent, learns=self.learns)
+            self.lateness.judge(recent, uncertainty, self.late_after, now, recent, learns=learns)
 
     def _signs(self) -> Signs:
-        return *super()._signs(), self._report, self._audience, self._others, self._clocks
+        return *super()._signs(), self._report, self.audience, self.others, self.clocks
 
-    def _changes_at(self, shown: Verdict, crossing: Crossing, now: float) -> float:
-        return now if self._sender_ledger.in_flight else super()._changes_at(shown, crossing, now)
+    def _changes_at(self, shown: Verdict, now: float, *, awaited: bool) -> float:
+        return now if self._sender_ledger.in_flight else super()._changes_at(shown, now, awaited=awaited)
 
-    def tick(self) -> None:
-        super().tick()
+    def _follow(self, now: float, crossing: Crossing) -> None:
+        super()._follow(now, crossing)
         self.outputs.tick()
         if self.purpose.in_graph:  # else no node knows the type
             self.check.ask_subscribers(self.remote_topic, self.endpoints)
@@ -547,9 +558,9 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         failed_before = _failure_of(self.judged.peer)
         self._report = report
         # Until the first report of an opening, the verdict is that this side waits for it.
-        if not self._is_reported:
-            self._is_reported = True
+        if self.report_now is None:
             self._verdict = None
+        self.report_now = report
         self.judged.receive(report.verdict, self.context.now())
         peer = self.judged.peer
         self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
@@ -592,7 +603,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             incomplete=counts.incomplete,
             newest=self._received + counts.lost if counts.newest is None else counts.newest,
             dropped=dict(self._dropped),
-            subscribers=self._audience.count,
+            subscribers=self.audience.count,
             subscriber_qos=self._subscriber_qos,
             type=self._hint[0],
             type_hash=self._hint[1],
@@ -601,40 +612,51 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,
             verdict=record_of(self.verdict()),
-            nodes=self._audience.nodes,
-            deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in self._audience.deaf),
+            nodes=self.audience.nodes,
+            deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in self.audience.deaf),
             came_before=self.came_before,
             malformed=self._malformed,
             velocity=self.velocity if self.arming.required else None,
         )
 
-    def progress(self) -> TopicProgress:
-        report, peer = self._report if self._is_reported else None, self.judged.peer
-        since = self._unmatched_since
-        # One that matches no subscription at all.
-        deaf = () if self._audience.count else self._audience.deaf
-        clash = next((each.reason for each in deaf if each.cause == Cause.QOS_INCOMPATIBLE), "") if deaf else ""
-        return TopicProgress(
-            self.endpoints,
-            publishers=report.publishers if report else None,
-            described=self.life.phase in DESCRIBED,
-            type_name=self.type_name,
-            qos=self._offered,
-            why_unresolved=peer.text,
-            clash=clash or (peer.text if peer.cause == Cause.QOS_INCOMPATIBLE else ""),
-            subscribed=report is not None and report.subscribed,
-            subscribe_failed=_failure_of(peer),
-            unmatched=since is not None and self.context.now() > since + _MATCHED_WITHIN,
-            sent=report.offered if report else 0,
-            received=self._received,
-            published=self._delivered,
-            kept=self.has_kept,
-            undelivered="" if self._received else self.notices.undelivered,
-            subscribers=self._audience.count,
-            deaf=self._audience.deaf,
-            others=self._others,
-            clocks=self._clocks,
+    # --- stages and verdict
+
+    def stages(self) -> tuple[Stage, ...]:
+        """Return the stages from the publisher to the subscriber, in order."""
+        report, peer, known, kept = self.report_now, self.judged.peer, bool(self.type_name), self.has_kept
+        # A subscription that does not match is no obstacle to others that do.
+        deaf = () if self.audience.count else self.audience.deaf
+        clash = next((each.reason for each in deaf if each.cause == Cause.QOS_INCOMPATIBLE), "")
+        if not clash and peer.cause == Cause.QOS_INCOMPATIBLE:
+            clash = peer.text
+        failure = self.notices.loop or _failure_of(peer)
+        undelivered = "" if self._received else self.notices.undelivered
+        stages = (
+            stage(
+                "publisher seen",
+                report is not None and report.publishers != 0,
+                "" if report is None else f"no publisher of {self.far_topic} on the other side",
+                failed=report is not None and report.publishers == 0,
+            ),
+            stage("type known", known, peer.text, note=self.type_name),
+            stage("QoS compatible", known and not clash, clash, failed=known and bool(clash)),
+            stage("subscribed", report is not None and report.subscribed, failure, failed=bool(failure)),
+            *link_and_acceptance(self),
+            stage("sent", (report is not None and report.offered > 0) or kept),
+            stage("received", self._received > 0 or kept, undelivered, note=undelivered),
+            stage("published", self._delivered > 0 or kept),
+            stage(
+                "subscriber seen",
+                self.audience.count != 0,
+                no_subscriber(self.local_topic, self.context.domain_id, self.audience.deaf),
+            ),
         )
+        return as_known(self, stages)
+
+    @property
+    def unmatched(self) -> bool:
+        since = self._unmatched_since
+        return since is not None and self.context.now() > since + _MATCHED_WITHIN
 
     @property
     def has_kept(self) -> bool:
@@ -652,7 +674,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return TypeVersion() if left else TypeVersion(self.type_name, self.type_hash)
 
     def end_nodes(self) -> tuple[tuple[str, ...], Audience]:
-        return self._report.nodes if self._report else (), self._audience
+        return self._report.nodes if self._report else (), self.audience
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._report.publisher_qos if self._report else None, self._subscriber_qos

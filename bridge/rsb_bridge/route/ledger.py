@@ -108,7 +108,7 @@ class _Opening:
         instance: of the peer's process that counts; ids are used again by the next one.
         sent: messages given to the channel.
         counted: what the receiver last reported.
-        overdue: of those sent, how many had more than 2 s to arrive before that was counted.
+        overdue: of numbered ones, how many had more than 2 s to arrive before that was counted.
         lost_as: the cause of what never arrived.
         marks: when (s) how many were sent, the oldest first.
     """
@@ -224,10 +224,11 @@ class RouteLedger:
         """
         opening = self._opening
         opening.counted = _within(report, opening.sent)
-        opening.marks.append((now, opening.sent))
-        # This ends at the mark that was just added, at the latest.
-        while now - opening.marks[0][0] >= _OVERDUE_AFTER + delay:
-            opening.overdue = opening.marks.popleft()[1]
+        if self._numbered:
+            opening.marks.append((now, opening.sent))
+            # This ends at the mark that was just added, at the latest.
+            while now - opening.marks[0][0] >= _OVERDUE_AFTER + delay:
+                opening.overdue = opening.marks.popleft()[1]
         return opening.counted.plausible
 
     def settle(self, final: ReceivedReport | None, instance: str) -> bool:
@@ -257,7 +258,7 @@ class RouteLedger:
             self._delivered += counted.delivered
             self.dropped.update(counted.dropped)
             self.drop(INCOMPLETE, counted.expired)
-            overtaken = self._lost(opening, counted)
+            overtaken = counted.lost(opening.overdue)
             self.drop(self._missing_as, overtaken)
             left -= counted.settled + overtaken
         if same_process:
@@ -282,7 +283,7 @@ class RouteLedger:
                     drop(INCOMPLETE, opening.counted.expired)
                 for cause, count in opening.counted.dropped.items():
                     drop(cause, count)
-                if lost := self._lost(opening, opening.counted):
+                if lost := opening.counted.lost(opening.overdue):
                     drop(self._missing_as, lost)
         # The receiver lists these among its drops; here they have parts of their own.
         throttled = self.throttled + dropped.pop(THROTTLED, 0)
@@ -300,9 +301,6 @@ class RouteLedger:
             missed_while_down=self.missed.count,
         )
 
-    def _lost(self, opening: _Opening, counted: _Counted) -> int:
-        return counted.lost(opening.overdue if self._numbered else 0)
-
 
 class MissedWhileDown:
     """Estimates the messages that were published while a route was down: its downtime at the usual rate.
@@ -312,12 +310,13 @@ class MissedWhileDown:
 
     Attributes:
         rate: Hz, the usual rate of the topic, or None if it has none.
+        since: s, from which on time counts, or None if it does not.
     """
 
     def __init__(self) -> None:
         self.rate: float | None = None
         self._messages = 0.0
-        self._since: float | None = None
+        self.since: float | None = None
         self._subscribed: tuple[float, int] | None = None
 
     @property
@@ -325,20 +324,15 @@ class MissedWhileDown:
         """Messages since the route was made."""
         return min(int(self._messages), _LARGEST)
 
-    @property
-    def down(self) -> bool:
-        """Whether time counts."""
-        return self._since is not None
-
     def lost(self, now: float) -> None:
         """Count from `now` (s) on, if there is a usual rate. May be called twice."""
         self._subscribed = None
-        if self._since is None and self.rate:
-            self._since = now
+        if self.since is None and self.rate:
+            self.since = now
 
     def subscribed(self, now: float, offered: int) -> None:
         """Note that the route subscribed again at `now` (s), with `offered` messages before."""
-        if self._since is not None:
+        if self.since is not None:
             self._subscribed = (now, offered)
 
     def estimate(self, now: float, offered: int, *, published: bool) -> None:
@@ -347,15 +341,15 @@ class MissedWhileDown:
         Args:
             offered: messages taken from ROS since the route was made.
         """
-        if self._since is None:
+        if self.since is None:
             return
         taken = 0
-        elapsed, self._since = now - self._since, now
+        elapsed, self.since = now - self.since, now
         if self._subscribed is not None:
             since, before = self._subscribed
             taken = offered - before
             if taken or now - since >= _FOUND_WITHIN:
-                self._since = self._subscribed = None
+                self.since = self._subscribed = None
         if published:
             self._messages += max(0.0, elapsed * (self.rate or 0.0) - taken)
 

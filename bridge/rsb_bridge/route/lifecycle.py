@@ -48,9 +48,6 @@ class RouteEvent(Enum):
     """The opening ends for no fault of the route's: the link is lost, or the route is opened again."""
 
 
-DESCRIBED = (RoutePhase.DESCRIBED, RoutePhase.READY)
-"""The phases in which the sender has described its messages."""
-
 _END = {RouteEvent.REFUSE: RoutePhase.CLOSED, RouteEvent.CLOSE: RoutePhase.CLOSED}
 
 TRANSITIONS: dict[RoutePhase, dict[RouteEvent, RoutePhase]] = {
@@ -67,12 +64,13 @@ class Lifecycle:
 
     Attributes:
         accepted: whether both sides want the route; with each message, it is asked once more.
+        described: whether the sender has described its messages in this opening.
         refusal: reason of the last refusal or end, empty if it opened again since.
     """
 
     def __init__(self) -> None:
         self.phase = RoutePhase.CLOSED
-        self.accepted = False
+        self.accepted = self.described = False
         self.refusal = NO_REASON
 
     def handle(self, event: RouteEvent, reason: Reason = NO_REASON) -> bool:
@@ -86,7 +84,8 @@ class Lifecycle:
         if new is None:
             return False
         self.phase = new
-        self.accepted = new is RoutePhase.ACCEPTED or new in DESCRIBED
+        self.described = new is RoutePhase.DESCRIBED or new is RoutePhase.READY
+        self.accepted = self.described or new is RoutePhase.ACCEPTED
         if event is RouteEvent.REFUSE:
             self.refusal = reason
         elif event is RouteEvent.OPEN:

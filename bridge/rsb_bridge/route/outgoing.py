@@ -5,9 +5,8 @@ Messages don't pass here: `rsb_bridge.route.sending.OutgoingPath` is their path.
 
 from __future__ import annotations
 
-from collections import deque
 from itertools import islice
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
@@ -16,22 +15,24 @@ from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.model.audience import NOBODY, Audience, Deaf
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import expand_type_name
+from rsb_bridge.model.qos import incompatible
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
+from rsb_bridge.route.blocking_rules import as_known, link_and_acceptance, stage
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.crossing import Crossing
+from rsb_bridge.route.health import Flow, Health
 from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, SendersDelay, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.lifecycle import DESCRIBED, RouteEvent, RoutePhase
+from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath, remedy_for_size
 from rsb_bridge.route.topic_route import MEASURED_FOR, Signs, TopicRoute
 from rsb_bridge.route.topic_subscription import TopicSubscription
-from rsb_bridge.route.topic_verdict import TopicProgress
-from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
+from rsb_bridge.route.topic_verdict import OF_SENDER, no_subscriber
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.headers import publisher_id
 from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
@@ -44,91 +45,17 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.route import Owner
-    from rsb_bridge.route.topic_verdict import Facts
-    from rsb_bridge.telemetry.watches import Loss
 
+_NO_TYPE = frozenset({Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT})
 _LIMITED = "they are limited to the messages sent"
 _NODES_START_IN = 10.0
 """s from an opening for which a topic without a publisher only waits: nodes that start with the bridge are up by then.
 A round figure: nothing was measured; with a tenth of it, each boot of a robot would begin with faults."""
-
-
-class Flow(NamedTuple):
-    """The figures of a route's messages that `Health` watches.
-
-    Attributes:
-        flowing: whether messages could cross now.
-        awaited: whether messages are missing if none come.
-        last: time (s) of the last message, or when the first one was missing.
-        given_rate: Hz that an operator expects, or 0 for none.
-        usual_rate: Hz, learned, or None if unknown.
-        limit: Hz that may cross, or 0 for any.
-        publishers: ids of the topic's publishers.
-    """
-
-    flowing: bool
-    awaited: bool
-    last: float
-    rate: float
-    given_rate: float
-    usual_rate: float | None
-    limit: float
-    publishers: frozenset[bytes]
-    ledger: Ledger
-
-
-class Health:
-    """Watches once a second whether a sending half's messages are slow, stopped or lost.
-
-    Attributes:
-        expected_rate: Hz that the route is judged by, or None if it is unknown or messages come at random.
-    """
-
-    def __init__(self) -> None:
-        self.expected_rate: float | None = None
-        self._slow = SlowWatch()
-        self._stop = StopWatch()
-        self._loss = LossWatch()
-        self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
-
-    def judge(self, flow: Flow, now: float) -> None:
-        """Judge the flow at `now` (s). Called once a second."""
-        ledger = flow.ledger
-        self._lost_in_dds.append(ledger.lost_in_dds)
-        self._loss.judge(ledger.delivered, ledger.dropped, now)
-        expected = flow.given_rate or flow.usual_rate
-        if expected and flow.limit:
-            expected = min(expected, flow.limit)
-        self.expected_rate = expected
-        if expected is None or not flow.awaited:
-            self._stop.reset()
-            self._slow.reset()
-            return
-        self._stop.judge(flow.last, expected, now, flow.publishers, promised=bool(flow.given_rate))
-        if self._stop.since is not None or not flow.flowing:
-            self._slow.reset()
-        elif not self._stop.quiet:  # a pause is not slow
-            self._slow.judge(flow.rate, expected, now)
-
-    @property
-    def loss(self) -> Loss | None:
-        """The loss between the two sides, or None if it is negligible."""
-        return self._loss.loss
-
-    def added_to(self, facts: Facts) -> Facts:
-        """Return the facts of a route, completed by the watches."""
-        lost = self._lost_in_dds
-        return facts._replace(
-            expected_rate=self.expected_rate,
-            stopped_since=self._stop.since,
-            new=self._stop.new,
-            slow_since=self._slow.since,
-            loss=self._loss.loss,
-            lost_in_dds=max(0, lost[-1] - lost[0]) if lost else 0,
-        )
 
 
 class OutgoingRoute(TopicRoute[SendingChannel]):
@@ -139,6 +66,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     peer_report = ReceivedReport
     outgoing: ClassVar[bool] = True
+    rules: ClassVar[Rules[Any]] = OF_SENDER
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
@@ -151,7 +79,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._path = OutgoingPath(self, self._ledger, self._loop_filter)
         self._subscription = TopicSubscription(self, self._path, self._loop_filter, self._look_who_is_present)
         self._resolver = Resolver(context, proposal)
-        self._health = Health()
+        self.health = Health()
         self.delays = SendersDelay()
         self._in_flight = 0  # at the last tick
 
@@ -335,34 +263,44 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._subscription.lost, self.notices.warning, self.notices.loop,
         )  # fmt: skip
 
-    def _changes_at(self, shown: Verdict, crossing: Crossing, now: float) -> float:
-        if self._health.expected_rate is not None or self._ledger.missed.down or self._in_flight:
+    def _changes_at(self, shown: Verdict, now: float, *, awaited: bool) -> float:
+        if self.health.expected_rate is not None or self._ledger.missed.since is not None or self._in_flight:
             return now
-        return super()._changes_at(shown, crossing, now)
+        return super()._changes_at(shown, now, awaited=awaited)
 
-    def tick(self) -> None:
-        now, crossing, ledger = self.context.now(), self.crossing, self.ledger()
-        flows, self._in_flight = crossing.flows, ledger.in_flight
-        latched = self.is_latched  # may be silent for any time, unless an operator expects a rate
-        # Before `super().tick`, whose verdict needs it.
-        self._health.judge(
+    def _measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
+        flows, ledger = crossing.flows, self.ledger()
+        self._in_flight = ledger.in_flight
+        # A latched topic may be silent for any time, unless an operator expects a rate.
+        usual = None if self.is_latched else self.meter.usual_rate
+        self.health.judge(
             Flow(
                 flows,
-                self._subscription.receives if flows else self.awaits(crossing),
-                self.silence.quiet_since,
+                self._subscription.receives if flows else self.lacks_publisher(crossing),
+                self.silence.watch.quiet_since,
                 self.meter.rate,
                 self.spec.expected_rate or 0.0,
-                None if latched else self.meter.usual_rate,
+                usual,
                 self.limit.rate,
                 frozenset([each.gid for each in self.endpoints]),
                 ledger,
             ),
             now,
         )
-        self._estimate_missed(now, flows=flows, latched=latched)
-        super().tick()
+        missed = self._ledger.missed
+        if missed.since is not None:
+            missed.estimate(now, self._ledger.offered, published=self._is_published)
+        elif flows:
+            missed.rate = self.limit.lowered(usual or self.spec.expected_rate)
+        super()._measure(now, crossing, learns=learns)
+
+    def _follow(self, now: float, crossing: Crossing) -> None:
+        # The link profile's limit is for topics that have none and may lose messages.
+        loses = self.qos is not None and self.qos.reliability == "best_effort" and not self.proposal.max_rate
+        self.limit.set_profile_rate((self.peer.profile.max_rate or 0.0) if loses else 0.0)
+        super()._follow(now, crossing)
         self._subscription.tick()
-        if self.age.publishers.since is None and flows and not latched:
+        if self.age.publishers.since is None and crossing.flows and not self.is_latched:
             self._tick_clocks()
 
     def _tick_clocks(self) -> None:
@@ -372,15 +310,6 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
             self.request_reopen(EventCode.ROUTE_CLOCK_SET, "this side's clock was set, and publishers' stamps seem old")
 
-    def _estimate_missed(self, now: float, *, flows: bool, latched: bool) -> None:
-        """Learn the rate at which messages cross, or estimate how many are missed now."""
-        missed = self._ledger.missed
-        if missed.down:
-            missed.estimate(now, self._ledger.offered, published=self._is_published)
-        elif flows:
-            usual = None if latched else self.meter.usual_rate
-            missed.rate = self.limit.lowered(usual or self.spec.expected_rate)
-
     @property
     def _is_published(self) -> bool:
         """Whether somebody publishes the topic, and neither side has paused or refused it."""
@@ -389,7 +318,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
         return bool(own or self.ends.publishers(self.topic))
 
-    def _judge_lateness(self, now: float, *, flows: bool) -> None:
+    def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
         unreported = self.delays.unreported(self._ledger.sent_now, self._ledger.reported_now, now)
         if not flows:
             self.lateness.reset()
@@ -398,7 +327,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             unreported = min(unreported, self.peer.keepalive.ping_wait)
         own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.keepalive.ping_delay))
         measured = self.delays.measure(own, self.peer.clock.uncertainty or 0.0, now)
-        self.lateness.judge(self.delays.least, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
+        self.lateness.judge(self.delays.least, 0.0, self.late_after, now, measured, own=own, learns=learns)
 
     def _held_up_where(self) -> str:
         return QUEUE if self._path.waits(self.context.now()) >= self.lateness.seconds / 2 else WAY
@@ -482,10 +411,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         """Whether the peer keeps messages of a publisher that still exists."""
         return bool(self._kept_there) and any(publisher_id(each.gid) in self._kept_there for each in self.endpoints)
 
-    def awaits(self, crossing: Crossing) -> bool:
-        """Whether messages are missing now if none come, be it that they would cross once somebody published."""
-        if crossing.flows:
-            return True
+    def lacks_publisher(self, crossing: Crossing) -> bool:
         # Type and QoS are a publisher's, so that without one nothing is described, and nothing flows.
         unpublished = self._resolver.unresolved is not None and not self.endpoints
         started = self.context.now() - self.opened_at >= _NODES_START_IN
@@ -512,30 +438,93 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)
         return publishers, Audience(max(0, report.subscribers), report.nodes, deaf)
 
-    def progress(self) -> TopicProgress:
-        report, unresolved = self._report, self._resolver.unresolved
+    # --- stages and verdict
+
+    def stages(self) -> tuple[Stage, ...]:
+        """Return the stages from the publisher to the subscriber, in order."""
+        described, kept, counts, report = self.life.described, self.has_kept, self._ledger, self._report
         looks = self.life.accepted and not self.pausing.paused
-        return TopicProgress(
-            self.endpoints,
-            publishers=len(self.endpoints) if self.endpoints or looks else None,
-            loop_note=self._loop_filter.left_out(),
-            similar=self._resolver.similar,
-            described=self.life.phase in DESCRIBED,
-            type_name=self.type_name,
-            qos=self.qos,
-            unresolved=None if unresolved is None else unresolved.cause,
-            why_unresolved=self._resolver.why(),
-            subscribed=self._subscription.receives,
-            subscribe_failed=self._subscription.failure,
-            unmatched=self._subscription.is_unmatched,
-            sent=self._ledger.sent_now,
-            received=self._ledger.received_now,
-            published=self._ledger.delivered_now,
-            kept=self.has_kept,
-            undelivered=self.notices.undelivered,
-            subscribers=report.subscribers if report else None,
-            deaf=report.deaf if report else (),
+        clash = self._qos_clash()
+        failure = self.notices.loop or self._subscription.failure
+        undelivered = self.notices.undelivered
+        stages = (
+            stage(
+                "publisher seen",
+                bool(self.endpoints),
+                self._resolver.no_publisher(),
+                failed=looks and not self.endpoints,
+                note=f"{len(self.endpoints)}{self._loop_filter.left_out()}",
+            ),
+            stage(
+                "type known",
+                described,
+                self._resolver.why(),
+                failed=not described and self.unresolved in _NO_TYPE,
+                note=self.type_name,
+            ),
+            stage("QoS compatible", described and not clash, clash, failed=described and bool(clash)),
+            stage("subscribed", self._subscription.receives, failure, failed=bool(failure)),
+            *link_and_acceptance(self),
+            stage("sent", counts.sent_now > 0 or kept, undelivered),
+            stage("received", counts.received_now > 0 or kept, undelivered, note=undelivered),
+            stage("published", counts.delivered_now > 0 or kept),
+            stage(
+                "subscriber seen",
+                report is not None and report.subscribers != 0,
+                "" if report is None else no_subscriber(self.far_topic, None, report.deaf),
+            ),
         )
+        return as_known(self, stages)
+
+    def _qos_clash(self) -> str:
+        """Return the reason why its subscription misses messages of a publisher, or an empty string."""
+        if self.qos is None:
+            return ""
+        clashing = (incompatible(each.qos, self.qos) for each in self.endpoints if each.type_name == self.type_name)
+        return next(filter(None, clashing), "")
+
+    @property
+    def similar(self) -> str:
+        """A published topic with a similar name, which may be meant, or an empty string."""
+        return self._resolver.similar
+
+    @property
+    def unresolved(self) -> Cause | None:
+        """The cause why type or QoS is unknown, or None."""
+        return None if self._resolver.unresolved is None else self._resolver.unresolved.cause
+
+    def why_unresolved(self) -> str:
+        """Return the same in words."""
+        return self._resolver.why()
+
+    @property
+    def subscribe_failed(self) -> str:
+        """The reason why its subscription failed, or an empty string."""
+        return self._subscription.failure
+
+    @property
+    def unmatched(self) -> bool:
+        return self._subscription.is_unmatched
+
+    @property
+    def has_sent(self) -> bool:
+        """Whether messages were sent in this opening, or the peer keeps some of a latched topic."""
+        return self._ledger.sent_now > 0 or self.has_kept
+
+    @property
+    def malformed(self) -> str:
+        """The field of the last malformed message, and what is wrong with it, or an empty string."""
+        return "" if self._report is None else self._report.malformed
+
+    @property
+    def loss_unexplained(self) -> bool:
+        """Whether it is not known yet if the present loss is due to a full link."""
+        loss = self.health.losses.loss
+        return self.peer.fullness.undecided or (loss is not None and self.context.now() - loss.since < MEASURED_FOR)
+
+    def remedy_for_size(self) -> str:
+        """Return what to do about messages that are too large."""
+        return remedy_for_size(self.transport, self.proposal)
 
     @property
     def owing(self) -> bool:
@@ -543,32 +532,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     @property
     def breaking(self) -> str:
+        repeated = self.losses.repeated
         # A full link crowds a topic out until its connection breaks; the text would blame firewalls.
-        return "" if self.peer.fullness.out is not None or self.peer.fullness.undecided else self.losses.repeated
-
-    def facts(self) -> Facts:
-        facts = super().facts()
-        facts = facts._replace(
-            left_out=self.notices.warning,
-            rate=self.meter.rate,
-            datagrams=self.datagrams(),
-            remedy_for_size=remedy_for_size(self.transport, self.proposal),
-        )
-        facts = self._health.added_to(facts)
-        loss = facts.loss
-        if loss is None or self.peer.fullness.out is not None:
-            return facts
-        new = self.context.now() - loss.since < MEASURED_FOR
-        return facts._replace(
-            armed=self.arming.required,
-            malformed=self._report.malformed if self._report is not None else "",
-            loss_unexplained=new or self.peer.fullness.undecided,
-            loss_of_full_link=self.was_full_since(loss.since),
-        )
+        return "" if not repeated or self.peer.fullness.out is not None or self.peer.fullness.undecided else repeated
 
     @property
     def large_vanish(self) -> bool:
-        loss, channel = self._health.loss, self.channel
+        loss, channel = self.health.losses.loss, self.channel
         if loss is None or loss.lost < loss.of or channel is None or self.datagrams() < 2:
             return False
         # A part of a message's datagrams may arrive, on a full link for example, and none of the messages.

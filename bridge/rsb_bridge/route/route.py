@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
-from rsb_bridge.route.blocking_rules import LossyPath, RouteStatus
+from rsb_bridge.route.blocking_rules import LossyPath
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEvent
@@ -67,7 +67,7 @@ class Owner(Peer, Protocol):
 class Route:
     """A route's half on this side. Lives across reconnects; `id` is that of the present opening.
 
-    It has more than 40 methods because 21 of them are hooks, which each kind of half fills in or leaves as they are.
+    It has more than 40 methods because 23 of them are hooks, which each kind of half fills in or leaves as they are.
     The others act on several of its parts at once; a question about one part goes to the part.
 
     Attributes:
@@ -187,10 +187,17 @@ class Route:
     @property
     def breaking(self) -> str:
         """The reason why its channel breaks before anything arrives, or an empty string."""
-        return ""
+        return self.losses.repeated
 
-    def _judge(self) -> Verdict:
+    def _measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
+        """Update what the verdict follows from. Called first in a tick."""
+
+    def _judge(self, crossing: Crossing) -> Verdict:
+        """Return this side's verdict, whatever was shown before."""
         raise NotImplementedError
+
+    def _follow(self, now: float, crossing: Crossing) -> None:
+        """Do what follows from the new verdict. Called last in a tick."""
 
     def snapshot(self) -> RouteSnapshot:
         """Return the present state of the route."""
@@ -411,20 +418,22 @@ class Route:
         return True
 
     def tick(self) -> None:
-        """Update the meter and report a changed verdict; called once a second while the route is not idle."""
-        now = self.context.now()
-        self.meter.tick(now, learns=self.learns)
-        flows = self.crossing.flows
-        self.reopening.observe(connected=flows or self.connected, flowing=flows)
+        """Update the figures and report a changed verdict; called once a second while the route is not idle."""
+        now, crossing, learns = self.context.now(), self.crossing, self.learns
+        self._measure(now, crossing, learns=learns)
+        self.meter.tick(now, learns=learns)
+        connected = crossing.flows or self.connected
+        self.reopening.observe(connected=connected, flowing=crossing.flows)
         if self.losses:  # nearly never, and the question what it owes takes a while
-            self.losses.tick(now, idle=self.connected and not self.owing)
-        self._verdict = None
-        said = self.judged.announce(self.verdict(), now, self.peer.path.fault)
+            self.losses.tick(now, idle=connected and not self.owing)
+        self._verdict = own = self._judged(now, crossing)
+        said = self.judged.announce(own, now, self.peer.path.fault)
         if said and self.purpose.in_graph:  # of an internal route, what has proposed it tells the operator
             shown, from_peer = self.judged.announced
             since = self.context.wall() - (now - self.judged.since(shown, now))
             about: About = {"cause": said.cause, "state": shown.state, "since": since, "from_peer": from_peer}
             self.log(said.level, said.code, said.text, **about)
+        self._follow(now, crossing)
 
     @property
     def link_full(self) -> Fullness | None:
@@ -465,47 +474,21 @@ class Route:
 
     # --- verdict
 
-    def setup(self) -> RouteStatus:
-        """Return the part of the status that stages follow from. Every snapshot needs it, so the rest is left out."""
-        refusal = self.life.refusal
-        return RouteStatus(
-            self.outgoing,
-            self.local_topic,
-            self.far_topic,
-            self.context.domain_id,
-            link_down=None if self.peer.linked else self.peer.down_reason,
-            accepted=False if refusal.text else self.life.accepted or None,
-            refusal=refusal,
-            loop=self.notices.loop,
-            no_path=self.trouble(),
-        )
-
-    def status(self) -> RouteStatus:
-        """Return the part of this half's knowledge that does not depend on what the route carries."""
-        now, came = self.context.now(), self.came
-        cause, disarmed = self.arming.why_at(now)
-        return self.setup()._replace(
-            refusal=self.reopening.shown_refusal(self.life, now - self.opened_at if self.id else 0.0),
-            reopens=self.reopening.reopens(now),
-            crossing=self.crossing,
-            paused_by=self.pausing.who,
-            disarmed=disarmed,
-            can_be_armed=cause is not Disarmed.LINK_SLOW,
-            breaking=self.breaking,
-            awaits_full_link=self.link_full is not None and self.transport.reliable,
-            came=came,
-            came_before=not came and self.came_before,
-            limit=self.limit.rate,
-            limited_by=self.limit.why,
-            path=self.peer.path.fault,
-        )
+    @property
+    def shown_refusal(self) -> Reason:
+        """The reason why it is refused or has ended, now or until shortly ago, or an empty one."""
+        return self.reopening.shown_refusal(self.life, self.context.now() - self.opened_at if self.id else 0.0)
 
     def verdict(self) -> Verdict:
         """Return this side's verdict, made at the last tick or at a later change by an operator or the peer."""
+        now = self.context.now()
         # A deadman that runs out between two ticks must not be shown as armed.
-        if self._verdict is None or self.arming.overdue(self.context.now()):
-            self._verdict = self._lossy_path.steady(self._judge(), self.peer.path.fault, self.context.now())
+        if self._verdict is None or self.arming.overdue(now):
+            self._verdict = self._judged(now, self.crossing)
         return self._verdict
+
+    def _judged(self, now: float, crossing: Crossing) -> Verdict:
+        return self._lossy_path.steady(self._judge(crossing), self.peer.path.fault, now)
 
     def common_snapshot(self) -> partial[RouteSnapshot]:
         """Return the part of the snapshot that topics and calls share."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.by_hand import END_ZERO, agreed_end
@@ -13,7 +13,7 @@ from rsb_bridge.model.verdict import EXPIRES, Cause, LinkCause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
+from rsb_bridge.route.topic_verdict import LOSS_CAUSES, judge
 from rsb_bridge.telemetry.meters import HISTORY, LatencyMeter, Smoothed, StaleWatch
 
 if TYPE_CHECKING:
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from rsb_bridge.model.audience import Audience
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Session, Topic
-    from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Stage
+    from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
     from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
-    from rsb_bridge.route.topic_verdict import TopicProgress
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
@@ -75,23 +75,24 @@ class SilenceWatch:
 
     Attributes:
         own: the topic's entry says after how long it is stale.
+        watch: the time of the last message, and the warnings since.
     """
 
     def __init__(self, log: Callable[[Level, EventCode, str], None], now: float) -> None:
         self.own = False
         self._log = log
-        self._watch = StaleWatch(0.0, 0, now)
+        self.watch = StaleWatch(0.0, 0, now)
         self._warned = False  # in the log, since a message came
 
     def configure(self, topic: Topic, session: Session) -> None:
         """Watch as the topic's entry and the session say now."""
         self.own = topic.stale_after is not None
-        self._watch.after = session.stale_after if topic.stale_after is None else topic.stale_after
-        self._watch.times = session.stale_warnings
+        self.watch.after = session.stale_after if topic.stale_after is None else topic.stale_after
+        self.watch.times = session.stale_warnings
 
     def rearm(self, now: float) -> None:
         """Begin again: no message was due before `now` (s)."""
-        self._watch.rearm(now)
+        self.watch.rearm(now)
         self._warned = False
 
     def tick(self, now: float, *, due: bool, cause: str) -> None:
@@ -100,37 +101,28 @@ class SilenceWatch:
         Args:
             cause: of the route's state. A cause that explains the silence is logged already, and not repeated.
         """
-        if due and (number := self._watch.check(now)) and cause not in _EXPLAINS:
+        if due and (number := self.watch.check(now)) and cause not in _EXPLAINS:
             self._warned = True
-            text = f"nothing for {self._watch.after * number:g} s (warning {number} of {self._watch.times})"
-            if number == self._watch.times:
+            text = f"nothing for {self.watch.after * number:g} s (warning {number} of {self.watch.times})"
+            if number == self.watch.times:
                 text += "; no further warnings until data returns"
             self._log(Level.WARNING, EventCode.ROUTE_STALE, text)
 
     def seen(self, now: float) -> None:
         """Note a message that came at `now` (s)."""
         # Nearly always, so that each message saves a call.
-        if not self._watch.warned:
-            self._watch.quiet_since = now
+        if not self.watch.warned:
+            self.watch.quiet_since = now
             return
-        quiet = self._watch.seen(now)
+        quiet = self.watch.seen(now)
         if quiet is not None and self._warned:
             self._log(Level.INFO, EventCode.ROUTE_DATA_AGAIN, f"reinitialized: data again after {quiet:.0f} s")
         self._warned = False
 
     @property
-    def quiet_since(self) -> float:
-        """Time (s) of the last message, or when counting began again."""
-        return self._watch.quiet_since
-
-    @property
     def due(self) -> float:
         """Time (s) at which it is too long ago, or infinite if any silence is allowed."""
-        return self._watch.quiet_since + self._watch.after if self._watch.after else math.inf
-
-    def stale_since(self, now: float) -> float | None:
-        """`quiet_since` if that is too long ago at `now` (s), else None."""
-        return self._watch.quiet_since if self._watch.stale(now) else None
+        return self.watch.quiet_since + self.watch.after if self.watch.after else math.inf
 
 
 class Idling:
@@ -199,11 +191,13 @@ class TopicRoute(Route, Generic[ChannelT]):
     """A topic's half on this side.
 
     Attributes:
+        rules: of its verdict.
         qos: of the bridge's endpoints on both sides, or None if unknown.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
     """
 
+    rules: ClassVar[Rules[Any]]
     channel: ChannelT | None
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
@@ -304,11 +298,12 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Bound (s) that the topic's entry or the session sets now, or 0 for no limit."""
         own = self.spec.late_after
         bound = self.context.session.late_after if own is None else own
-        if bound and self.qos is not None and self.qos.latched and self.limit.rate:
+        if bound and self.limit.rate and self.is_latched:
             bound += 1 / self.limit.rate  # the rate limit holds the newest message for so long
         return bound
 
-    def _late(self) -> Late | None:
+    def late(self) -> Late | None:
+        """Return the delay of messages that are late, or None."""
         watch = self.lateness
         if watch.since is None:
             return None
@@ -337,7 +332,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Messages that came to this half so far, from ROS or the other side."""
         raise NotImplementedError
 
-    def _judge_lateness(self, now: float, *, flows: bool) -> None:
+    def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
         """Judge `lateness` at `now` (s); `flows`: messages are due."""
         raise NotImplementedError
 
@@ -353,35 +348,27 @@ class TopicRoute(Route, Generic[ChannelT]):
             not self.transport.reliable and self.trouble(),  # a stream would ask the kernel
         )  # fmt: skip
 
-    def _changes_at(self, shown: Verdict, crossing: Crossing, now: float) -> float:
+    def _changes_at(self, shown: Verdict, now: float, *, awaited: bool) -> float:
         """Return when (s) time alone changes the verdict: `now` while it may at any moment, or infinite for never."""
         if shown.state not in _CALM or self.arming.required or self.lateness.since is not None:
             return now
-        return self.silence.due if self.awaits(crossing) and self.silence_counts else math.inf
+        return self.silence.due if awaited and self.silence_counts else math.inf
 
-    def tick(self) -> None:
-        """Update histories, stale warnings and the verdict. Called once a second while the route is not idle."""
-        now, crossing = self.context.now(), self.crossing
+    def _measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         self.latency.tick()
-        self._judge_lateness(now, flows=crossing.flows)
+        self._judge_lateness(now, flows=crossing.flows, learns=learns)
         self.age.update(self._came_here, now)
         if self.link_full is not None:
             self._full_at = now
-        # The verdict needs the ticks above; the lines below need the verdict.
-        super().tick()
-        self.limit.set_profile_rate(self._profile_rate())
-        if not self.awaits(crossing):
+
+    def _follow(self, now: float, crossing: Crossing) -> None:
+        awaited = crossing.flows or self.lacks_publisher(crossing)
+        if not awaited:
             self.silence.rearm(now)
         shown = self.judged.announced.verdict
         self.silence.tick(now, due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
         # Last, so that the signs contain all that the tick has changed.
-        self._idling.ticked(self._signs(), now, self._changes_at(shown, crossing, now))
-
-    def _profile_rate(self) -> float:
-        """Return the link profile's limit (Hz) if this topic has none and may lose messages, else 0."""
-        if not self.outgoing or self.qos is None or self.qos.reliability != "best_effort" or self.proposal.max_rate:
-            return 0.0
-        return self.peer.profile.max_rate or 0.0
+        self._idling.ticked(self._signs(), now, self._changes_at(shown, now, awaited=awaited))
 
     def count(self, messages: int, size: int, now: float) -> None:
         """Count messages that pass at `now` (s), of `size` bytes together."""
@@ -416,9 +403,9 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Whether the receiving side keeps messages of a latched topic from an earlier opening."""
         raise NotImplementedError
 
-    def awaits(self, crossing: Crossing) -> bool:
-        """Whether messages are missing now if none come."""
-        return crossing.flows
+    def lacks_publisher(self, crossing: Crossing) -> bool:
+        """Whether messages would cross once somebody published: they are missing, too."""
+        return False
 
     @property
     def silence_counts(self) -> bool:
@@ -429,37 +416,23 @@ class TopicRoute(Route, Generic[ChannelT]):
         """
         return self.silence.own or (self.meter.regular and not self.is_latched)
 
-    def facts(self) -> Facts:
-        """Return the facts that both halves know; each half adds its own."""
-        status = self.status()
-        flows = status.crossing.flows
-        return Facts(
-            status,
-            self.progress(),
-            stale_since=self._stale_since() if self.awaits(status.crossing) else None,
-            late=self._late() if flows else None,
-            expired=self.age.late() if flows else None,
-            full=self.link_full,
-            shown_cause=self.judged.shown_cause,
-        )
-
-    def _stale_since(self) -> float | None:
-        fault, meter = self.peer.path.fault, self.meter
+    def stale_since(self, crossing: Crossing) -> float | None:
+        """Return since when (s) messages that are due have not come, if that is too long ago, or None."""
+        if not (crossing.flows or self.lacks_publisher(crossing)):
+            return None
+        fault, meter, watch = self.peer.path.fault, self.meter, self.silence.watch
         # The sending side cannot say now that its publishers are silent: an expected message waits for the link.
-        if not self.outgoing and meter.usual_rate and not meter.rate and fault and fault.cause is LinkCause.SILENT:
-            return self.silence.quiet_since
-        return self.silence.stale_since(self.context.now()) if self.silence_counts else None
+        if fault and fault.cause is LinkCause.SILENT and not self.outgoing and meter.usual_rate and not meter.rate:
+            return watch.quiet_since
+        return watch.quiet_since if watch.stale(self.context.now()) and self.silence_counts else None
 
-    def progress(self) -> TopicProgress:
-        """Return how far messages get, as this half knows it."""
+    @property
+    def unmatched(self) -> bool:
+        """Whether DDS lists endpoints and matches none of them with this half."""
         raise NotImplementedError
 
-    def stages(self) -> tuple[Stage, ...]:
-        """Return the stages of a message's path."""
-        return topic_stages(self.setup(), self.progress())
-
-    def _judge(self) -> Verdict:
-        return judge(self.facts())
+    def _judge(self, crossing: Crossing) -> Verdict:
+        return judge(self, crossing, self.rules)
 
     def snapshot(self) -> RouteSnapshot:
         """The route as it is now."""

@@ -1,33 +1,36 @@
-"""The stages and the verdict of a topic's half: rules over its facts, without a clock or an effect."""
+"""The stages and the verdict of a topic's half: rules that only read it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 from rsb_bridge.model.audience import Audience, Deaf
-from rsb_bridge.model.qos import clashes, incompatible
+from rsb_bridge.model.qos import clashes
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.age import expired_verdict
-from rsb_bridge.route.blocking_rules import ACCEPTED, as_known, first_missing, link_and_acceptance, stage, worst
+from rsb_bridge.route.blocking_rules import ACCEPTED, JudgedRoute, first_missing, worst
 from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
-    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.ros.ros_interface import Endpoint
-    from rsb_bridge.route.age import Expired
-    from rsb_bridge.route.blocking_rules import RouteStatus, Rules
+    from rsb_bridge.route.age import MessageAge
+    from rsb_bridge.route.blocking_rules import Rules
+    from rsb_bridge.route.combined_verdict import CombinedVerdict
+    from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.health import Health
     from rsb_bridge.route.lateness import Late
-    from rsb_bridge.telemetry.watches import Loss
+    from rsb_bridge.telemetry.meters import RateMeter
+    from rsb_bridge.wire.records import SentReport
 
 USE_TCP = "use protocol: tcp"
 """The remedy for messages that are lost on the way."""
@@ -52,7 +55,6 @@ _REASON_LENGTH = 200
 """Characters for which a node is deaf: a report to the other side has room for hundreds of routes."""
 
 _SILENCE = frozenset({Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE})
-_NO_TYPE = frozenset({Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT})
 _EXPLAINS_SILENCE = frozenset({Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT})
 """Where a publisher's messages are not taken, it is not silent."""
 _LOSSES: dict[str, tuple[Cause, str]] = {
@@ -74,105 +76,69 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
 LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
 
 
-class TopicProgress(NamedTuple):
-    """The progress of a topic's messages, as one half knows it.
+class JudgedTopic(JudgedRoute, Protocol):
+    """One half of a topic's route, as its rules read it."""
 
-    Attributes:
-        endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
-        publishers: number of publishers on the sending side, or None if it is unknown.
-        loop_note: the publishers that are left out because their messages would loop, as the end of a sentence.
-        similar: a published topic of the sending side with a similar name, which may be meant, or empty.
-        described: whether the sender has described its messages in this opening, so that `type_name` and `qos` hold.
-        type_name: of its messages, as last known, or empty.
-        qos: of its subscription and publishers, as last known, or None.
-        unresolved: on the sending side, the cause why type or QoS is unknown, or None.
-        why_unresolved: the same in words, or the other side's reason.
-        clash: on the receiving side, the reason why a subscription does not match `qos`, or empty.
-        subscribe_failed: the reason why its subscription failed, or empty.
-        unmatched: whether DDS matches none of the endpoints with this half.
-        sent: messages of this opening.
-        received: messages of this opening.
-        published: messages of this opening.
-        kept: whether the receiving side keeps messages of a latched topic.
-        undelivered: the reason why the newest message was too large to be sent, on the receiving side why none was
-            received, or empty.
-        subscribers: subscriptions on the receiving side that DDS has matched, which may be known before their nodes
-            are, or None if their number is unknown.
-        deaf: some of the subscribers that do not match.
-        others: on the receiving side, other publishers of the topic, if a subscription does not match.
-        clocks: on the receiving side, if it is a clock, the nodes and links that publish it besides this link.
-    """
+    type_name: str
+    endpoints: Sequence[Endpoint]
+    age: MessageAge
+    judged: CombinedVerdict
 
-    endpoints: Collection[Endpoint] = ()
-    publishers: int | None = None
-    loop_note: str = ""
-    similar: str = ""
-    described: bool = False
-    type_name: str = ""
-    qos: Qos | None = None
-    unresolved: Cause | None = None
-    why_unresolved: str = ""
-    clash: str = ""
-    subscribed: bool = False
-    subscribe_failed: str = ""
-    unmatched: bool = False
-    sent: int = 0
-    received: int = 0
-    published: int = 0
-    kept: bool = False
-    undelivered: str = ""
-    subscribers: int | None = None
-    deaf: Collection[object] = ()
-    others: Collection[Endpoint] = ()
-    clocks: Collection[str] = ()
+    def stages(self) -> tuple[Stage, ...]: ...
+
+    def stale_since(self, crossing: Crossing) -> float | None: ...
+
+    def late(self) -> Late | None: ...
+
+    @property
+    def unmatched(self) -> bool: ...
 
 
-class Facts(NamedTuple):
-    """One half's knowledge of its topic.
+class SendingTopic(JudgedTopic, Protocol):
+    """The sending half of a topic's route."""
 
-    Attributes:
-        status: the part that does not depend on what the route carries.
-        left_out: the publishers with another type, which are not bridged, or empty.
-        stale_since: s, of the last message if silence counts and has lasted `stale_after`, or None.
-        stopped_since: s, of the last message if its publishers have stopped, or None.
-        new: ids of the publishers that have come since the last message.
-        slow_since: s, when it became slow, or None.
-        rate: Hz, of the messages that are sent.
-        expected_rate: Hz, to judge the rate by, or None.
-        lost_in_dds: messages that DDS lost in the last `LATELY` s before they could be taken.
-        loss: between the two sides, or None if it is negligible.
-        datagrams: about how many a message takes, or 0 if its transport has none.
-        remedy_for_size: what to do about messages that are too large.
-        armed: whether it has to be armed: then TCP would lose more of it, since late messages are dropped.
-        expired: the messages that were dropped lately because they were too old, or None if they are few.
-        full: the rates of the link if it is full, or None.
-        malformed: the field of the last malformed message, and what is wrong with it, or empty.
-        loss_unexplained: whether it is not known yet if `loss` is due to a full link.
-        loss_of_full_link: whether the link was full since `loss` began, and has room now.
-        shown_cause: the cause that was shown last, or empty.
-    """
+    qos: Qos | None
+    meter: RateMeter
+    health: Health
 
-    status: RouteStatus
-    progress: TopicProgress = TopicProgress()
-    left_out: str = ""
-    stale_since: float | None = None
-    stopped_since: float | None = None
-    new: Collection[bytes] = ()
-    slow_since: float | None = None
-    rate: float = 0.0
-    expected_rate: float | None = None
-    lost_in_dds: int = 0
-    loss: Loss | None = None
-    datagrams: int = 0
-    remedy_for_size: str = ""
-    armed: bool = False
-    late: Late | None = None
-    expired: Expired | None = None
-    full: Fullness | None = None
-    malformed: str = ""
-    loss_unexplained: bool = False
-    loss_of_full_link: bool = False
-    shown_cause: str = ""
+    @property
+    def subscribe_failed(self) -> str: ...
+
+    @property
+    def unresolved(self) -> Cause | None: ...
+
+    def why_unresolved(self) -> str: ...
+
+    @property
+    def similar(self) -> str: ...
+
+    @property
+    def has_sent(self) -> bool: ...
+
+    @property
+    def loss_unexplained(self) -> bool: ...
+
+    def was_full_since(self, since: float) -> bool: ...
+
+    @property
+    def malformed(self) -> str: ...
+
+    def datagrams(self) -> int: ...
+
+    def remedy_for_size(self) -> str: ...
+
+
+class ReceivingTopic(JudgedTopic, Protocol):
+    """The receiving half of a topic's route."""
+
+    offered: Qos | None
+    audience: Audience
+    others: Collection[Endpoint]
+    clocks: frozenset[str]
+    report_now: SentReport | None
+
+
+TopicT = TypeVar("TopicT", bound=JudgedTopic)
 
 
 class DeafText(Wording):
@@ -226,13 +192,13 @@ def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], co
     return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
 
 
-def judge(facts: Facts) -> Verdict:
-    """Return the verdict that counts; of silence, its explanation."""
-    verdict, found = worst(facts.status, _OF_SENDER if facts.status.sends else _OF_RECEIVER, facts)
-    if verdict.cause in _SILENCE:
-        explained = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
-        return verdict if explained is None else replace(explained, state=verdict.state)
-    return verdict
+def judge(half: TopicT, crossing: Crossing, rules: Rules[TopicT]) -> Verdict:
+    """Return the verdict that counts, by `OF_SENDER` or `OF_RECEIVER`; of silence, its explanation."""
+    verdict, found = worst(half, crossing, rules)
+    if verdict.cause not in _SILENCE:
+        return verdict
+    explained = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
+    return verdict if explained is None else replace(explained, state=verdict.state)
 
 
 def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = False) -> str:
@@ -241,76 +207,18 @@ def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = 
     return f"no publisher of {topic} in domain {domain_id}{' any more' if gone else ''}{hint}"
 
 
-def no_subscriber(topic: str, where: str, present: Collection[object] = ()) -> str:
-    """Says that nobody hears a topic, whether somebody subscribes to it or not."""
+def no_subscriber(topic: str, domain_id: int | None, present: Collection[object] = ()) -> str:
+    """Says that nobody hears a topic, whether somebody subscribes to it or not.
+
+    Args:
+        domain_id: this side's, or None if it is the other side's subscribers that do not hear it.
+    """
+    where = "there" if domain_id is None else f"in domain {domain_id}"
     return (
         f"nothing from the bridge reaches the subscribers of {topic} {where}"
         if present
         else f"nobody subscribes to {topic} {where}"
     )
-
-
-def topic_stages(status: RouteStatus, progress: TopicProgress) -> tuple[Stage, ...]:
-    """Return the stages from the publisher to the subscriber, in order."""
-    known = progress.described if status.sends else bool(progress.type_name)
-    clash = _qos_clash(progress) if status.sends else progress.clash
-    failure = status.loop or progress.subscribe_failed
-    stages = (
-        stage(
-            "publisher seen",
-            bool(progress.publishers),
-            _why_none_seen(status, progress),
-            failed=progress.publishers == 0,
-            note=f"{progress.publishers}{progress.loop_note}" if status.sends else "",
-        ),
-        stage(
-            "type known",
-            known,
-            progress.why_unresolved,
-            failed=not known and progress.unresolved in _NO_TYPE,
-            note=progress.type_name,
-        ),
-        stage("QoS compatible", known and not clash, clash, failed=known and bool(clash)),
-        stage("subscribed", progress.subscribed, failure, failed=bool(failure)),
-        *link_and_acceptance(status),
-        stage("sent", progress.sent > 0 or progress.kept, progress.undelivered if status.sends else ""),
-        stage("received", progress.received > 0 or progress.kept, progress.undelivered, note=progress.undelivered),
-        stage("published", progress.published > 0 or progress.kept),
-        stage("subscriber seen", bool(progress.subscribers), _why_none_hears(status, progress)),
-    )
-    return as_known(status, stages)
-
-
-def waits_for(status: RouteStatus, progress: TopicProgress) -> str:
-    """Return the stage that has to pass before anything can cross, or its reason."""
-    stages = topic_stages(status, progress)
-    if not status.sends and progress.publishers is None and all(each.done is not False for each in stages):
-        # Only the sending side knows the first stages, and has not reported on this opening yet.
-        return "the other side's report" if status.accepted else ACCEPTED
-    return first_missing(stages)
-
-
-def _why_none_seen(status: RouteStatus, progress: TopicProgress) -> str:
-    if status.sends:
-        return no_publisher(status.topic, status.domain_id, progress.similar)
-    return "" if progress.publishers is None else f"no publisher of {status.far_topic} on the other side"
-
-
-def _why_none_hears(status: RouteStatus, progress: TopicProgress) -> str:
-    if progress.subscribers is None:
-        return ""
-    topic, where = (status.far_topic, "there") if status.sends else (status.topic, f"in domain {status.domain_id}")
-    return no_subscriber(topic, where, progress.deaf)
-
-
-def _qos_clash(progress: TopicProgress) -> str:
-    """Return the reason why a subscription on the sending side misses messages of the type, or an empty string."""
-    if progress.qos is None:
-        return ""
-    clashing = (
-        incompatible(each.qos, progress.qos) for each in progress.endpoints if each.type_name == progress.type_name
-    )
-    return next(filter(None, clashing), "")
 
 
 def named(nodes: Iterable[str]) -> str:
@@ -338,87 +246,29 @@ def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
 # --- either side
 
 
-def _stale(facts: Facts) -> Verdict | None:
-    # STOPPED says the same, and the expected rate.
-    if (since := facts.stale_since) is None or _stopped(facts) is not None:
-        return None
-    text = f"nothing for {LASTING}"
-    if not facts.status.sends:
-        return Verdict(State.STALE, Cause.SILENT, text, since)
-    cause, why = _why_silent(facts)
-    return Verdict(State.STALE, cause, f"{text}: {why}", since)
+def _expired(half: JudgedTopic, crossing: Crossing) -> Verdict | None:
+    expired = half.age.late() if crossing.flows else None
+    return None if expired is None else expired_verdict(expired)
 
 
-def _why_silent(facts: Facts) -> tuple[Cause, str]:
-    """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
-    ever = facts.status.came or facts.status.came_before
-    if facts.progress.endpoints and facts.progress.unmatched:
-        return Cause.PUBLISHER_SILENT, _plural(facts.progress.endpoints, *NOT_MATCHED)
-    if facts.progress.endpoints:
-        # A publisher that has just come has had no time for its first message.
-        stopped = [each for each in facts.progress.endpoints if each.gid not in facts.new] if ever else []
-        who, silent = (stopped, STOPPED_PUBLISHING) if stopped else (facts.progress.endpoints, PUBLISHED_NOTHING)
-        return Cause.PUBLISHER_SILENT, _plural(who, *silent)
-    if ever:
-        return Cause.PUBLISHER_GONE, _publisher_gone(facts)
-    return _nobody(facts), no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
-
-
-def _publisher_gone(facts: Facts) -> str:
-    return no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar, gone=True)
-
-
-def _nobody(facts: Facts) -> Cause:
-    return Cause.SIMILAR_NAME if facts.progress.similar else Cause.NO_PUBLISHER
-
-
-def _waiting(facts: Facts) -> Verdict | None:
-    flows = facts.status.crossing.flows
-    if facts.status.came and flows:
-        return None
-    if facts.status.sends and flows and not facts.progress.endpoints:
-        text = no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
-        return Verdict(State.WAITING, _nobody(facts), text)
-    if facts.status.sends and flows:
-        verbs = NOTHING_SINCE_OPENED if facts.status.came_before else PUBLISHED_NOTHING
-        if (
-            facts.progress.qos
-            and not facts.progress.qos.latched
-            and all(p.qos.latched for p in facts.progress.endpoints)
-        ):
-            verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
-        elif facts.progress.unmatched:
-            verbs = NOT_MATCHED
-        text = _plural(facts.progress.endpoints, *verbs)
-        return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
-    missing = "" if flows else waits_for(facts.status, facts.progress)
-    text = f"waiting: {missing}" if missing else "no message yet"
-    return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
-
-
-def _late(facts: Facts) -> Verdict | None:
-    return late_verdict(facts.late) if facts.late is not None else None
-
-
-def _expired(facts: Facts) -> Verdict | None:
-    return expired_verdict(facts.expired) if facts.expired is not None else None
+def _late(half: JudgedTopic, crossing: Crossing) -> Verdict | None:
+    late = half.late() if crossing.flows else None
+    return None if late is None else late_verdict(late)
 
 
 # --- the sending side
 
 
-def _subscription(facts: Facts) -> Verdict | None:
-    failure = facts.progress.subscribe_failed
-    if not failure:
-        return None
-    return Verdict(State.DOWN, Cause.SUBSCRIBE_FAILED, failure)
+def _subscription(half: SendingTopic, _: Crossing) -> Verdict | None:
+    failure = half.subscribe_failed
+    return Verdict(State.DOWN, Cause.SUBSCRIBE_FAILED, failure) if failure else None
 
 
-def _publishers_qos(facts: Facts) -> Verdict | None:
-    qos = facts.progress.qos
-    if qos is None or not facts.progress.described:
+def _publishers_qos(half: SendingTopic, _: Crossing) -> Verdict | None:
+    qos = half.qos
+    if qos is None or not half.life.described:
         return None
-    ours = [each for each in facts.progress.endpoints if each.type_name == facts.progress.type_name]
+    ours = [each for each in half.endpoints if each.type_name == half.type_name]
     others = [each for each in ours if clashes(each.qos, qos)]
     if not others:
         return None
@@ -433,82 +283,41 @@ def _publishers_qos(facts: Facts) -> Verdict | None:
     return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
 
 
-def _publishers_types(facts: Facts) -> Verdict | None:
-    return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, facts.left_out) if facts.left_out else None
+def _publishers_types(half: SendingTopic, _: Crossing) -> Verdict | None:
+    left_out = half.notices.warning
+    return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, left_out) if left_out else None
 
 
-def _unresolved(facts: Facts) -> Verdict | None:
-    cause = facts.progress.unresolved
-    if cause is None or facts.status.crossing.flows or not facts.status.accepted:
+def _unresolved(half: SendingTopic, crossing: Crossing) -> Verdict | None:
+    if crossing.flows or not half.life.accepted or (cause := half.unresolved) is None:
         return None
     if cause is Cause.NO_PUBLISHER:
-        cause = _nobody(facts)
-    return Verdict(State.DOWN if cause is Cause.TYPE_CONFLICT else State.WAITING, cause, facts.progress.why_unresolved)
+        cause = _nobody(half)
+    state = State.DOWN if cause is Cause.TYPE_CONFLICT else State.WAITING
+    return Verdict(state, cause, half.why_unresolved())
 
 
-def _stopped(facts: Facts) -> Verdict | None:
-    since = facts.stopped_since
-    if since is None or facts.expected_rate is None:
+def _lossy(half: SendingTopic, crossing: Crossing) -> Verdict | None:
+    loss = half.health.losses.loss
+    if loss is None:
         return None
-    cause, why = _why_silent(facts)
-    text = f"nothing for {LASTING}, {facts.expected_rate:.3g} Hz expected: {why}"
-    return Verdict(State.STOPPED, cause, text, since)
-
-
-def _departed(facts: Facts) -> Verdict | None:
-    """Judge a topic whose publisher has left while no message was due."""
-    if not facts.status.came or facts.progress.endpoints or not facts.status.crossing.flows:
-        return None
-    return Verdict(State.OK, Cause.PUBLISHER_GONE, _publisher_gone(facts))
-
-
-def _steady_figure(rate: float) -> str:
-    """Format a rate that changes each second with as many digits as before: ``2.00``, ``20.3``."""
-    return f"{rate:#.3g}".rstrip(".")
-
-
-def _slow(facts: Facts) -> Verdict | None:
-    if facts.slow_since is None or facts.expected_rate is None:
-        return None
-    rates = f"{_steady_figure(facts.rate)} Hz of {facts.expected_rate:.3g} expected"
-    if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits before it ends the fault
-        if facts.shown_cause != Cause.SLOW:
-            return None  # a fault that nobody was shown needs no end
-        return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
-    text = f"{rates}, for {LASTING}"
-    if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # DDS lost most of the missing messages
-        reason = f"DDS lost {facts.lost_in_dds:,} messages before they could be taken"
-    else:
-        reason = f"that is all that {_plural(facts.progress.endpoints, 'publishes', 'publish')}"
-    return Verdict(State.SLOW, Cause.SLOW, f"{text}: {reason}", facts.slow_since)
-
-
-def _remedy_for_loss(facts: Facts) -> str:
-    """Return what to do about lost datagrams, or nothing while the link may be full: then both remedies do harm."""
-    if facts.loss_unexplained or (facts.armed and facts.datagrams == 1):
-        return ""
-    if facts.datagrams > 1:
-        return f"; each takes {facts.datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages"
-    return f"; {USE_TCP}"
-
-
-def _lossy(facts: Facts) -> Verdict | None:
-    loss = facts.loss
-    if loss is None or (facts.expired is not None and facts.expired.lost > loss.lost):
+    expired = half.age.late() if crossing.flows else None
+    if expired is not None and expired.lost > loss.lost:
         return None  # most of what did not come was too old, which `_expired` tells
-    cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(facts)}"))
-    if loss.cause == "malformed" and facts.malformed:
-        why = f"they are malformed ({facts.malformed}): see what publishes them"
+    cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(half)}"))
+    if loss.cause == "malformed" and half.malformed:
+        why = f"they are malformed ({half.malformed}): see what publishes them"
+    full = half.link_full
     # The cause stays that of the ledger: a full link loses datagrams on the way, where this side has no queue.
-    if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
-        why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
-    elif facts.loss_of_full_link and cause is Cause.LOSSY:
+    if full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
+        why = f"the link is full ({full.share}): set max_rate, compression: zstd or priority"
+    elif cause is Cause.LOSSY and half.was_full_since(loss.since):
         why = "the link was full"
     elif cause is Cause.TOO_LARGE:
-        why += f": {facts.remedy_for_size}"
+        why += f": {half.remedy_for_size()}"
     # The figures still contain the losses before the recovery.
     if loss.recovering:
-        if facts.shown_cause not in LOSS_CAUSES:
+        if half.judged.shown_cause not in LOSS_CAUSES:
             return None  # a fault that nobody was shown needs no end
         return Verdict(State.SLOW, cause, f"recovering after {LASTING}: most messages arrive again", loss.since)
     if loss.lost >= loss.of:
@@ -518,27 +327,138 @@ def _lossy(facts: Facts) -> Verdict | None:
     return Verdict(State.SLOW, cause, f"{text}, for {LASTING}: {why}", loss.since)
 
 
-def _too_large(facts: Facts) -> Verdict | None:
+def _remedy_for_loss(half: SendingTopic) -> str:
+    """Return what to do about lost datagrams, or nothing while the link may be full: then both remedies do harm."""
+    datagrams = half.datagrams()
+    # TCP would lose more of what has to be armed, since late messages are dropped.
+    if half.loss_unexplained or (half.arming.required and datagrams == 1):
+        return ""
+    if datagrams > 1:
+        return f"; each takes {datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages"
+    return f"; {USE_TCP}"
+
+
+def _too_large(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     """Judge what `_lossy` cannot: the newest message of a latched topic, or one before any was sent."""
-    progress = facts.progress
-    if not progress.undelivered or not facts.status.crossing.flows:
+    undelivered = half.notices.undelivered
+    if not undelivered or not crossing.flows:
         return None
-    some = progress.sent > 0 or progress.kept
-    if some and not (progress.qos is not None and progress.qos.latched):
+    some = half.has_sent
+    if some and not (half.qos is not None and half.qos.latched):
         return None
-    return Verdict(State.SLOW if some else State.DOWN, Cause.TOO_LARGE, progress.undelivered)
+    return Verdict(State.SLOW if some else State.DOWN, Cause.TOO_LARGE, undelivered)
+
+
+def _stale(half: SendingTopic, crossing: Crossing) -> Verdict | None:
+    # STOPPED says the same, and the expected rate.
+    if (since := half.stale_since(crossing)) is None or _stopped(half, crossing) is not None:
+        return None
+    cause, why = _why_silent(half)
+    return Verdict(State.STALE, cause, f"nothing for {LASTING}: {why}", since)
+
+
+def _stopped(half: SendingTopic, _: Crossing) -> Verdict | None:
+    since, expected = half.health.stop.since, half.health.expected_rate
+    if since is None or expected is None:
+        return None
+    cause, why = _why_silent(half)
+    return Verdict(State.STOPPED, cause, f"nothing for {LASTING}, {expected:.3g} Hz expected: {why}", since)
+
+
+def _why_silent(half: SendingTopic) -> tuple[Cause, str]:
+    """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
+    ever = half.came or half.came_before
+    if half.endpoints and half.unmatched:
+        return Cause.PUBLISHER_SILENT, _plural(half.endpoints, *NOT_MATCHED)
+    if half.endpoints:
+        # A publisher that has just come has had no time for its first message.
+        stopped = [each for each in half.endpoints if each.gid not in half.health.stop.new] if ever else []
+        who, silent = (stopped, STOPPED_PUBLISHING) if stopped else (half.endpoints, PUBLISHED_NOTHING)
+        return Cause.PUBLISHER_SILENT, _plural(who, *silent)
+    return Cause.PUBLISHER_GONE if ever else _nobody(half), _no_publisher(half, gone=ever)
+
+
+def _nobody(half: SendingTopic) -> Cause:
+    return Cause.SIMILAR_NAME if half.similar else Cause.NO_PUBLISHER
+
+
+def _no_publisher(half: SendingTopic, *, gone: bool = False) -> str:
+    return no_publisher(half.local_topic, half.context.domain_id, half.similar, gone=gone)
+
+
+def _slow(half: SendingTopic, _: Crossing) -> Verdict | None:
+    since, expected = half.health.slow.since, half.health.expected_rate
+    if since is None or expected is None:
+        return None
+    rate = half.meter.rate
+    rates = f"{_steady_figure(rate)} Hz of {expected:.3g} expected"
+    if rate >= FAST_ABOVE * expected:  # the watch waits before it ends the fault
+        if half.judged.shown_cause != Cause.SLOW:
+            return None  # a fault that nobody was shown needs no end
+        return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", since)
+    lost_in_dds = half.health.lost_in_dds()
+    if lost_in_dds > (expected - rate) * LATELY / 2:  # DDS lost most of the missing messages
+        reason = f"DDS lost {lost_in_dds:,} messages before they could be taken"
+    else:
+        reason = f"that is all that {_plural(half.endpoints, 'publishes', 'publish')}"
+    return Verdict(State.SLOW, Cause.SLOW, f"{rates}, for {LASTING}: {reason}", since)
+
+
+def _steady_figure(rate: float) -> str:
+    """Format a rate that changes each second with as many digits as before: ``2.00``, ``20.3``."""
+    return f"{rate:#.3g}".rstrip(".")
+
+
+def _unsent(half: SendingTopic, crossing: Crossing) -> Verdict | None:
+    """Judge a topic that no message has come of, or whose publisher has left while no message was due."""
+    if not crossing.flows:
+        return _no_message(first_missing(half.stages()))
+    if half.came:
+        return None if half.endpoints else Verdict(State.OK, Cause.PUBLISHER_GONE, _no_publisher(half, gone=True))
+    if not half.endpoints:
+        return Verdict(State.WAITING, _nobody(half), _no_publisher(half))
+    verbs = NOTHING_SINCE_OPENED if half.came_before else PUBLISHED_NOTHING
+    if half.qos and not half.qos.latched and all(each.qos.latched for each in half.endpoints):
+        verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
+    elif half.unmatched:
+        verbs = NOT_MATCHED
+    return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, _plural(half.endpoints, *verbs))
+
+
+def _no_message(missing: str = "") -> Verdict:
+    return Verdict(State.WAITING, Cause.NO_MESSAGE, f"waiting: {missing}" if missing else "no message yet")
 
 
 # --- the receiving side
 
 
-def _subscribers(facts: Facts) -> Verdict | None:
-    progress, qos = facts.progress, facts.progress.qos
-    if qos is None or not (progress.described and progress.type_name):
+def _nothing_comes(half: ReceivingTopic, crossing: Crossing) -> Verdict | None:
+    since = half.stale_since(crossing)
+    return None if since is None else Verdict(State.STALE, Cause.SILENT, f"nothing for {LASTING}", since)
+
+
+def _unreceived(half: ReceivingTopic, crossing: Crossing) -> Verdict | None:
+    if not crossing.flows:
+        return _no_message(waits_for(half))
+    return None if half.came else _no_message()
+
+
+def waits_for(half: ReceivingTopic) -> str:
+    """Return the stage that has to pass before anything can cross, or its reason."""
+    stages = half.stages()
+    if half.report_now is None and all(each.done is not False for each in stages):
+        # Only the sending side knows the first stages, and has not reported on this opening yet.
+        return "the other side's report" if half.life.accepted else ACCEPTED
+    return first_missing(stages)
+
+
+def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
+    qos = half.offered
+    if qos is None or not (half.life.described and half.type_name):
         return None
-    deaf = {each: why for each in progress.endpoints if (why := mismatch(progress.type_name, qos, each)) is not None}
+    deaf = {each: why for each in half.endpoints if (why := mismatch(half.type_name, qos, each)) is not None}
     if others := [each for each, why in deaf.items() if why.cause is Cause.TYPE_CONFLICT]:
-        carries = f"{facts.status.topic} carries {progress.type_name}"
+        carries = f"{half.local_topic} carries {half.type_name}"
         text = f"{types_and_nodes(others)}, but {carries}: correct the subscription"
         return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
     if deaf:
@@ -546,36 +466,33 @@ def _subscribers(facts: Facts) -> Verdict | None:
         alike = [each for each, why in deaf.items() if why == first]
         who = _plural(alike, "asks", "ask", "subscriptions")
         text = (
-            f"{who} for {', '.join(first.asked)}, but {facts.status.topic} is published with "
-            f"{', '.join(first.offered)}{_hears_instead(progress, alike)}: "
+            f"{who} for {', '.join(first.asked)}, but {half.local_topic} is published with "
+            f"{', '.join(first.offered)}{_hears_instead(half, qos, alike)}: "
             "change the QoS of the subscription, or of the publishers and this topic"
         )
         return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
-    if progress.unmatched and facts.status.came:
-        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(progress.endpoints, *NOT_MATCHED, "subscriptions"))
-    if not progress.endpoints and not progress.subscribers and facts.status.came:
-        return Verdict(
-            State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(facts.status.topic, f"in domain {facts.status.domain_id}")
-        )
+    if half.unmatched and half.came:
+        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(half.endpoints, *NOT_MATCHED, "subscriptions"))
+    if not half.endpoints and not half.audience.count and half.came:
+        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.local_topic, half.context.domain_id))
     return None
 
 
-def _clocks(facts: Facts) -> Verdict | None:
-    if not facts.progress.clocks:
+def _clocks(half: ReceivingTopic, _: Crossing) -> Verdict | None:
+    if not half.clocks:
         return None
     text = (
-        f"{facts.status.topic} also comes from {named(facts.progress.clocks)}, so its time jumps back and forth: "
+        f"{half.local_topic} also comes from {named(half.clocks)}, so its time jumps back and forth: "
         "keep one source, or set use_name on the server"
     )
     return Verdict(State.UNHEARD, Cause.SEVERAL_CLOCKS, text)
 
 
-def _hears_instead(progress: TopicProgress, deaf: Collection[Endpoint]) -> str:
+def _hears_instead(half: ReceivingTopic, offered: Qos, deaf: Collection[Endpoint]) -> str:
     """Return what subscribers that do not match hear of other publishers, and who hears this topic, as a clause."""
-    assert progress.qos is not None
     nodes = {each.node for each in deaf}
-    others = {p.node for p in progress.others if any(not clashes(p.qos, each.qos) for each in deaf)}
-    hearing = {each.node for each in progress.endpoints if not clashes(progress.qos, each.qos)} - nodes
+    others = {p.node for p in half.others if any(not clashes(p.qos, each.qos) for each in deaf)}
+    hearing = {each.node for each in half.endpoints if not clashes(offered, each.qos)} - nodes
     clause = f", so that {'it hears' if len(nodes) == 1 else 'they hear'} only {named(others)}" if others else ""
     if hearing:
         clause += f", while {named(hearing)} {'hears' if len(hearing) == 1 else 'hear'} this topic"
@@ -595,7 +512,7 @@ def _plural(endpoints: Collection[Endpoint], one: str, several: str, what: str =
     return f"{named(nodes)}{count} {one if len(nodes) == 1 else several}"
 
 
-_OF_SENDER: Rules[Facts] = (
+OF_SENDER: Rules[SendingTopic] = (
     _subscription,
     _publishers_qos,
     _publishers_types,
@@ -607,7 +524,6 @@ _OF_SENDER: Rules[Facts] = (
     _expired,
     _late,
     _slow,
-    _waiting,
-    _departed,
+    _unsent,
 )
-_OF_RECEIVER: Rules[Facts] = (_stale, _expired, _late, _clocks, _subscribers, _waiting)
+OF_RECEIVER: Rules[ReceivingTopic] = (_nothing_comes, _expired, _late, _clocks, _subscribers, _unreceived)

@@ -5,30 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from tests.support.judged import calls_half, calls_verdict
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
-from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
-from rsb_bridge.route.calls.calls_verdict import (
-    CallsFacts,
-    CallsProgress,
-    MalformedCall,
-    Trouble,
-    calls_stages,
-    judge_calls,
-)
+from rsb_bridge.route.calls.calls_verdict import CallsProgress, MalformedCall, Trouble, calls_stages
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 from rsb_bridge.route.crossing import Crossing
 
-FINE = CallsFacts(
-    RouteStatus(sends=True, topic="/go", accepted=True, came=True),
-    CallsProgress(served=True, providers=("/teller",), type_known=True, offered=True),
-    timeout=5.0,
-)
+FINE: dict[str, Any] = {
+    "sends": True, "topic": "/go", "accepted": True, "came": True, "providers": ("/teller",), "offered": True,
+    "timeout": 5.0,
+}  # fmt: skip
+SERVED = CallsProgress(served=True, providers=("/teller",), type_known=True, offered=True)
 CALL_STAGES = ("server seen", "type known", "link up", "peer accepted", "offered", "called", "answered")
 """Scripts read these names in JSON."""
 NOBODY = Trouble(Cause.NO_SERVER, "no server of /go in domain 2")
@@ -37,21 +30,14 @@ SILENT = PathFault(LinkCause.SILENT, "nothing comes")
 TWO = Trouble(Cause.SEVERAL_SERVERS, "/go is served by /one and /two")
 
 
-def changed(**changes: Any) -> CallsFacts:
-    """Return the facts with some of them changed, in any part."""
-    of_route = {name: changes.pop(name) for name in RouteStatus._fields if name in changes}
-    of_path = {name: changes.pop(name) for name in CallsProgress._fields if name in changes}
-    status, progress = FINE.status._replace(**of_route), FINE.progress._replace(**of_path)
-    return FINE._replace(status=status, progress=progress, **changes)
-
-
 def verdict_on(**changes: Any) -> Verdict:
-    return judge_calls(changed(**changes))
+    return calls_verdict(**(FINE | changes))
 
 
 def stages_on(**changes: Any) -> dict[str, Stage]:
-    facts = changed(**changes)
-    return {each.name: each for each in calls_stages(facts.status, facts.progress)}
+    progress = {name: changes.pop(name) for name in CallsProgress._fields if name in changes}
+    half = calls_half(**(FINE | changes))
+    return {each.name: each for each in calls_stages(half, SERVED._replace(**progress))}
 
 
 @pytest.mark.parametrize(
@@ -116,23 +102,20 @@ def test_a_stage_follows_from_the_facts(changes: dict[str, Any], name: str, done
 
 def test_what_is_refused_most_is_named() -> None:
     refused = {Refused.TOO_FAST: 1, Refused.CALLS_UNDER_WAY: 30}
-    text = judge_calls(FINE._replace(refused=refused, failing_since=0.0)).said(20.0)
+    text = verdict_on(refused=refused, failing_since=0.0).said(20.0)
     assert "31" in text
     assert REMEDIES[Refused.CALLS_UNDER_WAY] in text
 
 
 def test_malformed_calls_are_named_by_their_field() -> None:
     malformed = MalformedCall("B_Request", "name: too long")
-    facts = FINE._replace(refused={Refused.MALFORMED: 1}, malformed=malformed, failing_since=0.0)
-    assert "B_Request: name: too long" in judge_calls(facts).said(20.0)
+    verdict = verdict_on(refused={Refused.MALFORMED: 1}, malformed=malformed, failing_since=0.0)
+    assert "B_Request: name: too long" in verdict.said(20.0)
 
 
 def test_silent_node_is_not_excused_by_lossy_path() -> None:
     lossy = PathFault(LinkCause.LOSSY, "6 % of packets are lost")
-    far, near = (
-        judge_calls(FINE._replace(status=FINE.status._replace(sends=sends, path=lossy), expired=3, failing_since=0.0))
-        for sends in (False, True)
-    )
+    far, near = (verdict_on(sends=sends, path=lossy, expired=3, failing_since=0.0) for sends in (False, True))
     assert (near.cause, far.cause) == (Cause.LOSSY, Cause.UNANSWERED)
     for sends, own, others in ((True, near, far), (False, far, near)):
         both = CombinedVerdict(sends=sends, peer_name="the other")
@@ -144,8 +127,8 @@ def test_silent_node_is_not_excused_by_lossy_path() -> None:
 @pytest.mark.parametrize("sends", [True, False])
 def test_both_sides_show_the_same(sends: bool, trouble: Trouble, state: State) -> None:
     """Nobody serves it, as the providing side knows; the callers' side waits."""
-    near = verdict_on(offered=False, came=False, served=False)
-    far = judge_calls(CallsFacts(RouteStatus(sends=False, topic="/go"), unavailable=trouble))
+    near = verdict_on(offered=False, came=False)
+    far = calls_verdict(sends=False, topic="/go", unavailable=trouble)
     own, others = (near, far) if sends else (far, near)
     both = CombinedVerdict(sends=sends, peer_name="the other")
     both.receive(record_of(others), 0.0)

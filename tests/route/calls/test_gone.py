@@ -55,7 +55,7 @@ def providing(ros: Graph, make_context: Callable[..., Context]) -> ProvidingRout
 def looks(route: ProvidingRoute) -> Cause | None:
     """Look at the graph again; return why nobody can be called, or None."""
     route.advance()
-    trouble = route.facts().unavailable
+    trouble = route.unavailable()
     return trouble.cause if trouble is not None else None
 
 

@@ -20,7 +20,7 @@ from rsb_bridge.route.calls.call_endpoints import OpenLane, OpenLanes
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
 from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.calls_route import CallsRoute, from_wrong_side
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
+from rsb_bridge.route.calls.calls_verdict import CallsProgress, Trouble
 from rsb_bridge.route.calls.lane_types import TypeComparison
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
@@ -252,10 +252,10 @@ class CallingRoute(CallsRoute):
         services = [name for member, name in zip(self.members, names, strict=True) if not member.is_topic]
         callers = {service: ros.callers(service) for service in services}
         self.endpoints = [each for found in callers.values() for each in found]
-        self._unavailable = self._warning = None
+        self._unavailable = self.warning = None
         if entries := self._provided.lanes:
             self.type_name, self.type_hash = self.types.know(entries)
-            self._warning = others_called(self.members, entries, names, callers)
+            self.warning = others_called(self.members, entries, names, callers)
             self._unavailable = self._local_servers.find_trouble(services, offered=bool(self._reach))
             if self._unavailable is None and self.types.load(entries):
                 self._unavailable = types_clash(ros, self.members, entries, names, callers, self._comparison)
@@ -531,16 +531,16 @@ class CallingRoute(CallsRoute):
 
     # --- verdict and snapshot
 
-    def facts(self) -> CallsFacts:
-        facts = super().facts()._replace(waited=self.judged.peer.cause == Cause.CALLS_WAIT)
+    def unavailable(self) -> Trouble | None:
+        """Return the reason why nothing can be called; of an absent server, with the node here that may be meant."""
         if not self._served_here or self.judged.peer.cause != Cause.NO_SERVER:
-            return facts
+            return super().unavailable()
         text = (
             f"nobody serves {self.remote_topic} on the providing side, but {named(self._served_here)} serves "
             f"{self.local_topic} on the callers' side: if that node is meant, set provider: "
             f"{'client' if self.spec.provider == 'server' else 'server'}"
         )
-        return facts._replace(unavailable=Trouble(Cause.NO_SERVER, text))
+        return Trouble(Cause.NO_SERVER, text)
 
     def reported(self, report: CallsReport) -> None:
         """Take the peer's counts and verdict."""

@@ -20,8 +20,9 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.calls_ledger import CallFailures, CallsLedger
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, MalformedCall, Trouble, calls_stages, judge_calls
+from rsb_bridge.route.calls.calls_verdict import MalformedCall, Trouble, calls_stages, judge_calls
 from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.calls.ros_retry import RosRetry
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RosError
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
+    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
@@ -226,6 +228,7 @@ class CallsRoute(Route):
         types: their types.
         calls: counts of its calls on this side.
         failures: counts those without an answer, and tells operators why.
+        warning: the trouble that does not keep calls from crossing, or None.
         came: whether a call came in the present opening.
     """
 
@@ -253,7 +256,7 @@ class CallsRoute(Route):
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._last_report: CallsReport | None = None
         self._unavailable: Trouble | None = None
-        self._warning: Trouble | None = None
+        self.warning: Trouble | None = None
         self._retry = RosRetry(self)
 
     # --- what the halves do differently
@@ -366,7 +369,7 @@ class CallsRoute(Route):
         # After `_give_up_all`, which queues refusals: the next opening has other calls of the same numbers.
         self._outbox.clear()
         self._unpacker.clear()
-        self._unavailable = self._warning = None
+        self._unavailable = self.warning = None
         self._retry.clear()
         super().close(reason)
 
@@ -521,32 +524,25 @@ class CallsRoute(Route):
     def owing(self) -> bool:
         return self.calls.in_flight > 0
 
+    def unavailable(self) -> Trouble | None:
+        """Return the reason why nothing can be called, or None if this side knows of none."""
+        return self._unavailable or self._retry.trouble
+
+    def last_malformed(self) -> MalformedCall | None:
+        """Return the last malformed request or response, or None."""
+        return self._last_malformed or _malformed_in(self._report)
+
     @property
-    def breaking(self) -> str:
-        return self.losses.repeated
+    def waited(self) -> bool:
+        """Whether calls expired lately that their node never got, because it had not read earlier ones."""
+        return self.judged.peer.cause == Cause.CALLS_WAIT if self.outgoing else self.calls.waited_lately()
 
-    def facts(self) -> CallsFacts:
-        """Return what this half's verdict is judged from."""
-        return CallsFacts(
-            self.status(),
-            self.progress(),
-            unavailable=self._unavailable or self._retry.trouble,
-            warning=self._warning,
-            in_flight=self.calls.in_flight,
-            expired=self.calls.expired_lately(),
-            unanswered=self.calls.unanswered,
-            refused=self.calls.refused_lately(),
-            malformed=self._last_malformed or _malformed_in(self._report),
-            failing_since=self.failures.since,
-            timeout=self.call_timeout,
-        )
-
-    def _judge(self) -> Verdict:
-        return judge_calls(self.facts())
+    def _judge(self, crossing: Crossing) -> Verdict:
+        return judge_calls(self, crossing)
 
     def stages(self) -> tuple[Stage, ...]:
         """Return the stages of a call's path."""
-        return calls_stages(self.setup(), self.progress())
+        return calls_stages(self, self.progress())
 
     @property
     def came_before(self) -> bool:

@@ -1,20 +1,20 @@
-"""The stages and the verdict of a half of a route of calls: rules over its facts, without a clock or an effect."""
+"""The stages and the verdict of a half of a route of calls: rules that only read it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LASTING, Cause, LinkCause, Verdict
-from rsb_bridge.route.blocking_rules import as_known, first_missing, link_and_acceptance, stage, worst
+from rsb_bridge.route.blocking_rules import JudgedRoute, as_known, first_missing, link_and_acceptance, stage, worst
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from rsb_bridge.model.snapshot import Stage
-    from rsb_bridge.route.blocking_rules import RouteStatus, Rules
+    from rsb_bridge.route.blocking_rules import Rules
+    from rsb_bridge.route.calls.calls_ledger import CallFailures, CallsLedger
+    from rsb_bridge.route.crossing import Crossing
 
 
 class Trouble(NamedTuple):
@@ -68,125 +68,109 @@ class MalformedCall(NamedTuple):
     field: str
 
 
-class CallsFacts(NamedTuple):
-    """One half's knowledge of its calls.
+class JudgedCalls(JudgedRoute, Protocol):
+    """One half of a route of calls, as its rules and stages read it."""
 
-    Attributes:
-        status: the part that does not depend on what the route carries.
-        progress: how far calls get.
-        unavailable: the reason why nothing can be called, or None if this side knows of none.
-        warning: the trouble that does not keep calls from crossing, or None.
-        in_flight: calls without an answer.
-        expired: calls in the last `LATELY` s that had no answer in time.
-        waited: whether calls expired lately that their node never got, because it had not read earlier ones.
-        unanswered: whether the last calls that are over had no answer in time, however long ago that was.
-        refused: calls refused in the last `LATELY` s, by cause.
-        malformed: the last malformed request or response, or None.
-        failing_since: s, when calls began to fail, or None if none fails.
-        timeout: s, after which a call is given up.
-    """
+    calls: CallsLedger
+    failures: CallFailures
+    warning: Trouble | None
 
-    status: RouteStatus
-    progress: CallsProgress = CallsProgress()
-    unavailable: Trouble | None = None
-    warning: Trouble | None = None
-    in_flight: int = 0
-    expired: int = 0
-    waited: bool = False
-    unanswered: bool = False
-    refused: Mapping[Refused, int] = {}
-    malformed: MalformedCall | None = None
-    failing_since: float | None = None
-    timeout: float = 0.0
+    def stages(self) -> tuple[Stage, ...]: ...
+
+    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]: ...
+
+    @property
+    def offered(self) -> bool: ...
+
+    def unavailable(self) -> Trouble | None: ...
+
+    @property
+    def waited(self) -> bool: ...
+
+    def last_malformed(self) -> MalformedCall | None: ...
+
+    @property
+    def call_timeout(self) -> float: ...
 
 
-def judge_calls(facts: CallsFacts) -> Verdict:
+def judge_calls(half: JudgedCalls, crossing: Crossing) -> Verdict:
     """Return the verdict that counts."""
-    return worst(facts.status, _RULES, facts)[0]
+    return worst(half, crossing, _RULES)[0]
 
 
-def calls_stages(status: RouteStatus, progress: CallsProgress) -> tuple[Stage, ...]:
+def calls_stages(half: JudgedRoute, progress: CallsProgress) -> tuple[Stage, ...]:
     """Return the stages from the server to the caller that has its answer, in order."""
-    untyped = not status.sends and bool(progress.served) and not progress.type_known  # else the other side knows why
+    served, known = bool(progress.served), progress.type_known
+    untyped = not half.outgoing and served and not known  # else the other side knows why
+    providers = ", ".join(progress.providers)
     stages = (
-        stage(
-            "server seen",
-            bool(progress.served),
-            progress.why_unserved,
-            failed=progress.served is False,
-            note=", ".join(progress.providers),
-        ),
-        stage(
-            "type known",
-            progress.type_known,
-            progress.why_unserved if untyped else "",
-            failed=untyped,
-            note=progress.type_name,
-        ),
-        *link_and_acceptance(status),
+        stage("server seen", served, progress.why_unserved, failed=progress.served is False, note=providers),
+        stage("type known", known, progress.why_unserved if untyped else "", failed=untyped, note=progress.type_name),
+        *link_and_acceptance(half),
         stage("offered", progress.offered, progress.why_not_offered, failed=progress.offer_failed),
         stage("called", progress.asked > 0),
         stage("answered", progress.answered > 0, progress.last_failure),
     )
-    return as_known(status, stages)
+    return as_known(half, stages)
 
 
-def _unavailable(facts: CallsFacts) -> Verdict | None:
-    if facts.unavailable is None:
+def _unavailable(half: JudgedCalls, _: Crossing) -> Verdict | None:
+    if (trouble := half.unavailable()) is None:
         return None
-    not_yet = facts.unavailable.cause is Cause.NO_SERVER  # as a topic that has no publisher yet
-    return Verdict(State.WAITING if not_yet else State.DOWN, *facts.unavailable)
+    not_yet = trouble.cause is Cause.NO_SERVER  # as a topic that has no publisher yet
+    return Verdict(State.WAITING if not_yet else State.DOWN, *trouble)
 
 
-def _awaits_link(facts: CallsFacts) -> Verdict | None:
-    path = facts.status.path
-    if not facts.in_flight or path is None or path.cause is not LinkCause.SILENT:
+def _awaits_link(half: JudgedCalls, _: Crossing) -> Verdict | None:
+    path = half.peer.path.fault
+    if path is None or path.cause is not LinkCause.SILENT or not half.calls.in_flight:
         return None
     return Verdict(State.WAITING, Cause.AWAITS_LINK, path.text)
 
 
-def _unanswered(facts: CallsFacts) -> Verdict | None:
-    if facts.expired:
-        what = f"calls have timed out for {LASTING}, {facts.expired:,} in the last {LATELY} s"
-    elif facts.unanswered:
+def _unanswered(half: JudgedCalls, _: Crossing) -> Verdict | None:
+    if expired := half.calls.expired_lately():
+        what = f"calls have timed out for {LASTING}, {expired:,} in the last {LATELY} s"
+    elif half.calls.unanswered:
         what = f"no call has been answered for {LASTING}: the last one timed out"
     else:
         return None
-    nodes = " and ".join(facts.progress.providers) or "the far node"
-    if facts.waited:
+    providers = half.end_nodes()[1]
+    nodes = " and ".join(providers) or "the far node"
+    if half.waited:
         text = f"{what}; they waited for {nodes} to take earlier ones: make fewer at once, or set a longer timeout"
-        return Verdict(State.SLOW, Cause.CALLS_WAIT, text, facts.failing_since)
-    text = f"{what}; check why {nodes} does not answer within {facts.timeout:g} s, or set a longer timeout"
-    return Verdict(State.SLOW, Cause.UNANSWERED, text, facts.failing_since)
+        return Verdict(State.SLOW, Cause.CALLS_WAIT, text, half.failures.since)
+    text = f"{what}; check why {nodes} does not answer within {half.call_timeout:g} s, or set a longer timeout"
+    return Verdict(State.SLOW, Cause.UNANSWERED, text, half.failures.since)
 
 
-def _refused(facts: CallsFacts) -> Verdict | None:
-    if not facts.refused:
+def _refused(half: JudgedCalls, _: Crossing) -> Verdict | None:
+    if not (refused := half.calls.refused_lately()):
         return None
-    why = max(facts.refused, key=lambda each: facts.refused[each])
-    count = sum(facts.refused.values())
-    text = f"calls have been refused for {LASTING}, {count:,} in the last {LATELY} s: "
-    if why is Refused.MALFORMED and facts.malformed is not None:
-        text += f"they or their answers are malformed ({': '.join(facts.malformed)}): see the node that sent them"
+    why = max(refused, key=lambda each: refused[each])
+    text = f"calls have been refused for {LASTING}, {refused.total():,} in the last {LATELY} s: "
+    if why is Refused.MALFORMED and (malformed := half.last_malformed()) is not None:
+        text += f"they or their answers are malformed ({': '.join(malformed)}): see the node that sent them"
     else:
         text += REMEDIES[why]
-    return Verdict(State.SLOW, Cause.CALLS_REFUSED, text, facts.failing_since)
+    return Verdict(State.SLOW, Cause.CALLS_REFUSED, text, half.failures.since)
 
 
-def _warning(facts: CallsFacts) -> Verdict | None:
-    return Verdict(State.UNHEARD, *facts.warning) if facts.warning is not None else None
+def _warning(half: JudgedCalls, _: Crossing) -> Verdict | None:
+    return Verdict(State.UNHEARD, *half.warning) if half.warning is not None else None
 
 
-def _waiting(facts: CallsFacts) -> Verdict | None:
-    if facts.status.came and facts.progress.offered:
+def _waiting(half: JudgedCalls, crossing: Crossing) -> Verdict | None:
+    offered = half.offered
+    if half.came and offered:
         return None
-    text = "not called since it was reopened" if facts.status.came_before else "not called yet"
-    if not facts.progress.offered and not facts.status.crossing.flows:
-        text = f"waiting: {first_missing(calls_stages(facts.status, facts.progress))}"
+    text = "not called since it was reopened" if half.came_before else "not called yet"
+    if not offered and not crossing.flows:
+        text = f"waiting: {first_missing(half.stages())}"
     return Verdict(State.WAITING, Cause.NO_CALL, text)
 
 
-_RULES: Rules[CallsFacts] = (
+_RULES: Rules[JudgedCalls] = (
     _unavailable,
     _awaits_link,
     _unanswered,

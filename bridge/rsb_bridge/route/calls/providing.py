@@ -22,7 +22,7 @@ from rsb_bridge.route.calls.call_endpoints import OpenLane, OpenLanes
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_route import CallsRoute, from_wrong_side
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
+from rsb_bridge.route.calls.calls_verdict import CallsProgress, Trouble
 from rsb_bridge.route.calls.kept_calls import result_request
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
 from rsb_bridge.route.calls.paced_client import PacedClient
@@ -171,7 +171,7 @@ class ProvidingRoute(CallsRoute):
         self._present = present
         loop = found.unavailable is not None and found.unavailable.cause is Cause.LOOP
         self.notices.set_loop(found.unavailable.text if loop and found.unavailable else "")
-        self._unavailable, self._warning = None if loop else self._or_gone(found.unavailable), found.warning
+        self._unavailable, self.warning = None if loop else self._or_gone(found.unavailable), found.warning
         if found.entries:
             # Also while it is paused or not armed: the first call afterwards would wait for them.
             self.types.load(found.entries)
@@ -491,13 +491,13 @@ class ProvidingRoute(CallsRoute):
 
     # --- verdict and snapshot
 
-    def facts(self) -> CallsFacts:
-        facts = super().facts()._replace(waited=self.calls.waited_lately())
-        trouble = facts.unavailable
+    def unavailable(self) -> Trouble | None:
+        """Return the reason why nothing can be called, or None; of an absent server, with a name that may be meant."""
+        trouble = super().unavailable()
         if trouble is None or trouble.cause is not Cause.NO_SERVER or self._served_in or self.endpoints:
-            return facts
+            return trouble
         hint = self.context.suggester.of((self.spec.kind, self.local_topic))
-        return facts._replace(unavailable=Trouble(trouble.cause, f"{trouble.text}; {hint}")) if hint else facts
+        return Trouble(trouble.cause, f"{trouble.text}; {hint}") if hint else trouble
 
     def progress(self) -> CallsProgress:
         failure = self._retry.trouble.text if self._retry.trouble else ""

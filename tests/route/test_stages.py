@@ -1,0 +1,113 @@
+"""The stages of a topic's path, as each half knows them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.offline import FakePeer, half_of
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.reason import Reason
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict
+from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.wire.records import ReceivedReport, SentReport
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.snapshot import Stage
+
+NAMES = (
+    "publisher seen", "type known", "QoS compatible", "subscribed", "link up", "peer accepted", "sent", "received",
+    "published", "subscriber seen",
+)  # fmt: skip
+"""Scripts read these names in JSON."""
+HALVES = pytest.mark.parametrize("half", [OutgoingRoute, IncomingRoute])
+
+
+def opened(half: Callable[..., Any], context: Context, peer: FakePeer | None = None) -> Any:
+    route = half_of(half, context, Topic("/chat", "transmit"), peer)
+    route.open(1)
+    return route
+
+
+def stages_of(route: Any) -> dict[str, Stage]:
+    stages = {each.name: each for each in route.stages()}
+    assert tuple(stages) == NAMES
+    return stages
+
+
+@HALVES
+def test_without_link_only_that_is_known(half: Callable[..., Any], make_context: Callable[..., Context]) -> None:
+    peer = FakePeer()
+    peer.linked = False
+    peer.down_reason = "no route to host"
+    known = {
+        name: each for name, each in stages_of(opened(half, make_context(), peer)).items() if each.done is not None
+    }
+    assert {name: (each.done, each.detail) for name, each in known.items()} == {"link up": (False, "no route to host")}
+
+
+@HALVES
+@pytest.mark.parametrize(("state", "done"), [(State.WAITING, None), (State.DOWN, False)])
+def test_link_without_a_path(
+    half: Callable[..., Any], state: State, done: bool | None, make_context: Callable[..., Context]
+) -> None:
+    route = opened(half, make_context())
+    route.channel = SimpleNamespace(ready=True, trouble=lambda: Verdict(state, Cause.NO_PATH, "stuck"))
+    link = stages_of(route)["link up"]
+    assert (link.done, link.detail) == (done, "stuck")
+
+
+@HALVES
+def test_acceptance_and_refusal(half: Callable[..., Any], make_context: Callable[..., Context]) -> None:
+    route = opened(half, make_context())
+    assert stages_of(route)["peer accepted"].done is None
+    route.on_accepted()
+    assert stages_of(route)["peer accepted"].done is True
+    route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
+    accepted = stages_of(route)["peer accepted"]
+    assert (accepted.done, accepted.detail) == (False, "denied")
+
+
+@HALVES
+def test_loop_prevents_the_subscription(half: Callable[..., Any], make_context: Callable[..., Context]) -> None:
+    route = opened(half, make_context())
+    route.notices.loop = "round"
+    subscribed = stages_of(route)["subscribed"]
+    assert (subscribed.done, subscribed.detail) == (False, "round")
+
+
+@HALVES
+def test_qos_is_unknown_without_a_type(half: Callable[..., Any], make_context: Callable[..., Context]) -> None:
+    stages = stages_of(opened(half, make_context()))
+    assert (stages["type known"].done, stages["QoS compatible"].done) == (None, None)
+
+
+def test_sender_knows_what_receiver_has_reported(make_context: Callable[..., Context]) -> None:
+    route = opened(OutgoingRoute, make_context())
+    route.on_accepted()
+    assert stages_of(route)["publisher seen"].done is False
+    assert stages_of(route)["subscriber seen"].detail == ""
+    route.reported(ReceivedReport(route=1))
+    assert "/chat there" in stages_of(route)["subscriber seen"].detail
+    route.reported(ReceivedReport(route=1, subscribers=2))
+    assert stages_of(route)["subscriber seen"].done is True
+
+
+def test_receiver_knows_what_sender_has_reported(make_context: Callable[..., Context]) -> None:
+    route = opened(IncomingRoute, make_context())
+    assert stages_of(route)["publisher seen"].done is None
+    route.reported(SentReport(route=1, publishers=0))
+    assert stages_of(route)["publisher seen"].done is False
+    route.reported(SentReport(route=1, publishers=1, subscribed=True, offered=3, in_flight=3))
+    stages = stages_of(route)
+    done = {name for name, each in stages.items() if each.done}
+    assert {"publisher seen", "subscribed", "sent"} <= done
+    assert "received" not in done
