@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -51,13 +53,18 @@ def graph() -> Graph:
 
 
 def found(graph: Graph, kind: str = "service", wanted: str = "") -> Provision:
-    lanes = LANES[kind]  # type: ignore[index]
-    return provision(graph, lanes, "/go", wanted, 2, lambda lane: graph.servers("/go" + lanes[lane].suffix))
+    guard: Any = SimpleNamespace(servers=lambda service, _: graph.servers(service))
+    return provided(graph, kind, wanted, guard)
 
 
-def cause(provided: Provision) -> Cause | None:
-    assert not provided.entries or provided.unavailable is None
-    return provided.unavailable.cause if provided.unavailable else None
+def provided(graph: Graph, kind: str, wanted: str, guard: Any) -> Provision:
+    context: Any = SimpleNamespace(ros=graph, domain_id=2)
+    return provision(context, LANES[kind], "/go", "/far/go", wanted, guard)  # type: ignore[index]
+
+
+def cause(found: Provision) -> Cause | None:
+    assert not found.entries or found.unavailable is None
+    return found.unavailable.cause if found.unavailable else None
 
 
 def test_action_needs_services_topics_may_follow(graph: Graph) -> None:
@@ -98,8 +105,8 @@ def test_several_servers_are_named_restarted_one_is_not(graph: Graph) -> None:
 
 
 def test_reason_against_call_is_told_by_knowing_side(graph: Graph) -> None:
-    def servers_of(_: int) -> list[Endpoint]:
+    def servers(service: str, callers_name: str) -> list[Endpoint]:
+        assert (service, callers_name) == ("/go", "/far/go")
         raise UnavailableError(Cause.LOOP, "a circle")
 
-    provided = provision(graph, LANES["service"], "/go", "", 2, servers_of)
-    assert cause(provided) is Cause.LOOP
+    assert cause(provided(graph, "service", "", SimpleNamespace(servers=servers))) is Cause.LOOP

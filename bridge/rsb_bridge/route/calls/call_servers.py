@@ -20,7 +20,7 @@ from rsb_bridge.wire.records import LaneEntry
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import ServiceMember
@@ -63,33 +63,28 @@ class UnavailableError(Exception):
 
 
 def provision(
-    ros: RosInterface,
-    members: Sequence[ServiceMember],
-    name: str,
-    wanted: str,
-    domain_id: int,
-    servers_of: Callable[[int], Sequence[Endpoint]],
+    context: Context, members: Sequence[ServiceMember], name: str, callers_name: str, wanted: str, guard: CallLoopGuard
 ) -> Provision:
     """Find what can be called here.
 
     Args:
         name: the route's, on this side.
+        callers_name: the route's, on the callers' side.
         wanted: the type that the session names, or empty for any.
-        domain_id: of this side, for people.
-        servers_of: returns the servers of a lane that may be called, or raises `UnavailableError` if none may.
     """
+    ros = context.ros
     servers: list[Endpoint] = []
     entries: list[LaneEntry] = []
     route_type = wanted
     try:
-        for number, member in enumerate(members):
+        for member in members:
             service = member.name_on(name)
             if member.is_topic:
                 entries.append(_topic_entry(ros, member, service, route_type))
                 continue
-            found = servers_of(number)
+            found = guard.servers(service, member.name_on(callers_name))
             if not found:
-                raise UnavailableError(Cause.NO_SERVER, f"no server of {service} in domain {domain_id}")
+                raise UnavailableError(Cause.NO_SERVER, f"no server of {service} in domain {context.domain_id}")
             servers += found
             entry = _service_entry(ros, found, service, member.type_in(wanted))
             route_type = route_type or member.route_type(entry.type)

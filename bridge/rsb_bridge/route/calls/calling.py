@@ -135,11 +135,6 @@ class CallerCall(PendingCall):
     caller: bytes
     kept: KeptCall | None = None
 
-    def unanswered(self, reason: str) -> None:
-        """Tell an operator that no answer will come. ROS has no way to tell other callers."""
-        if isinstance(self.server, ManualCall):
-            self.server.fail(reason)
-
 
 class CallerCalls(PendingCalls[CallerCall]):
     """The calls of one callers' half that wait for answers, numbered as they are sent.
@@ -487,18 +482,17 @@ class CallingRoute(CallsRoute):
 
     def _take_unusable(self, frame: CallFrame, why: Refused) -> None:
         """End a call whose answer came, but cannot be passed on."""
-        if (call := self._pending.end_by(frame)) is None:
-            return
-        call.unanswered(self.failures.refused(why))
-        if frame.what is What.ANSWER:
-            self._answer_lost(call)
+        if (call := self._pending.end_by(frame)) is not None:
+            self._unanswered(call, self.failures.refused(why))
 
     def _end_refused(self, call: CallerCall, why: Refused) -> None:
         """Handle that the other side will not answer a call, which has ended."""
-        call.unanswered(self.failures.refused(why))
+        self._unanswered(call, self.failures.refused(why))
 
-    def _answer_lost(self, call: CallerCall) -> None:
-        """Handle that the other side has answered a call, which has ended, but its caller does not hear it."""
+    def _unanswered(self, call: CallerCall, reason: str) -> None:
+        """Tell an operator that no answer to a call will come. ROS has no way to tell other callers."""
+        if isinstance(call.server, ManualCall):
+            call.server.fail(reason)
 
     def _take_message(self, frame: CallFrame) -> None:
         """Publish a message of a lane that is a topic."""
@@ -514,19 +508,18 @@ class CallingRoute(CallsRoute):
     def _expired(self, number: int, call: CallerCall) -> None:
         self.calls.expired += 1
         self.failures.say(f"a call had no answer within {self.call_timeout:g} s")
-        call.unanswered(f"{self.calls.last_failure}; {_landed(number, self._report)}")
+        self._unanswered(call, f"{self.calls.last_failure}; {_landed(number, self._report)}")
 
     def _give_up_all(self, why: str) -> None:
         lost = 0
         for number, call in self._pending.clear():
-            if self._is_kept(call):
-                continue
-            call.unanswered(f"no answer: {why}; {_landed(number, self._report)}")
-            lost += 1
+            if not self._keep(call):
+                self._unanswered(call, f"no answer: {why}; {_landed(number, self._report)}")
+                lost += 1
         self.failures.lost(lost, why)
 
-    def _is_kept(self, call: CallerCall) -> bool:
-        """Keep a call until the other side can be reached again; return False if it is given up instead."""
+    def _keep(self, call: CallerCall) -> bool:
+        """Have a call wait until it can be sent again; return False if it is given up instead."""
         return False
 
     # --- verdict and snapshot

@@ -97,8 +97,14 @@ class CallingActionRoute(CallingRoute):
     def asked(self, service: OfferedService, requests: Sequence[Request]) -> None:
         if self._reach:
             super().asked(service, requests)
-        else:  # an interruption leaves some services open
-            self._keep_requests(service.lane, requests)
+            return
+        # An interruption leaves some services open.
+        now = self.context.now()
+        for request in requests:
+            self._asked_for(len(request.payload))
+            call = KeptCall(service.lane, request.caller, request.payload, now, again=False)
+            if not self.waiting.keep(call, now):
+                self._give_up_waiting(call)
 
     def _refuse_request(self, service: OfferedService, request: Request, why: Refused) -> None:
         super()._refuse_request(service, request, why)
@@ -115,9 +121,6 @@ class CallingActionRoute(CallingRoute):
             self.goals.response(call.lane, goal, frame.content)
         super()._answer_caller(call, frame)
 
-    def _answer_lost(self, call: CallerCall) -> None:
-        self._unanswered(call.kept)  # a goal may have been accepted
-
     def _end_refused(self, call: CallerCall, why: Refused) -> None:
         """Keep a call if a later attempt may succeed, or end it."""
         if call.lane in _OUTLIVING and why in _FOR_NOW and self._keep(call):
@@ -125,23 +128,18 @@ class CallingActionRoute(CallingRoute):
         super()._end_refused(call, why)
         if (kept := call.kept) is None or call.lane != SEND_GOAL:
             return
+        # Else the goal may run, even if only the second attempt was refused.
         if why is Refused.NOT_ARRIVED or (why is not Refused.LOST and not kept.again):
             self._reject(call.server, call.caller, kept.payload)
-        else:
-            self._unanswered(kept)  # the goal may run, even if only the second attempt was refused
 
-    def _expired(self, number: int, call: CallerCall) -> None:
-        self._unanswered(call.kept)
-        super()._expired(number, call)
+    def _unanswered(self, call: CallerCall, reason: str) -> None:
+        super()._unanswered(call, reason)
+        if call.kept is not None:
+            self._lose_goal(call.kept)
 
-    def _is_kept(self, call: CallerCall) -> bool:
-        if self._keep(call):
-            return True
-        self._unanswered(call.kept)
-        return False
-
-    def _unanswered(self, call: KeptCall | None) -> None:
-        if call is not None and call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
+    def _lose_goal(self, call: KeptCall) -> None:
+        """Note, of a call that was given up, that a goal may have been accepted."""
+        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
             self.goals.unanswered(goal)
 
     def _take_message(self, frame: CallFrame) -> None:
@@ -151,19 +149,7 @@ class CallingActionRoute(CallingRoute):
     # --- calls that wait
 
     def _keep(self, call: CallerCall) -> bool:
-        """Have a pending call wait until it can be sent again; return False if it cannot be kept."""
-        if call.kept is None:
-            return False
-        return self.waiting.keep(call.kept._replace(again=True), self.context.now())
-
-    def _keep_requests(self, lane: int, requests: Sequence[Request]) -> None:
-        """Keep requests until the action can be reached."""
-        now = self.context.now()
-        for request in requests:
-            self._asked_for(len(request.payload))
-            call = KeptCall(lane, request.caller, request.payload, now, again=False)
-            if not self.waiting.keep(call, now):
-                self._give_up_waiting(call)
+        return call.kept is not None and self.waiting.keep(call.kept._replace(again=True), self.context.now())
 
     def _send_waiting(self) -> None:
         """Send all calls that wait, cancels first."""
@@ -182,13 +168,13 @@ class CallingActionRoute(CallingRoute):
                 self._begin(call, kept.payload, what=what)
             elif not self.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
                 self.failures.refused(why)
-                self._unanswered(kept)
+                self._lose_goal(kept)
         self.flush()
 
     def _give_up_waiting(self, call: KeptCall, why: str = _UNREACHABLE) -> None:
         """Give up a call that waited, or cannot wait."""
         self.failures.lost(1, why)
-        self._unanswered(call)
+        self._lose_goal(call)
 
     def _reject(self, server: ServiceServer, caller: bytes, request: bytes) -> None:
         """Answer that a goal is not accepted: it did not begin, and will not."""
@@ -205,7 +191,7 @@ class CallingActionRoute(CallingRoute):
             self.calls.expired += len(expired)
             self.failures.say("a call about a goal waited too long for the action to be reached again")
             for call in expired:
-                self._unanswered(call)
+                self._lose_goal(call)
         self._give_up_results()
         if self._reach and self.waiting:
             self._send_waiting()
@@ -237,10 +223,7 @@ class CallingActionRoute(CallingRoute):
     # --- snapshot
 
     def snapshot(self) -> RouteSnapshot:
-        return replace(super().snapshot(), goals=self.goals.snapshot(self._awaited()))
-
-    def _awaited(self) -> set[bytes]:
-        """Return the goals whose results callers wait for."""
         kept = [call.kept for _, call in self._pending.items() if call.kept is not None and call.lane == GET_RESULT]
         requests = [*(each.payload for each in kept), *self.waiting.requests(GET_RESULT)]
-        return {goal for request in requests if (goal := goal_of(request)) is not None}
+        awaited = {goal for request in requests if (goal := goal_of(request)) is not None}
+        return replace(super().snapshot(), goals=self.goals.snapshot(awaited))

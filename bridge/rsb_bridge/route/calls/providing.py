@@ -171,33 +171,22 @@ class ProvidingRoute(CallsRoute):
         self._present = present
         loop = found.unavailable is not None and found.unavailable.cause is Cause.LOOP
         self.notices.set_loop(found.unavailable.text if loop and found.unavailable else "")
-        self._unavailable, self.warning = None if loop else self._or_gone(found.unavailable), found.warning
+        self._unavailable, self.warning = None if loop else found.unavailable, found.warning
+        has_gone = self._served_in == self.peer.connections and not self._loop_guard.waits
+        if has_gone and found.unavailable is not None and found.unavailable.cause is Cause.NO_SERVER:
+            text = f"{found.unavailable.text} any more: start its node again"
+            self._unavailable = Trouble(Cause.SERVER_GONE, text)
         if found.entries:
             # Also while it is paused or not armed: the first call afterwards would wait for them.
             self.types.load(found.entries)
             self.type_name, self.type_hash = self.types.know(found.entries)
             self._served_in = self.peer.connections
 
-    def _or_gone(self, trouble: Trouble | None) -> Trouble | None:
-        """Return a trouble; a missing server that was there before has gone."""
-        has_gone = self._served_in == self.peer.connections and not self._loop_guard.waits
-        if trouble is None or trouble.cause is not Cause.NO_SERVER or not has_gone:
-            return trouble
-        return Trouble(Cause.SERVER_GONE, f"{trouble.text} any more: start its node again")
-
     def _find(self) -> Provision:
         """Return what can be called here."""
-        context, guard = self.context, self._loop_guard
-        names = [(each.name_on(self.local_topic), each.name_on(self.topic)) for each in self.members]
+        guard = self._loop_guard
         guard.begin()
-        found = provision(
-            context.ros,
-            self.members,
-            self.local_topic,
-            self.proposal.type,
-            context.domain_id,
-            lambda lane: guard.servers(*names[lane]),
-        )
+        found = provision(self.context, self.members, self.local_topic, self.topic, self.proposal.type, guard)
         if guard.waits:
             self._advance_after(_EXPLAINED_AGAIN)
         return found
@@ -211,7 +200,7 @@ class ProvidingRoute(CallsRoute):
                 self._unmatched_since = self.context.now()
             clients.open_topics(entries)
         except RosError as error:
-            self._no_clients(error)
+            self.endpoint_failed(error)
         else:
             self._retry.clear()
 
@@ -250,14 +239,11 @@ class ProvidingRoute(CallsRoute):
         self.advance()
 
     def endpoint_failed(self, error: RosError) -> None:
-        self._no_clients(error)
-        self._tell()
-        self.flush()
-
-    def _no_clients(self, error: RosError) -> None:
         self._clients.close()
         self._give_up_all("it cannot be called here")
         self._ros_failed(f"cannot be called here: {error}", self._provision.entries)
+        self._tell()
+        self.flush()
 
     def _close_clients(self) -> None:
         self._clients.close()
@@ -301,14 +287,16 @@ class ProvidingRoute(CallsRoute):
         self._asked_for(len(frame.content))
         if (why := self._refusal(frame) if readable else Refused.BYTES_UNDER_WAY) is not None:
             self._refuse_peer(frame, why)
-        else:
-            self._pass_on(frame, self._add(frame))
+            return
+        call = PeersCall(frame.lane, frame_size(frame.content), self.context.now(), self._present)
+        self._pending.add(frame.call, call, self.timeout_of(frame.lane))
+        self._pass_on(frame, call)
 
     def _pass_on(self, frame: CallFrame, call: PeersCall) -> None:
         """Call the node, once it has read earlier calls."""
         client = self._clients.services[frame.lane].client
         call.waits = client.is_busy
-        client.in_turn(frame.call, partial(self._take_turn, frame, call))
+        client.in_turn(frame.call, partial(self._call, frame, call))
 
     def _compose_gates(self) -> None:
         gates = [providing_gates(self, limited=limited) for limited in (False, True)]
@@ -328,14 +316,6 @@ class ProvidingRoute(CallsRoute):
             return why
         return None if leaving is None else leaving(frame, self.context.now())
 
-    def _take_turn(self, frame: CallFrame, call: PeersCall) -> None:
-        arriving = self._arriving[self._is_limited(frame)] if call.waits else None
-        call.waits = False
-        if arriving is not None and (why := arriving(frame, self.context.now())) is not None:
-            self._give_up(frame.call, why)
-        else:
-            self._call(frame, call)
-
     def _is_limited(self, frame: CallFrame) -> bool:
         """Return whether arming, pauses and limits apply to a call."""
         return self.members[frame.lane].limited
@@ -345,6 +325,12 @@ class ProvidingRoute(CallsRoute):
         return False
 
     def _call(self, frame: CallFrame, call: PeersCall) -> None:
+        """Call the node, unless something has come in between while the call waited for its turn."""
+        arriving = self._arriving[self._is_limited(frame)] if call.waits else None
+        call.waits = False
+        if arriving is not None and (why := arriving(frame, self.context.now())) is not None:
+            self._give_up(frame.call, why)
+            return
         try:
             call.number = self._clients.services[frame.lane].client.call(frame.content)
         except RosError as error:
@@ -354,11 +340,6 @@ class ProvidingRoute(CallsRoute):
         call.asked_at, call.servers = self.context.now(), self._present
         self._by_number[frame.lane, call.number] = frame.call
         self._given = max(self._given, frame.call)
-
-    def _add(self, frame: CallFrame) -> PeersCall:
-        call = PeersCall(frame.lane, frame_size(frame.content), self.context.now(), self._present)
-        self._pending.add(frame.call, call, self.timeout_of(frame.lane))
-        return call
 
     def _refuse_peer(self, frame: CallFrame, why: Refused) -> None:
         self.failures.refused(why)

@@ -94,8 +94,8 @@ class ProvidingActionRoute(ProvidingRoute):
             for question in self.answers.to_ask(self._present):
                 self._ask_result(question)
 
-    def _no_clients(self, error: RosError) -> None:
-        super()._no_clients(error)
+    def endpoint_failed(self, error: RosError) -> None:
+        super().endpoint_failed(error)
         self.answers.clients_closed()
 
     def _close_clients(self) -> None:
@@ -131,15 +131,6 @@ class ProvidingActionRoute(ProvidingRoute):
             self._cancels[client, client.call(cancel_request(goal))] = goal, self.context.now()
         except RosError as error:
             self._may_go_on(goal, str(error))
-
-    def _is_cancelled(self, service: CalledService, response: Response) -> bool:
-        """Whether a response is the answer to one of these cancels, and of no call of the other side's."""
-        if (service.client, response.number) not in self._cancels:
-            return False
-        goal, _ = self._cancels.pop((service.client, response.number))
-        if refuses_cancel(response.payload):
-            self._may_go_on(goal, "its server refuses that")
-        return True
 
     def _may_go_on(self, goal: bytes, why: str) -> None:
         self.failures.say(f"the robot may go on: goal {goal.hex()} is not cancelled: {why}")
@@ -201,7 +192,10 @@ class ProvidingActionRoute(ProvidingRoute):
     # --- answers
 
     def _take_response(self, service: CalledService, response: Response) -> None:
-        if self._is_cancelled(service, response):
+        # An answer to one of this side's cancels, and to no call of the other side's.
+        if (cancel := self._cancels.pop((service.client, response.number), None)) is not None:
+            if refuses_cancel(response.payload):
+                self._may_go_on(cancel[0], "its server refuses that")
             return
         lane, number, payload, linked = service.lane, response.number, response.payload, self.interrupted_at is None
         answered = self.answers.answered(lane, number, payload, self.context.now(), linked=linked)
