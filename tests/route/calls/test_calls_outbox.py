@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -52,7 +53,14 @@ def outbox(ended: set[int]) -> CallsOutbox:
 def make(ended: set[int], **proposed: Any) -> CallsOutbox:
     proposal = Propose(route=1, topic="/go", remote_topic="/go", from_client=True, kind="action", **proposed)
     transport = default_transports()["tcp"]
-    return CallsOutbox(transport, proposal, LANES["action"], lambda frame: frame.call not in ended, lambda: 7)
+    route: Any = SimpleNamespace(
+        transport=transport,
+        proposal=proposal,
+        members=LANES["action"],
+        leaves=lambda frame: frame.call not in ended,
+        context=SimpleNamespace(clock=SimpleNamespace(time_ns=lambda: 7), stamps=SimpleNamespace(shift=0)),
+    )
+    return CallsOutbox(route)
 
 
 def flushed(outbox: CallsOutbox) -> FakeChannel:

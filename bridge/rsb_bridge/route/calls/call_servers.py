@@ -335,8 +335,13 @@ class LocalServers:
 
     def nodes(self, services: Iterable[str]) -> list[str]:
         """Return the nodes, but not bridges, that serve some of these services here."""
-        found = [(service, each) for service in services for each in self._context.ros.servers(service)]
-        return [each.node for service, each in found if self._is_node(each, service)]
+        nodes = []
+        for service in services:
+            for server in self._context.ros.servers(service):
+                origin = self._context.announcements.origin_of_server(server, service)
+                if origin is not None and not origin.via and self._counts(server, service, offered=False):
+                    nodes.append(server.node)
+        return nodes
 
     def close(self) -> None:
         """Forget the servers, and stop the timer."""
@@ -349,10 +354,6 @@ class LocalServers:
     def _due(self) -> None:
         self._timer = None
         self._route.advance()
-
-    def _is_node(self, server: Endpoint, service: str) -> bool:
-        origin = self._context.announcements.origin_of_server(server, service)
-        return origin is not None and not origin.via and bool(self._counts(server, service, offered=False))
 
     def _counts(self, server: Endpoint, service: str, *, offered: bool) -> bool | None:
         """Return whether a server counts, or None for a bridge of our name that has announced nothing."""

@@ -126,12 +126,12 @@ class CallerCall(PendingCall):
     """A call of a caller on this side.
 
     Attributes:
-        server: the server that took it, or an operator's `ManualCall`.
+        server: took it, or is an operator's `ManualCall`.
         caller: names the request in `server.answer`.
         kept: the request of an action's call, which may have to be sent again; None for other calls.
     """
 
-    server: ServiceServer
+    server: ServiceServer | ManualCall
     caller: bytes
     kept: KeptCall | None = None
 
@@ -243,7 +243,7 @@ class CallingRoute(CallsRoute):
 
     def _find_callers(self) -> None:
         """Find the callers, and what keeps it from being offered here."""
-        ros, names = self.context.ros, self.local_names
+        ros, names = self.context.ros, [member.name_on(self.local_topic) for member in self.members]
         services = [name for member, name in zip(self.members, names, strict=True) if not member.is_topic]
         callers = {service: ros.callers(service) for service in services}
         self.endpoints = [each for found in callers.values() for each in found]
@@ -342,7 +342,6 @@ class CallingRoute(CallsRoute):
         return ()
 
     def close(self, reason: str) -> None:
-        """End the opening; pending calls are lost."""
         super().close(reason)
         self._provided = _UNKNOWN
         self._comparison.forget()
@@ -351,7 +350,6 @@ class CallingRoute(CallsRoute):
         self._kept_messages.clear()
 
     def destroy(self) -> None:
-        """End the route for good."""
         super().destroy()
         self._offers.close()
 
@@ -402,7 +400,7 @@ class CallingRoute(CallsRoute):
         number = self._pending.begin(call, self.timeout_of(call.lane))
         self._outbox.put(CallFrame(what, call.lane, number, 0, payload, lease, stamp))
 
-    def _leaves(self, frame: CallFrame) -> bool:
+    def leaves(self, frame: CallFrame) -> bool:
         check = self._leaving[self.members[frame.lane].limited]
         # A call that is sent again has no stamp: it was young when it was sent first.
         if check is not None and frame.stamp and (why := check(frame, self.context.now())) is not None:
@@ -536,7 +534,6 @@ class CallingRoute(CallsRoute):
         return Trouble(Cause.NO_SERVER, text)
 
     def reported(self, report: CallsReport) -> None:
-        """Take the peer's counts and verdict."""
         super().reported(report)
         peer = self.judged.peer
         self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import Request, ServiceServer
     from rsb_bridge.route.calls.calling import OfferedService
+    from rsb_bridge.route.calls.manual_call import ManualCall
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide
 
@@ -87,7 +88,6 @@ class CallingActionRoute(CallingRoute):
         return _OUTLIVING if self.peer.linked or expected else ()
 
     def destroy(self) -> None:
-        """End the route for good, and give up the calls that wait."""
         super().destroy()
         for call in self.waiting.release():
             self._give_up_waiting(call, "the route was removed")
@@ -176,7 +176,7 @@ class CallingActionRoute(CallingRoute):
         self.failures.lost(1, why)
         self._lose_goal(call)
 
-    def _reject(self, server: ServiceServer, caller: bytes, request: bytes) -> None:
+    def _reject(self, server: ServiceServer | ManualCall, caller: bytes, request: bytes) -> None:
         """Answer that a goal is not accepted: it did not begin, and will not."""
         if (goal := goal_of(request)) is not None:
             self.goals.answered(goal, accepted=False)
@@ -186,7 +186,6 @@ class CallingActionRoute(CallingRoute):
             self.failures.say(f"a caller could not be answered: {error}")
 
     def tick(self) -> None:
-        """Expire and resend calls, and update counts; called once a second."""
         if expired := self.waiting.expire(self.context.now()):
             self.calls.expired += len(expired)
             self.failures.say("a call about a goal waited too long for the action to be reached again")

@@ -12,9 +12,7 @@ from rsb_bridge.telemetry.meters import LatencyMeter
 from rsb_bridge.wire.framing import CALL_LIMIT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rsb_bridge.route.notices import Notices
+    from rsb_bridge.route.route import Route
 
 LATELY = 10
 """s that verdicts look back, as `telemetry.watches.LATELY`."""
@@ -168,18 +166,10 @@ class CallFailures:
         since: when (s) calls began to fail, or None if none has failed lately.
     """
 
-    def __init__(
-        self,
-        calls: CallsLedger,
-        notices: Notices,
-        log: Callable[[Level, EventCode, str], None],
-        now: Callable[[], float],
-    ) -> None:
+    def __init__(self, route: Route, calls: CallsLedger) -> None:
         self.since: float | None = None
+        self._route = route
         self._calls = calls
-        self._notices = notices
-        self._log = log
-        self._now = now
         self._logged_at: dict[str, float] = {}
 
     def refused(self, why: Refused) -> str:
@@ -201,21 +191,21 @@ class CallFailures:
     def say(self, text: str, code: EventCode = EventCode.ROUTE_CALL_FAILED) -> None:
         """Note why a call had no answer. The log repeats the same text once a minute at most."""
         self._calls.last_failure = text
-        self._notices.record(text)
-        now = self._now()
+        self._route.notices.record(text)
+        now = self._route.context.now()
         if now - self._logged_at.get(text, float("-inf")) < _REPEATED_AFTER:
             return
         if len(self._logged_at) >= _MOST_LOGGED:
             self._logged_at.clear()
         self._logged_at[text] = now
-        self._log(Level.WARNING, code, text)
+        self._route.log(Level.WARNING, code, text)
 
     def tick(self) -> None:
         """Note whether calls fail; called once a second."""
         if not (self._calls.unanswered or self._calls.expired_lately() or self._calls.refused_lately()):
             self.since = None
         elif self.since is None:
-            self.since = self._now()
+            self.since = self._route.context.now()
 
     def forget(self) -> None:
         """Begin a new period, because calls may cross from now on, or no longer."""

@@ -43,12 +43,11 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import CallsReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.channel.channel import DuplexChannel, SendingChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.model.calls import ServiceMember
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
@@ -57,7 +56,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
-    from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
 
@@ -84,26 +82,12 @@ class CallsOutbox:
     """Queues one half's frames, and sends them while the channel takes them.
 
     The budget of calls bounds the requests and answers that wait; messages and refusals are bounded here.
-
-    Args:
-        proposal: what the two sides have agreed on.
-        leaves: whether a call or an answer is still wanted; asked right before it is sent.
-        stamp: gives the stamp of frames that have none.
     """
 
-    def __init__(
-        self,
-        transport: Transport,
-        proposal: Propose,
-        members: Sequence[ServiceMember],
-        leaves: Callable[[CallFrame], bool],
-        stamp: Callable[[], int],
-    ) -> None:
-        self.largest = min(CALL_LIMIT, transport.largest_message - CALL_HEADER_LENGTH - LEASE_HEADER_LENGTH)
-        self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
-        self._members = members
-        self._leaves = leaves
-        self._stamp = stamp
+    def __init__(self, route: CallsRoute) -> None:
+        self.largest = min(CALL_LIMIT, route.transport.largest_message - CALL_HEADER_LENGTH - LEASE_HEADER_LENGTH)
+        self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
+        self._route = route
         self._frames: OrderedDict[int, CallFrame] = OrderedDict()  # by call number; other frames count down from -1
         self._others = 0
         self._refusals = 0
@@ -129,7 +113,7 @@ class CallsOutbox:
         self._frames[self._others] = frame
 
     def _make_room(self, frame: CallFrame, still: float) -> None:
-        qos = self._members[frame.lane].qos
+        qos = self._route.members[frame.lane].qos
         depth = qos.depth if qos is not None else 1
         if qos is not None and not qos.latched:
             # What a gap has left is not dropped once the link moves again.
@@ -155,15 +139,16 @@ class CallsOutbox:
 
     def flush(self, channel: SendingChannel) -> None:
         """Send while the channel takes frames."""
-        frames = self._frames
+        frames, context = self._frames, self._route.context
         while frames and not channel.congested:
             batch: list[Message] = []
-            size, most, now = 0, channel.batch_bytes, self._stamp()
+            size, most = 0, channel.batch_bytes
+            now = shifted(context.clock.time_ns(), context.stamps.shift)
             while frames and len(batch) < _FRAMES_AT_ONCE and size < most:
                 _, frame = frames.popitem(last=False)
                 if frame.what not in _OF_CALLS:
                     self._uncount(frame)
-                elif not self._leaves(frame):
+                elif not self._route.leaves(frame):
                     continue
                 batch.append(self._pack(frame, now))
                 size += len(batch[-1][0])
@@ -241,14 +226,8 @@ class CallsRoute(Route):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.members = LANES[spec.kind]
         self.calls = CallsLedger()
-        self.failures = CallFailures(self.calls, self.notices, self.log, context.now)
-        self._outbox = CallsOutbox(
-            self.transport,
-            proposal,
-            self.members,
-            self._leaves,
-            lambda: shifted(context.clock.time_ns(), context.stamps.shift),
-        )
+        self.failures = CallFailures(self, self.calls)
+        self._outbox = CallsOutbox(self)
         self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self._spacing = Spacing()
         self.types = LaneTypes(self, self.members)
@@ -261,7 +240,7 @@ class CallsRoute(Route):
 
     # --- what the halves do differently
 
-    def _leaves(self, frame: CallFrame) -> bool:
+    def leaves(self, frame: CallFrame) -> bool:
         """Return whether a call or an answer, which is about to be sent, is still wanted."""
         raise NotImplementedError
 
@@ -340,13 +319,7 @@ class CallsRoute(Route):
         # Not by `call_timeout`, which would be one more function for each call.
         return None if self.members[lane].patient else self.proposal.timeout or CALL_TIMEOUT
 
-    @property
-    def local_names(self) -> list[str]:
-        """Names of the members' services and topics on this side."""
-        return [member.name_on(self.local_topic) for member in self.members]
-
     def set_check(self) -> None:
-        """Take over `check_messages` of the session."""
         self.types.set_check()
 
     @property
@@ -356,7 +329,6 @@ class CallsRoute(Route):
     # --- opening and closing
 
     def open(self, route_id: int) -> None:
-        """Begin a new opening."""
         super().open(route_id)
         self._report = self._last_report = None
         self._last_malformed = None
@@ -463,7 +435,6 @@ class CallsRoute(Route):
         return None
 
     def flush(self) -> None:
-        """Send what waits while the channel takes it."""
         if self.channel is not None and self.channel.ready:
             self._outbox.flush(self.channel)
 
@@ -482,7 +453,6 @@ class CallsRoute(Route):
         self.notices.flowing()
 
     def tick(self) -> None:
-        """Update counts over time; called once a second."""
         if not self.offered:
             self.calls.forget_lately()
         self.calls.tick()
@@ -501,7 +471,6 @@ class CallsRoute(Route):
         self.judged.receive(report.verdict, self.context.now())
 
     def news(self) -> CallsReport | None:
-        """Return the report that the peer has not been sent yet, or None if nothing is new."""
         verdict = self.verdict()
         given, waiting = (0, 0) if self.outgoing else self.at_node()
         report = CallsReport(
@@ -541,7 +510,6 @@ class CallsRoute(Route):
         return judge_calls(self, crossing)
 
     def stages(self) -> tuple[Stage, ...]:
-        """Return the stages of a call's path."""
         return calls_stages(self, self.progress())
 
     @property
@@ -549,7 +517,6 @@ class CallsRoute(Route):
         return self.calls.asked > 0 and not self.came
 
     def snapshot(self) -> RouteSnapshot:
-        """Return the route as it is now."""
         callers, providers = self.end_nodes()
         return self.common_snapshot()(
             qos=None,

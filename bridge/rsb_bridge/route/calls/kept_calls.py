@@ -112,14 +112,12 @@ class KeptCalls:
 
 
 class AnswerAction(Enum):
-    """The decision on a call that is not refused."""
+    """The decision on a call that is neither refused nor answered at once."""
 
     ASK = auto()
     """Ask the server."""
     WAIT = auto()
     """Wait for the answer to an earlier call with the same question."""
-    ANSWER = auto()
-    """Send the kept answer."""
 
 
 class CallIdentity(NamedTuple):
@@ -190,23 +188,13 @@ class KeptAnswers:
         """Whether the server owes an answer."""
         return any(kept.answer is None for kept in self._kept.values())
 
-    def has_answer(self, question: CallIdentity | None) -> bool:
-        """Return whether the server has answered a question."""
-        kept = self._kept.get(question) if question is not None else None
-        return kept is not None and kept.answer is not None
+    def answer(self, question: CallIdentity) -> bytes | None:
+        """Return the kept answer to a question, or None."""
+        kept = self._kept.get(question)
+        return kept.answer if kept is not None else None
 
-    def awaited(self) -> set[bytes]:
-        """Return the goals whose results the other side's calls wait for."""
-        return {question.about for question, kept in self._kept.items() if question.lane == GET_RESULT and kept.calls}
-
-    def answer(self, question: CallIdentity) -> bytes:
-        """Return the kept answer to a question for which `decide` returned `ANSWER`."""
-        answer = self._kept[question].answer
-        assert answer is not None
-        return answer
-
-    def decide(self, question: CallIdentity, call: int, *, again: bool) -> AnswerAction | Refused:
-        """Decide how to handle a call, or why to refuse it.
+    def decide(self, question: CallIdentity, call: int, *, again: bool) -> AnswerAction | bytes | Refused:
+        """Decide how to handle a call, or return its answer, or why to refuse it.
 
         A result does not change, so that one answer serves all calls for it. Other calls go to the server, unless the
         call was sent to it before. A goal that never arrived must not begin late, and one that may have arrived must
@@ -227,7 +215,7 @@ class KeptAnswers:
         if not again and question.lane != GET_RESULT:
             return AnswerAction.ASK
         if kept.answer is not None:
-            return AnswerAction.ANSWER
+            return kept.answer
         if not kept.number and question.lane == SEND_GOAL:
             return Refused.LOST
         kept.calls.append(call)
@@ -301,9 +289,9 @@ class KeptAnswers:
         """Return the calls that wait for the answer to a question."""
         return [*self._kept[question].calls]
 
-    def results_awaited(self) -> list[tuple[bytes, list[int]]]:
-        """Return goals, and the calls that wait for their results."""
-        return [(about, [*kept.calls]) for (lane, about), kept in self._kept.items() if lane == GET_RESULT]
+    def awaited(self) -> dict[bytes, list[int]]:
+        """Return the other side's calls that wait for results, by goal."""
+        return {goal: [*kept.calls] for (lane, goal), kept in self._kept.items() if lane == GET_RESULT and kept.calls}
 
     def interrupted(self, now: float) -> None:
         """Keep every question and answer for longer: answers that were sent may not have arrived."""

@@ -47,9 +47,6 @@ class ManualCall:
         if not self.answered.done():
             self.answered.set_exception(CallError(reason))
 
-    def close(self) -> None:
-        """Do nothing: it holds nothing."""
-
 
 async def call_directly(
     context: Context,

@@ -1,7 +1,7 @@
 """The providing half of a route of calls: finds who answers here, tells the peer, and calls them for its callers.
 
 A call comes from the channel to `ProvidingRoute._receive`, waits its turn (`paced_client`), and goes to ROS in `_call`.
-The server's response comes to `responded`, goes to the outbox in `_answer`, and ends the call in `_leaves`, once the
+The server's response comes to `responded`, goes to the outbox in `_answer`, and ends the call in `leaves`, once the
 channel takes it.
 """
 
@@ -255,13 +255,11 @@ class ProvidingRoute(CallsRoute):
             self._again = None
 
     def close(self, reason: str) -> None:
-        """End the opening; pending calls are lost."""
         super().close(reason)
         self._last_sent = None
         self._highest = self._given = 0
 
     def destroy(self) -> None:
-        """End the route for good."""
         super().destroy()
         self._clients.close()
 
@@ -360,7 +358,7 @@ class ProvidingRoute(CallsRoute):
                 raise CallError(f"{self.local_topic} cannot be called now: {REMEDIES[why]}")
 
         may()
-        name, within = self.local_names[lane], self.timeout_of(lane)
+        name, within = self.members[lane].name_on(self.local_topic), self.timeout_of(lane)
         return await call_directly(self.context, name, self.entry(lane), request, within, may)
 
     def entry(self, lane: int) -> LaneEntry:
@@ -400,7 +398,7 @@ class ProvidingRoute(CallsRoute):
             self._outbox.put(CallFrame(What.ANSWER, call.lane, peers, int(took * 1e9), payload))
         return True
 
-    def _leaves(self, frame: CallFrame) -> bool:
+    def leaves(self, frame: CallFrame) -> bool:
         """End the call of an answer that is about to be sent. Return False if it has ended before."""
         if self._pending.end(frame.call) is None:
             return False

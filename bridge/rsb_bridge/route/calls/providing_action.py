@@ -68,7 +68,7 @@ class ProvidingActionRoute(ProvidingRoute):
         return more_careful_end((self.arming.own.on_end, self.arming.peer_on_end, END_NONE))
 
     def snapshot(self) -> RouteSnapshot:
-        return replace(super().snapshot(), goals=self.goals.snapshot(self.answers.awaited()))
+        return replace(super().snapshot(), goals=self.goals.snapshot(self.answers.awaited().keys()))
 
     # --- setting up
 
@@ -146,8 +146,8 @@ class ProvidingActionRoute(ProvidingRoute):
         todo = self.answers.decide(question, frame.call, again=frame.what is What.AGAIN)
         if isinstance(todo, Refused):
             self._give_up(frame.call, todo)
-        elif todo is AnswerAction.ANSWER:
-            self._answer(frame.call, self.answers.answer(question))
+        elif isinstance(todo, bytes):
+            self._answer(frame.call, todo)
         elif todo is AnswerAction.ASK and frame.lane == GET_RESULT:
             self._ask_result(question, frame.call)
         elif todo is AnswerAction.ASK:
@@ -167,8 +167,10 @@ class ProvidingActionRoute(ProvidingRoute):
         return super()._is_limited(frame) and not asks_again
 
     def _is_answered(self, frame: CallFrame) -> bool:
-        may_be_kept = frame.what is What.AGAIN or frame.lane == GET_RESULT
-        return may_be_kept and self.answers.has_answer(question_of(frame.lane, frame.content))
+        if frame.what is not What.AGAIN and frame.lane != GET_RESULT:
+            return False
+        question = question_of(frame.lane, frame.content)
+        return question is not None and self.answers.answer(question) is not None
 
     def _ask_result(self, question: CallIdentity, *calls: int) -> None:
         """Ask the server for a result in its turn; its answer is kept, and sent to the calls that wait for it."""
@@ -272,8 +274,8 @@ class ProvidingActionRoute(ProvidingRoute):
             else:
                 self._close_clients()
         # A goal may be over for as long as other calls may take; the other side has given its result up by then.
-        for goal, calls in self.answers.results_awaited():
-            over_for = self.goals.over_for(goal) if calls else None
+        for goal, calls in self.answers.awaited().items():
+            over_for = self.goals.over_for(goal)
             for number in calls if over_for is not None and over_for > self.call_timeout else ():
                 if (pending := self._pending.end(number)) is not None:
                     self._expired(number, pending)
