@@ -121,17 +121,12 @@ class CallsOutbox:
         self._messages[frame.lane] += 1
         self._message_bytes += len(frame.content)
         while self._messages[frame.lane] > depth or self._message_bytes > _MESSAGE_BYTES:
-            if not self._drop_oldest(frame.lane):
+            messages = (
+                at for at, each in self._frames.items() if each.what is What.MESSAGE and each.lane == frame.lane
+            )
+            if (oldest := next(messages, None)) is None:
                 break
-
-    def _drop_oldest(self, lane: int) -> bool:
-        """Drop the oldest message of a lane. Return False if none waits."""
-        for at, frame in self._frames.items():
-            if frame.what is What.MESSAGE and frame.lane == lane:
-                del self._frames[at]
-                self._uncount(frame)
-                return True
-        return False
+            self._uncount(self._frames.pop(oldest))
 
     def forget(self, call: int) -> None:
         """Drop the request or answer of a call that is over: it holds no place in the budget any more."""

@@ -85,11 +85,8 @@ class KeptCalls:
         if call.lane == CANCEL_GOAL:
             cancel = cancel_of(call.payload)
             return now + INTERRUPTION if cancel is not None and cancel.goal is not None else call.asked + self.timeout
-        if goal_of(call.payload) is None:
-            return now
-        if call.lane == SEND_GOAL:  # a goal that was never sent must not begin late
-            return now + INTERRUPTION if call.again else now
-        return now + INTERRUPTION if call.lane == GET_RESULT else now
+        begins_late = call.lane == SEND_GOAL and not call.again  # a goal that was never sent must not
+        return now if begins_late or goal_of(call.payload) is None else now + INTERRUPTION
 
     def requests(self, lane: int) -> list[bytes]:
         """Return the requests of a lane's calls."""
@@ -284,10 +281,6 @@ class KeptAnswers:
         kept = self._kept[question]
         if question.lane != GET_RESULT and kept.answer is None and not kept.calls:
             kept.until = now + SENT_KEPT
-
-    def calls_for(self, question: CallIdentity) -> list[int]:
-        """Return the calls that wait for the answer to a question."""
-        return [*self._kept[question].calls]
 
     def awaited(self) -> dict[bytes, list[int]]:
         """Return the other side's calls that wait for results, by goal."""

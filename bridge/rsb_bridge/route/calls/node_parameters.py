@@ -53,16 +53,15 @@ class ProvidingParametersRoute(ProvidingRoute):
         found = super()._find()
         if (missing := found.unavailable) is None or missing.cause is not Cause.NO_SERVER:
             return found
-        return found._replace(unavailable=self._why_no_parameters(missing))
-
-    def _why_no_parameters(self, missing: Trouble) -> Trouble:
-        """Say more about a node that does not answer: it may be there without parameters, or with some services."""
+        # The node may be there without parameters, or with some of the services.
         node, servers = self.local_topic, self.context.ros.servers
         if any(servers(member.name_on(node)) for member in self.members if not member.is_topic):
-            return Trouble(Cause.NO_PARAMETERS, NoParameters.SOME_SERVICES(missing=missing.text, node=node))
-        if servers(node + _EVERY_NODE_HAS):
-            return Trouble(Cause.NO_PARAMETERS, NoParameters.NO_SERVICES(node=node, domain=self.context.domain_id))
-        return missing
+            text = NoParameters.SOME_SERVICES(missing=missing.text, node=node)
+        elif servers(node + _EVERY_NODE_HAS):
+            text = NoParameters.NO_SERVICES(node=node, domain=self.context.domain_id)
+        else:
+            return found
+        return found._replace(unavailable=Trouble(Cause.NO_PARAMETERS, text))
 
     def published(self, lane: int, messages: Sequence[RawMessage]) -> None:
         """Send the parameter events of the route's node, with the node's name on the callers' side."""

@@ -185,7 +185,7 @@ class ProvidingActionRoute(ProvidingRoute):
         try:
             number = self._clients.services[GET_RESULT].client.call(result_request(question.about))
         except RosError as error:
-            for call in self.answers.calls_for(question):
+            for call in self.answers.awaited().get(question.about, ()):
                 self._give_up(call, Refused.NOT_SENT)
             self.failures.say(f"a result could not be asked for: {error}")
         else:
