@@ -105,23 +105,15 @@ class Expired(NamedTuple):
 
 
 class MessageAge:
-    """Age limit of one route half, and the messages that it has dropped.
-
-    Attributes:
-        is_on: whether ages are limited at all.
-        switched: called whenever `is_on` has changed.
-        max_age: s that holds for the two sides, or 0 for no limit.
-        accepted: s that the other side's session sets where it has accepted the route, 0 for no limit, or None if it
-            sets none.
-        publishers: the clocks of those whose messages are taken.
-    """
+    """Age limit of one route half, and the messages that it has dropped."""
 
     def __init__(self, context: Context, peer: Peer) -> None:
-        self.is_on = False
-        self.switched: Callable[[], None] = lambda: None
-        self.max_age = 0.0
+        self.is_on = False  # ages are limited at all
+        self.switched: Callable[[], None] = lambda: None  # called whenever `is_on` has changed
+        self.max_age = 0.0  # s that holds for the two sides, or 0 for no limit
+        # s that the other side's session sets where it has accepted the route, 0 for no limit, or None if it sets none.
         self.accepted: float | None = None
-        self.publishers = PublisherClocks()
+        self.publishers = PublisherClocks()  # of those whose messages are taken
         self._context = context
         self._peer = peer
         self._limit = 0.0  # s: the smaller one of `max_age` and the lifespan

@@ -129,43 +129,25 @@ _CROSSING = {
 
 
 class Arming:
-    """The armed state of a route on one side.
-
-    Attributes:
-        phase: of the arming in the present opening.
-        required: whether either side's session demands arming.
-        switched: called whenever `required` has changed.
-        deadman: s without a key after which it disarms, or 0 for no limit.
-        own: the demand of this side's session.
-        peer_arm: whether the other side's session demands arming.
-        peer_on_end: what that session wants when it ends, or empty if it does not say.
-        peer_limits: what a hand may ask by the other side's session, or None for any velocity.
-        limited_by: the lines that have a number of `limits`, in words.
-        demanded_by: the lines that demand arming, in words.
-        by: the operator who armed it, in words, or empty if it is not armed.
-        account: that operator's account on this side, or empty: nobody shares it.
-        console: that operator's console on this side, or None if it was armed on the other side or is not armed.
-        shared: whether that operator's other consoles may publish by hand, too.
-        question: of another operator to the holder, or None.
-        lease: lease of the link, or None before the first opening: nothing passes without it.
-        first: the lease's number when somebody armed it.
-    """
+    """The armed state of a route on one side."""
 
     def __init__(self) -> None:
-        self.required, self.deadman = False, 0.0
-        self.switched: Callable[[], None] = lambda: None
-        self.own: Demand = NO_DEMAND
-        self.peer_arm, self.peer_on_end = False, ""
-        self.peer_limits: VelocityLimits | None = None
-        self.limited_by: tuple[str, ...] = ()
-        self.demanded_by: tuple[str, ...] = ()
+        self.phase = ArmingPhase.FREE  # of the arming in the present opening
+        self.required = False  # either side's session demands arming
+        self.switched: Callable[[], None] = lambda: None  # called whenever `required` has changed
+        self.deadman = 0.0  # s without a key after which it disarms, or 0 for no limit
+        self.own: Demand = NO_DEMAND  # of this side's session
+        self.peer_arm = False  # the other side's session demands arming
+        self.peer_on_end = ""  # what that session wants when it ends, or empty if it does not say
+        self.peer_limits: VelocityLimits | None = None  # of a hand in that session, or None for any velocity
+        self.limited_by: tuple[str, ...] = ()  # the lines that have a number of `limits`, in words
+        self.demanded_by: tuple[str, ...] = ()  # the lines that demand arming, in words
         self.why = Disarmed.NOT_YET
         self.reason = self.why.text
-        self.lease: LeaseHalf | None = None
-        self.first = 0
+        self.lease: LeaseHalf | None = None  # of the link; None before the first opening, when nothing passes
+        self.first = 0  # the lease's number when somebody armed it
+        self.question: Question | None = None  # of another operator to the holder
         self._answered: Callable[[], None] | None = None
-        self.question: Question | None = None
-        self.phase = ArmingPhase.FREE
         self._clear()
 
     def _clear(self) -> None:
@@ -174,9 +156,10 @@ class Arming:
         question, self.question = self.question, None
         if question is not None:
             question.answered(None)
-        self.by = self.account = ""
-        self.console: Hashable | None = None
-        self.shared = False
+        self.by = ""  # the operator who armed it, in words, or empty if it is not armed
+        self.account = ""  # that operator's account on this side, or empty: nobody shares it
+        self.console: Hashable | None = None  # that operator's on this side, or None if it was armed on the other side
+        self.shared = False  # that operator's other consoles may publish by hand, too
         self._deadline = float("inf")
         self._seen_at = 0.0
         self._key_pressed = False

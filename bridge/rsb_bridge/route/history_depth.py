@@ -357,21 +357,15 @@ class _Found:
 _NOTHING = _Found(0, 0)
 
 
+@dataclass(slots=True)
 class _Probe:
-    """A second subscription and its findings.
+    """A second subscription and its findings."""
 
-    Attributes:
-        wanted: number to wait for, by publisher.
-        until: time (s) at which to stop waiting.
-        found: what has come, by publisher.
-    """
-
-    def __init__(self, wanted: dict[bytes, int], until: float) -> None:
-        self.wanted = wanted
-        self.until = until
-        self.subscription: Subscription | None = None
-        self.found: dict[bytes, _Found] = {}
-        self._complete = False
+    wanted: dict[bytes, int]  # number to wait for, by publisher
+    until: float  # s, when to stop waiting
+    subscription: Subscription | None = None
+    found: dict[bytes, _Found] = field(default_factory=dict)  # what has come, by publisher
+    is_complete: bool = False
 
     def receive(self, batch: Sequence[RawMessage], now: float) -> None:
         """Take messages. Once all wanted numbers have come, the probe ends a moment later, even if more come."""
@@ -383,10 +377,10 @@ class _Probe:
             # Messages published after the first one had come are no history.
             if message.source <= found.came:
                 found.kept = message.number
-        if not self._complete and all(
+        if not self.is_complete and all(
             self.found.get(gid, _NOTHING).last >= number for gid, number in self.wanted.items()
         ):
-            self._complete = True
+            self.is_complete = True
             self.until = min(self.until, now + _PROBE_SETTLES_AFTER)
 
 

@@ -67,25 +67,19 @@ class LatchedFullError(Exception):
         )
 
 
+@dataclass(slots=True, eq=False)
 class _OutputHistory:
-    """A publisher here, and what it keeps.
+    """A publisher here, and what it keeps. Times are in s."""
 
-    Attributes:
-        kept: number of each message that it keeps, and size of its memory, oldest first.
-        waiting: number of its messages that DDS does not have yet.
-        published: number of the others.
-        made_at: time (s) when it was made.
-        used_at: time (s) when it was made, last published, or was retired.
-        discovered: whether all subscribers have had a message of it, or had time to.
-    """
-
-    def __init__(self, publisher: Publisher, depth: int, now: float) -> None:
-        self.publisher = publisher
-        self.depth = depth
-        self.kept: deque[tuple[int, int]] = deque()
-        self.waiting = self.published = 0
-        self.made_at = self.used_at = now
-        self.discovered = False
+    publisher: Publisher
+    depth: int
+    made_at: float
+    used_at: float  # when it was made, last published, or was retired
+    # Number of each message that it keeps, and size of its memory, oldest first.
+    kept: deque[tuple[int, int]] = field(default_factory=deque)
+    waiting: int = 0  # its messages that DDS does not have yet
+    published: int = 0  # the others
+    discovered: bool = False  # all subscribers have had a message of it, or had time to
 
     @property
     def full(self) -> bool:
@@ -330,8 +324,9 @@ class LatchedTopic:
             self._spare = None
             return spare
         self._take(PUBLISHER_COST)
+        now = self._loop.time()
         try:
-            return _OutputHistory(self._advertise(depth), depth, self._loop.time())
+            return _OutputHistory(self._advertise(depth), depth, now, now)
         except RosError:
             self._budget.give(PUBLISHER_COST)
             raise

@@ -54,12 +54,6 @@ class LeaseHalf:
     Args:
         steady: s on a clock that nobody sets, and that goes on while the machine sleeps.
         ended: called once when it is over, after the last message has passed.
-
-    Attributes:
-        phase: OFF, until `begin`.
-        number: the newest that this side has sent.
-        over: the place where nothing moved, if it is or was OVER.
-        round_trip: s from the newest number that was answered to its answer.
     """
 
     def __init__(self, steady: Callable[[], float], turns: RosTurns, ended: Callable[[], None]) -> None:
@@ -67,15 +61,15 @@ class LeaseHalf:
         self._turns = turns
         self._ended = ended
         self.phase = LeasePhase.OFF
-        self.number = 0
-        self.over: Standstill | None = None
+        self.number = 0  # the newest that this side has sent
+        self.over: Standstill | None = None  # where nothing moved, if it is or was OVER
         self._began = self._beaten = 0.0
         self._sent: dict[int, float] = {}  # when, by number
         self._newest_before = 0  # the newest number of this side before `begin`
         self._first_answer = 0  # the first number since `begin` that carried one of the other side's, or 0
         self._acknowledged = 0  # the newest number that the other side has heard
         self._confirmed = float("-inf")  # when that was sent
-        self.round_trip = 0.0
+        self.round_trip = 0.0  # s from the newest number that was answered to its answer
         self._heard: tuple[tuple[int, float], ...] = ()  # numbers of the other side, and when; replaced, never changed
 
     # --- on and off

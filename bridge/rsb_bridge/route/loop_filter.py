@@ -52,26 +52,18 @@ class Publication(NamedTuple):
 
 
 class SourceTable:
-    """The sources of one opening of a route, as its sending half numbers them.
-
-    Attributes:
-        sources: sources that need a publisher on the peer, by number. Only grows.
-        echoes: the publications that are left out because their messages were in the peer's domain before.
-        too_far: the publications that are left out for `MOST_HOPS` or `MOST_SOURCES`, or for the peer's limits.
-        unexplained: publications whose hops have not been announced yet.
-        flags: flags with the source's number, by publisher, for messages that may be sent now.
-        one_place: whether both sides are in one domain and have the same topic: the route itself is a loop.
-    """
+    """The sources of one opening of a route, as its sending half numbers them."""
 
     def __init__(self) -> None:
-        self.sources: tuple[Source, ...] = ()
-        self.echoes: tuple[Publication, ...] = ()
+        self.sources: tuple[Source, ...] = ()  # that need a publisher on the peer, by number. Only grows
+        self.echoes: tuple[Publication, ...] = ()  # left out: their messages were in the peer's domain before
+        # Left out for `MOST_HOPS` or `MOST_SOURCES`, or for the peer's limits.
         self.too_far: tuple[Publication, ...] = ()
-        self.unexplained: tuple[Publication, ...] = ()
-        self.flags: dict[bytes, int] = {}
+        self.unexplained: tuple[Publication, ...] = ()  # whose hops have not been announced yet
+        self.flags: dict[bytes, int] = {}  # with the source's number, by publisher, if its messages may be sent now
         self.moved = False  # a known publisher's messages have come to belong to another source
+        self.one_place = False  # both sides are in one domain and have the same topic: the route itself is a loop
         self._hop = ""
-        self.one_place = False
         self._numbers: dict[bytes, int] = {}
         self._first_seen: dict[bytes, float] = {}
         self._described = 0

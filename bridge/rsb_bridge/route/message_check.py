@@ -369,18 +369,13 @@ def malformed_text(type_name: str, peer: str, error: MalformedError) -> str:
 
 
 class MessageCheck:
-    """The check of one topic's messages, or of one service's requests or responses.
-
-    Attributes:
-        checker: checker of the type, or None if messages are not checked.
-        type_name: name of the type to check against, or an empty string.
-    """
+    """The check of one topic's messages, or of one service's requests or responses."""
 
     def __init__(self, context: Context, budget: TokenBucket) -> None:
-        self.checker: Checker | None = None
+        self.checker: Checker | None = None  # of the type, or None if messages are not checked
+        self.type_name = ""  # to check against, or empty
         self._context = context
         self._budget = budget
-        self.type_name = ""
         self._looks_at = float("-inf")
         self._looking: asyncio.Task[None] | None = None
 

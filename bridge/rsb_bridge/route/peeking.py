@@ -31,16 +31,11 @@ class PeekError(Exception):
 
 
 class PeekSlot:
-    """The slot for a copy of a route's next message.
-
-    Attributes:
-        wanted: whether a viewer waits. The route checks only this while messages pass.
-        free_at: time (s) from which the next message may be copied.
-    """
+    """The slot for a copy of a route's next message."""
 
     def __init__(self) -> None:
-        self.wanted = False
-        self.free_at = float("-inf")
+        self.wanted = False  # a viewer waits. The route checks only this while messages pass
+        self.free_at = float("-inf")  # s, from when on the next message may be copied
         self._waiting: set[asyncio.Future[PeekedMessage]] = set()
 
     def put(self, message: PeekedMessage, now: float) -> None:

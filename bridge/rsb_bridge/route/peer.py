@@ -236,29 +236,17 @@ class CallBudget:
 
 
 class PeerBudget:
-    """Limits on the memory and work that one peer causes here, over its whole link and as long as its routes live.
-
-    Attributes:
-        unfinished: bytes of messages that are not whole yet.
-        kept: bytes of messages that publishers here keep for late joiners.
-        unacknowledged: bytes of messages that publishers here hold for slow subscribers.
-        expansion: bytes by which compressed messages may grow here, over time and at once.
-        further_publishers: publishers here for the peer beyond one for each topic.
-        types: types that are not installed here.
-        rates: rates of the peer's topics here.
-        asked: calls of this side's callers.
-        provided: calls of the peer's callers.
-        checks: lengths to read for checks of the peer's messages.
-    """
+    """Limits on the memory and work that one peer causes here, over its whole link and as long as its routes live."""
 
     def __init__(self, now: float) -> None:
-        self.unfinished = Budget(UNFINISHED_LIMIT)
-        self.kept = Budget(KEPT_LIMIT)
-        self.unacknowledged = Budget(UNACKNOWLEDGED_LIMIT)
-        self.expansion = ExpansionBudget(now)
-        self.further_publishers = Budget(_FURTHER_PUBLISHERS)
-        self.types = TypeBudget()
-        self.rates = AllowedRates()
-        self.asked = CallBudget(now)
-        self.provided = CallBudget(now, PEERS_SHARE)
+        self.unfinished = Budget(UNFINISHED_LIMIT)  # bytes of messages that are not whole yet
+        self.kept = Budget(KEPT_LIMIT)  # bytes of messages that publishers here keep for late joiners
+        self.unacknowledged = Budget(UNACKNOWLEDGED_LIMIT)  # bytes that they hold for slow subscribers
+        self.expansion = ExpansionBudget(now)  # bytes by which compressed messages may grow here
+        self.further_publishers = Budget(_FURTHER_PUBLISHERS)  # beyond one for each topic
+        self.types = TypeBudget()  # that are not installed here
+        self.rates = AllowedRates()  # of the peer's topics here
+        self.asked = CallBudget(now)  # calls of this side's callers
+        self.provided = CallBudget(now, PEERS_SHARE)  # calls of the peer's callers
+        # Lengths to read for checks of the peer's messages.
         self.checks = TokenBucket(CHECKED_AT_ONCE, CHECKED_A_SECOND, now)

@@ -61,17 +61,12 @@ class RateLimit:
 
     Args:
         max_rate: Hz, of the topic's entry, or 0 for any.
-
-    Attributes:
-        rate: Hz, or 0 if all messages cross.
-        here: Hz that this side allows, or 0 for any.
-        switched: called whenever one of them has changed.
     """
 
     def __init__(self, max_rate: float, log: Callable[[Level, EventCode, str], None]) -> None:
-        self.switched: Callable[[], None] = lambda: None
-        self.rate = self._max_rate = max_rate
-        self.here = 0.0
+        self.switched: Callable[[], None] = lambda: None  # called whenever one of the next two has changed
+        self.rate = self._max_rate = max_rate  # Hz, or 0 if all messages cross
+        self.here = 0.0  # Hz that this side allows, or 0 for any
         self._switched_at = self.rate, self.here
         self._there = self._there_before = self._profile = 0.0
         self._log = log

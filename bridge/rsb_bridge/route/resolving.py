@@ -50,18 +50,12 @@ class UnresolvedError(Exception):
 
 
 class Resolver:
-    """Finds type and QoS of one route's messages. Asked again whenever the graph may have changed.
-
-    Attributes:
-        hint: the type that the topic has on the receiving side.
-        publisher_qos: the QoS that all publishers offer, or None without publishers.
-        unresolved: the reason why type or QoS is unknown, or None if both are known.
-    """
+    """Finds type and QoS of one route's messages. Asked again whenever the graph may have changed."""
 
     def __init__(self, context: Context, proposal: Propose) -> None:
-        self.hint = TypeVersion()
-        self.publisher_qos: Qos | None = None
-        self.unresolved: UnresolvedError | None = None
+        self.hint = TypeVersion()  # the type that the topic has on the receiving side
+        self.publisher_qos: Qos | None = None  # that all publishers offer, or None without any
+        self.unresolved: UnresolvedError | None = None  # the reason why type or QoS is unknown
         self._context = context
         self._proposal = proposal
         self._publishers: Sequence[Endpoint] = ()
