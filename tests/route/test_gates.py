@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, TypeVar
 
 import pytest
@@ -16,7 +17,6 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RawMessage, Request
 from rsb_bridge.ros.ros_thread import RosTurns
-from rsb_bridge.route import gates as module
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import Arming, Disarmed
 from rsb_bridge.route.calls.calling_action import CallingActionRoute
@@ -41,7 +41,6 @@ from rsb_bridge.route.gates import (
     providing_gates,
     rate_gate,
     size_gate,
-    size_sieve,
     throttle_sieve,
     young_gate,
     young_sieve,
@@ -51,6 +50,7 @@ from rsb_bridge.route.lease import LASTS, LeaseHalf
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.peer import CallBudget
 from rsb_bridge.route.rate_limit import AllowedRates
+from rsb_bridge.route.sending import Outbox
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, frame_size, with_number
 
@@ -286,7 +286,7 @@ def test_age_sieve_asks_clock_of_taking_side(make_context: Callable[..., Context
 
 def order(gates: tuple[Callable[..., object], ...]) -> list[object]:
     """Return what the gates were made by."""
-    return [getattr(module, each.__qualname__.partition(".")[0]) for each in gates]
+    return [getattr(sys.modules[each.__module__], each.__qualname__.partition(".")[0]) for each in gates]
 
 
 def everything_on(route: Route) -> None:
@@ -297,14 +297,14 @@ def everything_on(route: Route) -> None:
 
 def test_nothing_old_and_nothing_unarmed_gets_to_channel(world: World) -> None:
     """Age is asked once more when the channel has room: a message may have waited in the queue."""
-    assert [order(each) for each in world.path.gates] == [[], [loop_sieve], [], [kept_loop_sieve], [size_sieve], []]
+    assert [order(each) for each in world.path.gates] == [[], [loop_sieve], [], [kept_loop_sieve], [Outbox], []]
     everything_on(world.route)
     gates = world.path.gates
     assert order(gates.batch) == [armed_gate]
     assert order(gates.arriving) == [fresh_sieve, loop_sieve]
     assert order(gates.sourced) == [throttle_sieve]
     assert order(gates.kept) == [kept_age_sieve, kept_loop_sieve]
-    assert order(gates.packed) == [size_sieve]
+    assert order(gates.packed) == [Outbox]
     assert order(gates.leaving) == [young_sieve]
     world.route.qos = Qos(durability="transient_local")  # its messages wait in their histories, and are asked later
     world.path.compose()

@@ -159,11 +159,11 @@ class CallRateGate:
 
 
 class Carries(Protocol):
-    """A sender, as far as gates know it."""
+    """A sender of calls, as far as gates know it."""
 
     @property
     def largest(self) -> int:
-        """Bytes of the largest message or call that the transport carries."""
+        """Bytes of the largest call that the transport carries."""
 
 
 def size_gate(outbox: Carries) -> Gate[Request]:
@@ -238,11 +238,7 @@ def loop_sieve(loops: LoopFilter, route: Route, ledger: RouteLedger) -> Sieve[Ra
 
 
 def throttle_sieve(throttle: Throttle, ledger: RouteLedger, route: Route, later: LastLater) -> Sieve[RawMessage]:
-    """Pass as many of a volatile topic's messages a second as both sides want.
-
-    Args:
-        later: has the last of what may move a robot pass after all.
-    """
+    """Pass as many of a volatile topic's messages a second as both sides want."""
 
     def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         passed = [message for message in batch if throttle.passes(message.stamp)]
@@ -287,28 +283,6 @@ def kept_loop_sieve(loops: LoopFilter, ledger: RouteLedger) -> Sieve[Sample]:
     return sieve
 
 
-class CarriesMessages(Carries, Protocol):
-    """A sender of messages, as far as gates know it."""
-
-    def too_large(self, size: int, /) -> None:
-        """Count a message of so many bytes that does not pass."""
-
-
-def size_sieve(outbox: CarriesMessages) -> Sieve[Message]:
-    """Pass what the transport carries."""
-
-    def sieve(messages: Sequence[Message]) -> Sequence[Message]:
-        fitting = []
-        for message in messages:
-            if len(message[0]) <= outbox.largest:
-                fitting.append(message)
-            else:
-                outbox.too_large(len(message[0]))
-        return fitting
-
-    return sieve
-
-
 def young_sieve(age: MessageAge, ledger: RouteLedger) -> Sieve[Message]:
     """Pass what is still young enough when the channel has room for it."""
 
@@ -337,9 +311,14 @@ def sending_gates(
     throttle: Throttle,
     later: LastLater,
     loops: LoopFilter,
-    outbox: CarriesMessages,
+    fitting: Sieve[Message],
 ) -> SendingGates:
-    """Return the gates of messages from ROS to the channel."""
+    """Return the gates of messages from ROS to the channel.
+
+    Args:
+        later: has the last of what may move a robot pass after all.
+        fitting: passes what the transport carries.
+    """
     age, ages = route.age, route.age.is_on
     # A latched topic's messages wait in its histories; their age is asked when they leave these (`kept_age_sieve`).
     fresh = (fresh_sieve(age, ledger),) if ages and not route.is_latched else ()
@@ -348,7 +327,7 @@ def sending_gates(
         arriving=(*fresh, loop_sieve(loops, route, ledger)),
         sourced=(throttle_sieve(throttle, ledger, route, later),) if throttle.is_on else (),
         kept=(*((kept_age_sieve(age, ledger),) if ages else ()), kept_loop_sieve(loops, ledger)),
-        packed=(size_sieve(outbox),),
+        packed=(fitting,),
         leaving=(young_sieve(age, ledger),) if ages else (),
     )
 

@@ -289,13 +289,19 @@ class Outbox:
         kept_for = AUTO_SECONDS if profile.patience is None else profile.patience
         return QueueLimits(max(depth, qos.depth or AUTO_DEPTH), kept_for if automatic else 0.0, size)
 
-    def too_large(self, size: int) -> None:
-        """Count a message of so many bytes, which the transport does not carry, and tell operators."""
-        self._ledger.drop("too large", 1)
-        transport = self._route.transport
-        sizes = f"{size / 1e6:,.1f} MB, more than {transport.name} carries ({self.largest / 1e6:.1f})"
-        remedy = remedy_for_size(transport, self._route.proposal)
-        self._route.notices.message_error(EventCode.ROUTE_TOO_LARGE, f"a message has {sizes}: {remedy}")
+    def fitting(self, messages: Sequence[Message]) -> list[Message]:
+        """Return the messages that the transport carries; count the others, and tell operators."""
+        fitting = []
+        for message in messages:
+            if (size := len(message[0])) <= self.largest:
+                fitting.append(message)
+                continue
+            self._ledger.drop("too large", 1)
+            transport = self._route.transport
+            sizes = f"{size / 1e6:,.1f} MB, more than {transport.name} carries ({self.largest / 1e6:.1f})"
+            remedy = remedy_for_size(transport, self._route.proposal)
+            self._route.notices.message_error(EventCode.ROUTE_TOO_LARGE, f"a message has {sizes}: {remedy}")
+        return fitting
 
 
 class OutgoingPath:
@@ -332,7 +338,7 @@ class OutgoingPath:
             self._throttle.limit(rate)
         self._route.weight = route_weight(self._route.proposal, armed=self._route.arming.required)
         self.gates = gates = sending_gates(
-            self._route, self._ledger, self._throttle, self._last_later, self._loop_filter, self._outbox
+            self._route, self._ledger, self._throttle, self._last_later, self._loop_filter, self._outbox.fitting
         )
         self._batch = chained(gates.batch)
         self._arriving = sifting(*gates.arriving)
