@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from random import Random
-from typing import TYPE_CHECKING, NamedTuple
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
 from rsb_bridge.model.snapshot import Ledger
-from rsb_bridge.route.health import Flow, Health
+from rsb_bridge.route.health import Health
 from rsb_bridge.telemetry.meters import RateMeter
 
 if TYPE_CHECKING:
@@ -54,12 +55,16 @@ def watched(
             meter.add(1, 100, times[sent])
             sent += 1
         meter.tick(now)
-        publisher = b"%d" % sum(end <= now for _, end in outages)
-        flow = Flow(
-            True, True, meter.last or 0.0, meter.rate, given, meter.usual_rate, 0.0, frozenset([publisher]), Ledger()
+        publishers = [SimpleNamespace(gid=b"%d" % sum(end <= now for _, end in outages))]
+        half: Any = SimpleNamespace(
+            spec=SimpleNamespace(expected_rate=given),
+            meter=meter,
+            limit=SimpleNamespace(rate=0.0),
+            endpoints=publishers,
         )
         had_stopped, was_slow = health.stop.since is not None, health.slow.since is not None
-        health.judge(flow, now)
+        last, usual = meter.last or 0.0, meter.usual_rate
+        health.judge(half, Ledger(), now, usual_rate=usual, quiet_since=last, flows=True, awaited=True)
         if health.stop.since is not None and not had_stopped:
             stopped.append(now)
         slow += health.slow.since is not None and not was_slow

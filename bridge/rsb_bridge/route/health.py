@@ -3,36 +3,27 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import Ledger
+    from rsb_bridge.ros.ros_interface import Endpoint
+    from rsb_bridge.route.rate_limit import RateLimit
+    from rsb_bridge.telemetry.meters import RateMeter
 
 
-class Flow(NamedTuple):
-    """The figures of a route's messages that `Health` watches.
+class WatchedTopic(Protocol):
+    """The sending half of a topic's route, as its health is judged by it."""
 
-    Attributes:
-        flowing: whether messages could cross now.
-        awaited: whether messages are missing if none come.
-        last: time (s) of the last message, or when the first one was missing.
-        given_rate: Hz that an operator expects, or 0 for none.
-        usual_rate: Hz, learned, or None if unknown.
-        limit: Hz that may cross, or 0 for any.
-        publishers: ids of the topic's publishers.
-    """
-
-    flowing: bool
-    awaited: bool
-    last: float
-    rate: float
-    given_rate: float
-    usual_rate: float | None
-    limit: float
-    publishers: frozenset[bytes]
-    ledger: Ledger
+    spec: Topic
+    meter: RateMeter
+    limit: RateLimit
+    endpoints: Sequence[Endpoint]
 
 
 class Health:
@@ -50,24 +41,42 @@ class Health:
         self.losses = LossWatch()
         self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
 
-    def judge(self, flow: Flow, now: float) -> None:
-        """Judge the flow at `now` (s). Called once a second."""
-        ledger = flow.ledger
+    def judge(
+        self,
+        half: WatchedTopic,
+        ledger: Ledger,
+        now: float,
+        *,
+        usual_rate: float | None,
+        quiet_since: float,
+        flows: bool,
+        awaited: bool,
+    ) -> None:
+        """Judge a half at `now` (s). Called once a second.
+
+        Args:
+            usual_rate: Hz, learned, or None if unknown.
+            quiet_since: time (s) of the last message, or when the first one was missing.
+            flows: whether messages could cross now.
+            awaited: whether messages are missing if none come.
+        """
         self._lost_in_dds.append(ledger.lost_in_dds)
         self.losses.judge(ledger.delivered, ledger.dropped, now)
-        expected = flow.given_rate or flow.usual_rate
-        if expected and flow.limit:
-            expected = min(expected, flow.limit)
+        promised, limit = bool(half.spec.expected_rate), half.limit.rate
+        expected = half.spec.expected_rate or usual_rate
+        if expected and limit:
+            expected = min(expected, limit)
         self.expected_rate = expected
-        if expected is None or not flow.awaited:
+        if expected is None or not awaited:
             self.stop.reset()
             self.slow.reset()
             return
-        self.stop.judge(flow.last, expected, now, flow.publishers, promised=bool(flow.given_rate))
-        if self.stop.since is not None or not flow.flowing:
+        publishers = frozenset([each.gid for each in half.endpoints])
+        self.stop.judge(quiet_since, expected, now, publishers, promised=promised)
+        if self.stop.since is not None or not flows:
             self.slow.reset()
         elif not self.stop.quiet:  # a pause is not slow
-            self.slow.judge(flow.rate, expected, now)
+            self.slow.judge(half.meter.rate, expected, now)
 
     def lost_in_dds(self) -> int:
         """Return the messages that DDS lost in the last `LATELY` s before they could be taken."""

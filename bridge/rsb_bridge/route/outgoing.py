@@ -23,7 +23,7 @@ from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.blocking_rules import as_known, link_and_acceptance, stage
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.crossing import Crossing
-from rsb_bridge.route.health import Flow, Health
+from rsb_bridge.route.health import Health
 from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, SendersDelay, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
@@ -271,22 +271,11 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def _measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         flows, ledger = crossing.flows, self.ledger()
         self._in_flight = ledger.in_flight
+        awaited = self._subscription.receives if flows else self.lacks_publisher(crossing)
         # A latched topic may be silent for any time, unless an operator expects a rate.
         usual = None if self.is_latched else self.meter.usual_rate
-        self.health.judge(
-            Flow(
-                flows,
-                self._subscription.receives if flows else self.lacks_publisher(crossing),
-                self.silence.watch.quiet_since,
-                self.meter.rate,
-                self.spec.expected_rate or 0.0,
-                usual,
-                self.limit.rate,
-                frozenset([each.gid for each in self.endpoints]),
-                ledger,
-            ),
-            now,
-        )
+        last = self.silence.watch.quiet_since
+        self.health.judge(self, ledger, now, usual_rate=usual, quiet_since=last, flows=flows, awaited=awaited)
         missed = self._ledger.missed
         if missed.since is not None:
             missed.estimate(now, self._ledger.offered, published=self._is_published)
