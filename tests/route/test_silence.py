@@ -44,7 +44,7 @@ class World:
     def wait(self, seconds: float, cause: str) -> None:
         for _ in range(int(seconds)):
             self._now += 1.0
-            self._silence.tick(self._now, due=True, cause=cause)
+            self._silence.tick(self._now, cause)
 
     def hear(self) -> None:
         self._silence.seen(self._now)

@@ -212,7 +212,10 @@ class Announcer:
             return None
         if verdict.state is State.OK:
             self._heard = True
-            return self._over()
+            logged, self._logged, self._logged_as = self._logged, FINE, None
+            if logged.state is State.OK:
+                return None
+            return StateEvent(Level.INFO, EventCode.ROUTE_RECOVERED, f"no longer {logged.state}", logged.cause)
         if verdict.state is State.WAITING:
             return self._waiting(verdict, now)
         if verdict.state not in _ANNOUNCED or verdict.cause in _LOGGED_ELSEWHERE:
@@ -236,9 +239,3 @@ class Announcer:
             self._logged_at.clear()
         self._logged_at[what] = now
         return StateEvent(level, code, f"{verdict.state.upper()}: {verdict.said(now)}", verdict.cause)
-
-    def _over(self) -> StateEvent | None:
-        logged, self._logged, self._logged_as = self._logged, FINE, None
-        if logged.state is State.OK:
-            return None
-        return StateEvent(Level.INFO, EventCode.ROUTE_RECOVERED, f"no longer {logged.state}", logged.cause)

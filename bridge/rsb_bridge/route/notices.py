@@ -105,10 +105,13 @@ class ChannelLosses:
     """Losses of a route's channel while its link stays up, since a message was last known to have arrived.
 
     A channel that owes nothing and ends shows nothing about messages: an outage ends the idle ones as well.
+
+    Attributes:
+        reasons: of the last losses.
     """
 
     def __init__(self) -> None:
-        self._reasons: deque[Reason] = deque(maxlen=_AGAIN_AND_AGAIN)
+        self.reasons: deque[Reason] = deque(maxlen=_AGAIN_AND_AGAIN)
         self._idle_since: float | None = None
         self._worked = False  # messages have arrived over the present channel
         self._report: asyncio.TimerHandle | None = None
@@ -120,7 +123,7 @@ class ChannelLosses:
             owing: whether messages or answers were on their way, or waited for the channel.
         """
         if owing and not self._worked:
-            self._reasons.append(reason)
+            self.reasons.append(reason)
         self._worked, self._idle_since = False, None
         self.forget_report()
         self._report = loop.call_later(_LINK_OUTLIVES, report)
@@ -128,11 +131,7 @@ class ChannelLosses:
     def arrived(self) -> None:
         """Note that messages arrive."""
         self._worked = True
-        self._reasons.clear()
-
-    def __bool__(self) -> bool:
-        """Whether there are any."""
-        return bool(self._reasons)
+        self.reasons.clear()
 
     def tick(self, now: float, *, idle: bool) -> None:
         """Forget the losses once a channel has been idle for a while: open, and owing nothing."""
@@ -141,7 +140,7 @@ class ChannelLosses:
         elif self._idle_since is None:
             self._idle_since = now
         elif now - self._idle_since >= _IDLE_FOR:
-            self._reasons.clear()
+            self.reasons.clear()
 
     def forget_report(self) -> None:
         """Cancel the report that is due."""
@@ -151,6 +150,6 @@ class ChannelLosses:
     @property
     def repeated(self) -> str:
         """The reason why channels repeatedly end before a message arrives, or empty."""
-        if len(self._reasons) == _AGAIN_AND_AGAIN or (self._reasons and any(each.timed_out for each in self._reasons)):
-            return self._reasons[-1].text
+        if len(self.reasons) == _AGAIN_AND_AGAIN or (self.reasons and any(each.timed_out for each in self.reasons)):
+            return self.reasons[-1].text
         return ""

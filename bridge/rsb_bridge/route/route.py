@@ -424,7 +424,7 @@ class Route:
         self.meter.tick(now, learns=learns)
         connected = crossing.flows or self.connected
         self.reopening.observe(connected=connected, flowing=crossing.flows)
-        if self.losses:  # nearly never, and the question what it owes takes a while
+        if self.losses.reasons:  # nearly never, and the question what it owes takes a while
             self.losses.tick(now, idle=connected and not self.owing)
         self._verdict = own = self._judged(now, crossing)
         said = self.judged.announce(own, now, self.peer.path.fault)

@@ -95,13 +95,13 @@ class SilenceWatch:
         self.watch.rearm(now)
         self._warned = False
 
-    def tick(self, now: float, *, due: bool, cause: str) -> None:
-        """Warn if nothing has come for too long although messages are due. Called once a second.
+    def tick(self, now: float, cause: str) -> None:
+        """Warn if nothing has come for too long. Called once a second while messages that are due do not come.
 
         Args:
             cause: of the route's state. A cause that explains the silence is logged already, and not repeated.
         """
-        if due and (number := self.watch.check(now)) and cause not in _EXPLAINS:
+        if (number := self.watch.check(now)) and cause not in _EXPLAINS:
             self._warned = True
             text = f"nothing for {self.watch.after * number:g} s (warning {number} of {self.watch.times})"
             if number == self.watch.times:
@@ -366,7 +366,8 @@ class TopicRoute(Route, Generic[ChannelT]):
         if not awaited:
             self.silence.rearm(now)
         shown = self.judged.announced.verdict
-        self.silence.tick(now, due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
+        if shown.state in (State.STALE, State.STOPPED):
+            self.silence.tick(now, shown.cause)
         # Last, so that the signs contain all that the tick has changed.
         self._idling.ticked(self._signs(), now, self._changes_at(shown, now, awaited=awaited))
 

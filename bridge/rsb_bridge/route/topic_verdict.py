@@ -268,8 +268,7 @@ def _publishers_qos(half: SendingTopic, _: Crossing) -> Verdict | None:
     qos = half.qos
     if qos is None or not half.life.described:
         return None
-    ours = [each for each in half.endpoints if each.type_name == half.type_name]
-    others = [each for each in ours if clashes(each.qos, qos)]
+    others = [each for each in half.endpoints if each.type_name == half.type_name and clashes(each.qos, qos)]
     if not others:
         return None
     offer, asked = zip(*clashes(others[0].qos, qos), strict=True)
@@ -279,7 +278,7 @@ def _publishers_qos(half: SendingTopic, _: Crossing) -> Verdict | None:
         f"{whose} messages are not received; set qos: auto for this topic"
     )
     # If some publishers are heard, the topic is not down.
-    all_of_them = len(others) == len(ours)
+    all_of_them = len(others) == sum(each.type_name == half.type_name for each in half.endpoints)
     return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
 
 

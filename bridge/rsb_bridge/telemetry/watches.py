@@ -254,7 +254,7 @@ class LossWatch:
         if delivered > delivered_before:
             self._arrived_at = now
             self._row.clear()
-        else:
+        elif lost:
             # A count falls if a message arrives after all that had been given up.
             self._row.add({cause: max(0, count - lost_before.get(cause, 0)) for cause, count in lost.items()}, now)
         if any(count > lost_before.get(cause, 0) for cause, count in lost.items()):
