@@ -21,7 +21,7 @@ from textual.theme import Theme
 from rsb_bridge.config.files import is_there, replace_file, why_not_written
 from rsb_bridge.feature import BRINGS_ACTIONS
 from rsb_bridge.model.wording import Wording
-from rsb_console.actions.registry import screens
+from rsb_console.actions.all_actions import screens
 from rsb_console.notation.topic_column import ADDED
 
 if TYPE_CHECKING:

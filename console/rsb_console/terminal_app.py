@@ -19,7 +19,7 @@ from rsb_bridge.config.files import owner_only
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import several_lines
 from rsb_console.actions.action import Action, Group
-from rsb_console.actions.registry import ACTIONS, bindings
+from rsb_console.actions.all_actions import ACTIONS, bindings
 from rsb_console.notation.glyphs import STATE_SIGN, AsciiFilter, ControlFilter
 from rsb_console.preferences import (
     REFRESH_RATES,

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from rsb_console.actions.action import Group
-from rsb_console.actions.registry import ACTIONS
+from rsb_console.actions.all_actions import ACTIONS
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs/screenshots.py"

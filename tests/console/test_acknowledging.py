@@ -7,7 +7,7 @@ from tests.console.scripted import LINK, NOW, ROUTES
 from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, RouteSnapshot, Snapshot, State
-from rsb_console.actions.registry import BY_ID
+from rsb_console.actions.all_actions import BY_ID
 from rsb_console.app import ConsoleApp
 from rsb_console.notation.glyphs import ACK_WORD, STATE_WORD
 from rsb_console.screens.links_screen import LinksScreen

@@ -29,7 +29,7 @@ from textual.screen import Screen
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.actions.action import Group
-from rsb_console.actions.registry import ACTIONS, BY_ID, KEYS_ON_SCREENS
+from rsb_console.actions.all_actions import ACTIONS, BY_ID, KEYS_ON_SCREENS
 from rsb_console.app import ConsoleApp
 from rsb_console.preferences import PreferenceError, PreferenceProblem, load_keymap, split_keys
 from rsb_console.screens.dialog import ConfirmScreen

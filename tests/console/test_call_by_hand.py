@@ -31,10 +31,10 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.snapshot import State
-from rsb_console.actions.registry import BY_ID
+from rsb_console.actions.all_actions import BY_ID
 from rsb_console.app import ConsoleApp
 from rsb_console.notation.formats import AnswerText
-from rsb_console.screens.by_hand import FieldsText
+from rsb_console.screens.by_hand_screen import FieldsText
 from rsb_console.screens.call_screen import CallText, answer_lines
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import MainText

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, BRINGS_TRANSPORTS, installed
-from rsb_console.actions.registry import OF_CORE
+from rsb_console.actions.all_actions import OF_CORE
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = {each.parent.name: each.parent for each in ROOT.glob("extras/rsb_extras/*/__init__.py")}

@@ -19,7 +19,7 @@ from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation import formats
 from rsb_console.notation.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
-from rsb_console.screens.by_hand import ByHandScreen, FieldsText, fields_problem
+from rsb_console.screens.by_hand_screen import ByHandScreen, FieldsText, fields_problem
 from rsb_console.screens.dialog import ConfirmScreen, beginning
 from rsb_console.session.parameter_values import refusal, set_request
 from rsb_console.terminal.driver import copy

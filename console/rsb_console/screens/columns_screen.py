@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
-from rsb_console.actions.registry import BY_ID
+from rsb_console.actions.all_actions import BY_ID
 from rsb_console.preferences import TOPIC_COLUMNS
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.lines import fit

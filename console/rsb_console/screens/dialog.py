@@ -14,7 +14,7 @@ from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.commands import Effect
-from rsb_console.actions.registry import BY_ID
+from rsb_console.actions.all_actions import BY_ID
 from rsb_console.notation import formats
 from rsb_console.notation.glyphs import DONE, FAILED
 from rsb_console.terminal.input_queue import SEEN_AFTER, GuardedScreen, InputGate

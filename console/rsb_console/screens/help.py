@@ -12,7 +12,7 @@ from textual.command import DiscoveryHit, Hit, Provider
 from textual.screen import ModalScreen
 
 from rsb_console.actions.action import NAMESPACE, Group
-from rsb_console.actions.registry import KEYS_ON_SCREENS
+from rsb_console.actions.all_actions import KEYS_ON_SCREENS
 from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from textual.screen import Screen
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.action import NAMESPACE, FooterEntry, Group
-from rsb_console.actions.registry import ACTIONS, BY_ID, bindings
+from rsb_console.actions.all_actions import ACTIONS, BY_ID, bindings
 from rsb_console.widgets.bars import BarState, KeyBar, KeyEntry, StatusBar, state_counts, warning_count
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.fault_pane import Fault, FaultLines, MoreKeys, faults_of

@@ -18,7 +18,7 @@ from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, load, save
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.wording import Wording
-from rsb_console.actions.registry import BY_ID
+from rsb_console.actions.all_actions import BY_ID
 from rsb_console.screens.dialog import ConfirmScreen, Dialog
 from rsb_console.session.saving import difference, file_of, moved, path_problem, rescued, text_of, unsaved
 from rsb_console.widgets.form import Field, FormScreen, Spec

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.by_hand import END_CANCEL, END_NONE
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.action import Group
-from rsb_console.actions.registry import bindings
+from rsb_console.actions.all_actions import bindings
 from rsb_console.notation import formats
 from rsb_console.notation.formats import PatternRow, Row
 from rsb_console.notation.glyphs import (

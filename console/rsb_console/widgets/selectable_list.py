@@ -11,7 +11,7 @@ from textual.geometry import Region
 from textual.message import Message
 
 from rsb_console.actions.action import Group
-from rsb_console.actions.registry import bindings
+from rsb_console.actions.all_actions import bindings
 from rsb_console.terminal.input_queue import InputGate
 from rsb_console.widgets.lines import LiveLines, clip, fit_middle
 

@@ -12,7 +12,7 @@ from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation.glyphs import DONE, FAILED
-from rsb_console.screens.by_hand import ByHandScreen, FieldsText, fields_problem
+from rsb_console.screens.by_hand_screen import ByHandScreen, FieldsText, fields_problem
 from rsb_console.screens.dialog import ConfirmScreen, beginning
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Spec, TextField

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rsb_console.actions.action import Action, Group
-from rsb_console.actions.registry import ACTIONS
+from rsb_console.actions.all_actions import ACTIONS
 
 _ON_FLEET = {
     "back": "Drop the filter, the marks",

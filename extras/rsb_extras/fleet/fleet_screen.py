@@ -10,7 +10,7 @@ from textual.screen import Screen
 
 from rsb_bridge.model.text import join_first
 from rsb_console.actions.action import Group
-from rsb_console.actions.registry import bindings
+from rsb_console.actions.all_actions import bindings
 from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.bars import KeyBar, KeyEntry

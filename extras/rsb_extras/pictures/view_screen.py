@@ -27,7 +27,7 @@ from rsb_bridge.config.files import replace_file
 from rsb_bridge.model.names import other_side
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
-from rsb_console.actions.registry import ACTIONS, BY_ID
+from rsb_console.actions.all_actions import ACTIONS, BY_ID
 from rsb_console.notation import formats
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.terminal.input_queue import DIALOG

@@ -32,7 +32,7 @@ from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.by_hand import FieldsText
+from rsb_console.screens.by_hand_screen import FieldsText
 from rsb_extras.driving.landing import HearingText
 from rsb_extras.driving.publish_requests import Draft, Publish, Published
 from rsb_extras.driving.publish_screen import PublishScreen, PublishText

@@ -3,7 +3,7 @@
 import pytest
 from textual.binding import Binding
 
-from rsb_console.actions.registry import BY_ID
+from rsb_console.actions.all_actions import BY_ID
 from rsb_extras.driving.drive_screen import _STOPS, _WAYS, DriveScreen, Steering
 
 LABELS = {

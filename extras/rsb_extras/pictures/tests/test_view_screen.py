@@ -42,7 +42,7 @@ from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
-from rsb_console.actions.registry import BY_ID
+from rsb_console.actions.all_actions import BY_ID
 from rsb_console.app import ConsoleApp
 from rsb_console.notation import formats
 from rsb_console.screens.help import KeyList
