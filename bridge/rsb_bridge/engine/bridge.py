@@ -72,7 +72,15 @@ _LISTENS_EVERY = 10
 """Ticks between two looks whether DDS hears all nodes here. It has this time to follow senders to a new port. Ticks, as
 a process that was stopped has had no time. A look costs 3 ms on a busy machine. A round figure."""
 
-_OF_ONE_ROUTE = commands.PauseTopics, commands.Call
+_OF_ONE_ROUTE = (
+    commands.AnswerAsker,
+    commands.ArmTopic,
+    commands.AskHolder,
+    commands.Call,
+    commands.DisarmTopic,
+    commands.PauseTopics,
+    commands.TakeArming,
+)
 """Commands whose effect shows on no other route than that of their key."""
 _EVERY_TOPIC = ""
 

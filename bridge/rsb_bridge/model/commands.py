@@ -302,6 +302,7 @@ class Topics(Command[tuple[TopicInfo, ...]], frozen=True, tag="topics"):
     """List the topics, services, actions and nodes that can be bridged."""
 
     right = Right.LOOK
+    refreshes = False
     link: str | None = None  # whose peer's graph to list, or None for the graph of this side
 
 
@@ -331,6 +332,7 @@ class Template(Command[str], frozen=True, tag="template"):
     """Write a request for `Call`, with the defaults of all fields, as YAML."""
 
     right = Right.LOOK
+    refreshes = False
     cancellable = True
     key: str
     lane: str = ""
