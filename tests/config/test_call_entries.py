@@ -14,6 +14,8 @@ from tests.support.wording import says
 
 from rsb_bridge.config.decoding import Hint, ValueMistake
 from rsb_bridge.config.file_form import KEYS, as_topic, as_written
+from rsb_bridge.config.name_rules import NameMistake
+from rsb_bridge.config.overlaps import OverlapMistake
 from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.config.session_file import dump, load, load_file, parse, same, save, validate
 from rsb_bridge.config.topic_rules import TopicMistake
@@ -120,9 +122,9 @@ def test_saved_lists_are_read_again_by_kind() -> None:
         ("type: std_srvs/msg/Trigger", TopicMistake.NOT_A_TYPE, {"folder": "srv"}),
         ("type: Trigger", TopicMistake.NOT_A_TYPE, {"name": "'Trigger'", "kind": "a service", "folder": "srv"}),
         (f"type: a/srv/{'B' * 300}", TopicMistake.CALLED_TYPE_TOO_LONG, {}),
-        ("remote_service: dock", TopicMistake.NOT_ABSOLUTE, {"name": "'dock'", "noun": "service"}),
-        ("remote_service: /_rsb_bridge/x", TopicMistake.OF_THE_BRIDGE, {"name": "'/_rsb_bridge/x'"}),
-        ("remote_service: /a/_action/send_goal", TopicMistake.PART_OF_ACTION, {"action": "/a"}),
+        ("remote_service: dock", NameMistake.NOT_ABSOLUTE, {"name": "'dock'", "noun": "service"}),
+        ("remote_service: /_rsb_bridge/x", NameMistake.OF_THE_BRIDGE, {"name": "'/_rsb_bridge/x'"}),
+        ("remote_service: /a/_action/send_goal", NameMistake.PART_OF_ACTION, {"action": "/a"}),
         ("type: p/action/A", TopicMistake.TYPE_OF_OTHER_KIND, {"kind": "an action"}),
     ],
 )
@@ -137,8 +139,8 @@ def test_mistake_of_service_has_its_line_and_key(fields: str, code: Wording, par
         ("services", "{service: /d}", "provider", ValueMistake.MISSING, {}),
         ("services", "{service: /d, provider: robot}", "provider", ValueMistake.MISFIT, {"value": "'robot'"}),
         ("services", "{provider: client}", "service", ValueMistake.MISSING, {"expected": "text"}),
-        ("services", "{service: /a/_action/get_result, provider: client}", "service", TopicMistake.PART_OF_ACTION, {}),
-        ("services", "{service: /_rsb_bridge/published, provider: client}", "service", TopicMistake.OF_THE_BRIDGE, {}),
+        ("services", "{service: /a/_action/get_result, provider: client}", "service", NameMistake.PART_OF_ACTION, {}),
+        ("services", "{service: /_rsb_bridge/published, provider: client}", "service", NameMistake.OF_THE_BRIDGE, {}),
         ("services", "{topic: /d, provider: client, service: /d}", "topic", ForeignKey.LIST_UNDER, {"list": "topics"}),
         ("actions", "{action: /a, provider: client, type: p/srv/A}", "type", TopicMistake.TYPE_OF_OTHER_KIND, {}),
         (
@@ -148,8 +150,8 @@ def test_mistake_of_service_has_its_line_and_key(fields: str, code: Wording, par
             TopicMistake.CALLED_TYPE_TOO_LONG,
             {"length": 240},
         ),
-        ("services", "{service: /d/**x, provider: client}", "service", TopicMistake.NOT_A_PATTERN, {}),
-        ("parameters", "{node: n, provider: client}", "node", TopicMistake.NOT_ABSOLUTE, {}),
+        ("services", "{service: /d/**x, provider: client}", "service", NameMistake.NOT_A_PATTERN, {}),
+        ("parameters", "{node: n, provider: client}", "node", NameMistake.NOT_ABSOLUTE, {}),
         ("parameters", "{node: /n, provider: client, type: x}", "type", ForeignKey.TYPE_OF_PARAMETERS, {}),
         ("topics", "{topic: /a, direction: transmit, kind: service}", "kind", ForeignKey.KIND_OF_TOPIC, {}),
         ("topics", "{topic: /a, direction: transmit, timeout: 3}", "timeout", ForeignKey.TIMEOUT_OF_TOPIC, {}),
@@ -179,9 +181,9 @@ def test_mistake_of_entry_has_its_line_and_key(
         (f"{CLIENT}{DOCK}  - {{service: /d, provider: client}}\n", "8 services[1]", SessionMistake.TOPIC_TWICE,
          {"name": "/d", "number": 1}),
         (f"{CLIENT}{DOCK}  - {{service: /d, provider: server}}\n", "8 services[1]",
-         TopicMistake.OTHER_PROVIDER, {"provider": "client"}),
+         OverlapMistake.OTHER_PROVIDER, {"provider": "client"}),
         (CLIENT + "services: [{service: /n/set_parameters, provider: client}]\n"
-         "parameters: [{node: /n, provider: client}]\n", "7 parameters[0]", TopicMistake.BRIDGED_ALREADY,
+         "parameters: [{node: /n, provider: client}]\n", "7 parameters[0]", OverlapMistake.BRIDGED_ALREADY,
          {"service": "/n/set_parameters", "noun": "service", "name": "/n/set_parameters"}),
     ],
 )  # fmt: skip

@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from tests.support.wording import pattern, says
 
-from rsb_bridge.config.topic_rules import TopicMistake
+from rsb_bridge.config.name_rules import NameMistake
 from rsb_bridge.config.validation import SessionMistake, domain_of, validate, validate_topic
 from rsb_bridge.link.proposals import proposal_of, topic_of
 from rsb_bridge.model.by_hand import VelocityLimits
@@ -170,7 +170,7 @@ def test_a_topic_name_is_measured_with_its_prefix() -> None:
     assert validate(msgspec.structs.replace(base, topics=(Topic(longest, "transmit"),))) == []
     (problem,) = validate(msgspec.structs.replace(base, topics=(Topic(longest + "a", "transmit"),)))
     assert problem.location == "topics[0].topic"
-    assert says(problem.message, TopicMistake.NAME_TOO_LONG_WITH_PREFIX, length=TOPIC_LENGTH + 1, limit=TOPIC_LENGTH)
+    assert says(problem.message, NameMistake.NAME_TOO_LONG_WITH_PREFIX, length=TOPIC_LENGTH + 1, limit=TOPIC_LENGTH)
     renamed = Topic(longest + "a", "transmit", remote_topic="/short")
     assert validate(msgspec.structs.replace(base, topics=(renamed,))) == []
     assert validate(msgspec.structs.replace(base, use_name=False, topics=(Topic(longest + "a", "transmit"),))) == []

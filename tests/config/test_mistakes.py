@@ -10,7 +10,8 @@ from tests.config.mistakes import BLUETOOTH, CLIENT, FILE, SERVER, has, problems
 from tests.support.wording import says
 
 from rsb_bridge.config.decoding import Hint, ValueMistake
-from rsb_bridge.config.rights import RightsMistake
+from rsb_bridge.config.grants import RightsMistake
+from rsb_bridge.config.name_rules import NameMistake
 from rsb_bridge.config.session_file import SessionError, load, parse, validate, validate_topic
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake
@@ -78,10 +79,10 @@ def clients(entry: str) -> str:
         ("paused: yes", ValueMistake.MISFIT, {"value": "'yes'", "expected": "true or false"}),
         ("arm: 1", ValueMistake.MISFIT, {"value": 1, "expected": "true or false"}),
         ("deadman: 30", TopicMistake.DEADMAN_WITHOUT_ARM, {"kind": "a topic"}),
-        ("remote_topic: scan", TopicMistake.NOT_ABSOLUTE, {"name": "'scan'", "noun": "topic"}),
-        ('remote_topic: ""', TopicMistake.NO_NAME, {"noun": "topic"}),
-        ("remote_topic: ~/scan", TopicMistake.NOT_ABSOLUTE, {"hint": Hint.DID_YOU_MEAN(name="/scan")}),
-        ("remote_topic: /front-scan/2", TopicMistake.NOT_ABSOLUTE, {"hint": Hint.DID_YOU_MEAN(name="/front_scan/_2")}),
+        ("remote_topic: scan", NameMistake.NOT_ABSOLUTE, {"name": "'scan'", "noun": "topic"}),
+        ('remote_topic: ""', NameMistake.NO_NAME, {"noun": "topic"}),
+        ("remote_topic: ~/scan", NameMistake.NOT_ABSOLUTE, {"hint": Hint.DID_YOU_MEAN(name="/scan")}),
+        ("remote_topic: /front-scan/2", NameMistake.NOT_ABSOLUTE, {"hint": Hint.DID_YOU_MEAN(name="/front_scan/_2")}),
         ("topic: /other", YamlMistake.DUPLICATE_KEY, {"line": 7}),
     ],
 )
@@ -106,9 +107,9 @@ def test_mistake_of_topic_has_its_line_and_key(fields: str, code: Wording, param
         (f"{BLUETOOTH}bluetooth_address: {MAC}\n", "6 bluetooth_address", SessionMistake.ADAPTER_TWICE, {}),
         (CLIENT + "stale_after: 1e300\n", "6 stale_after", TopicMistake.OUT_OF_RANGE, {"value": 1e300}),
         (topic("arm: true, deadman: 1"), "7 topics[0].deadman", TopicMistake.OUT_OF_RANGE, {}),
-        (topic(f"remote_topic: {ANNOUNCEMENT_TOPIC}"), "7 topics[0].remote_topic", TopicMistake.ANNOUNCEMENT, {}),
-        (topics('{topic: "", direction: transmit}'), "7 topics[0].topic", TopicMistake.NO_NAME, {}),
-        (topics("{topic: scan, direction: transmit}"), "7 topics[0].topic", TopicMistake.NOT_ABSOLUTE, {}),
+        (topic(f"remote_topic: {ANNOUNCEMENT_TOPIC}"), "7 topics[0].remote_topic", NameMistake.ANNOUNCEMENT, {}),
+        (topics('{topic: "", direction: transmit}'), "7 topics[0].topic", NameMistake.NO_NAME, {}),
+        (topics("{topic: scan, direction: transmit}"), "7 topics[0].topic", NameMistake.NOT_ABSOLUTE, {}),
         (topics("topic: /scan"), "7 topics[0].direction", ValueMistake.MISSING, {}),
         (topics("/scan"), "7 topics[0]", ValueMistake.NOT_A_MAPPING, {"value": "'/scan'", "keys": "topic, direction"}),
         (CLIENT + "topics[2]server_ip: x\n", "6 topics[2]server_ip", ValueMistake.MISSPELT_KEY, {}),
@@ -121,7 +122,7 @@ def test_mistake_of_topic_has_its_line_and_key(fields: str, code: Wording, param
         (SERVER + "ports: [12001, 80]\n", "6 ports[1]", SessionMistake.TOPIC_PORT_INVALID, {}),
         (SERVER + "ports: nine\n", "6 ports", ValueMistake.MISFIT, {"value": "'nine'"}),
         (CLIENT + "stale_warnings: -1\n", "6 stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE, {"count": -1}),
-        (CLIENT + "shutdown_topic: shutdown\n", "6 shutdown_topic", TopicMistake.NOT_ABSOLUTE, {}),
+        (CLIENT + "shutdown_topic: shutdown\n", "6 shutdown_topic", NameMistake.NOT_ABSOLUTE, {}),
         (CLIENT + "clients: [{name: robot2}]\n", "2 role", SessionMistake.CLIENTS_OF_CLIENT, {}),
         (CLIENT + "encryption_key: abc\n", "6 encryption_key", ValueMistake.SECRET_KEY, {}),
         (CLIENT.replace("robot1", "robot-1") + "use_name: true\n", "1 name", SessionMistake.NAME_NOT_A_PREFIX, {}),

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from rsb_bridge.config.rights import listings
+from rsb_bridge.config.rights_listing import listings
 from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.session_file import SessionError, load_file, parse, save
 from rsb_bridge.config.validation import validate_topic

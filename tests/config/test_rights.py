@@ -11,20 +11,9 @@ from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice, advise
 from rsb_bridge.config.decoding import ValueMistake
-from rsb_bridge.config.rights import (
-    EVERY_CALL,
-    DeniedRemedy,
-    DeniedText,
-    GrantError,
-    Place,
-    Rights,
-    RightsMistake,
-    Use,
-    listings,
-    rights_of_client,
-    rights_of_server,
-    typed_grants,
-)
+from rsb_bridge.config.grants import GrantError, RightsMistake, typed_grants
+from rsb_bridge.config.rights import DeniedRemedy, DeniedText, Place, Rights, Use, rights_of_client, rights_of_server
+from rsb_bridge.config.rights_listing import EVERY_CALL, listings
 from rsb_bridge.config.session_file import dump, parse
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import validate

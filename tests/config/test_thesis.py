@@ -10,8 +10,8 @@ from rsb_bridge.config.decoding import ValueMistake
 from rsb_bridge.config.imports.importing import ImportMistake, import_file
 from rsb_bridge.config.imports.other_bridges import Choices
 from rsb_bridge.config.imports.thesis import BringupMistake, BringupNote
+from rsb_bridge.config.name_rules import NameMistake
 from rsb_bridge.config.session_file import SessionError, dump, parse, validate
-from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import QosProblem
@@ -134,7 +134,7 @@ def test_what_changed_is_said(bringup: Path) -> None:
         ("'10'", "'qos_sensor'", 10, "receive_qos[1]", QosProblem.UNKNOWN_NAME, {"value": "qos_sensor"}),
         ("'Odometry'", "'Odometri'",
          13, "transmit_msg_types[1]", TypeNameProblem.SHORT_NAME_MISSPELT, {"name": "Odometri"}),
-        ("'goal_pose'", "'goal-pose'", 6, "receive_topics[1]", TopicMistake.NOT_ABSOLUTE, {"name": "'/goal-pose'"}),
+        ("'goal_pose'", "'goal-pose'", 6, "receive_topics[1]", NameMistake.NOT_ABSOLUTE, {"name": "'/goal-pose'"}),
         ("12006", "12004", 14, "transmit_ports[2]", SessionMistake.PORT_TAKEN, {"protocol": "tcp", "port": 12004}),
         ("'192.168.10.250'", "'192.168.10'",
          3, "server_ip", SessionMistake.ADDRESS_INVALID, {"address": "'192.168.10'"}),

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import LISTS, NOUNS, locations
-from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server, uses
+from rsb_bridge.config.grants import uses
+from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of, zone_of
 from rsb_bridge.feature import installed

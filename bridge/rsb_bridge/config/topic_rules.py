@@ -1,4 +1,8 @@
-"""The rules of one topic, service, action or node's parameters, also by pattern, and of values that a session has."""
+"""The rules of one topic, service, action or node's parameters, also by pattern, and of values that a session has.
+
+Four functions check a whole entry: `topic_problems` one of a session file, `entry_problems` one of a form, a program or
+a peer's proposal, `problems_here` such a proposal under this side's name for it, `internal_problems` an internal route.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,9 @@ import msgspec
 
 from rsb_bridge.config.decoding import Hint, ValueMistake, did_you_mean, holds_key, join, read, show
 from rsb_bridge.config.fields_text import read_fields
-from rsb_bridge.config.file_form import LISTS, NOUNS, foreign, key_of, locations
+from rsb_bridge.config.file_form import LISTS, foreign, key_of
 from rsb_bridge.config.keys import conceal
+from rsb_bridge.config.name_rules import KIND_NOUNS, topic_name_problems
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import (
     END_CANCEL,
@@ -24,25 +29,15 @@ from rsb_bridge.model.by_hand import (
 )
 from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.demands import full_type
-from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH, TOPIC_LENGTH
+from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH
 from rsb_bridge.model.names import (
-    ANNOUNCEMENT_TOPIC,
-    OWN_NAMES,
     expand_type_name,
-    is_topic_name,
-    server_topic,
-    well_formed,
 )
 from rsb_bridge.model.patterns import (
-    EXCEPTIONS_PER_PATTERN,
-    PATTERNS_PER_LINK,
-    Pattern,
-    is_hidden,
     is_pattern,
-    is_valid,
 )
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
-from rsb_bridge.model.session import ArmedName, Kind, Problem, Session, Topic
+from rsb_bridge.model.session import Kind, Problem, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
 from rsb_bridge.model.wording import Wording
 
@@ -59,8 +54,6 @@ A_KIND: Final[dict[Kind, str]] = {
     "parameters": "a node's parameters",
 }
 """Each kind, in a sentence."""
-_NAMED: Final[dict[Kind, str]] = {"topic": "topic", "service": "service", "action": "action", "parameters": "node"}
-_OF_AN_ACTION = re.compile(r"(?P<action>.*)/_action/[^/]*")
 _OF_TOPICS = {
     "kind": "topic",
     "arm": False,
@@ -86,13 +79,6 @@ class TopicMistake(Wording):
     ON_END_TOO_LONG = "the message has {length} characters, and at most {limit} are allowed: leave out what is 0"
     LIMITS_OF_TYPE = "only Twist and TwistStamped have a velocity, and the type is {name}: leave limits out"
     OUT_OF_RANGE = "{value} is out of range: {range}"
-    NO_NAME = "the {noun}'s name is empty: give an absolute one, /part/part"
-    NOT_ABSOLUTE = "{name} is not an absolute {noun} name: /part/part, of letters, digits and _, no digit first{hint}"
-    ANNOUNCEMENT = "{name} carries the bridges' own announcements and is never bridged: name another topic"
-    NAME_TOO_LONG = "{name} has {length} characters, and ROS allows at most {limit}: shorten it"
-    NAME_TOO_LONG_WITH_PREFIX = (
-        "{name} has {length} characters with its prefix, and ROS allows at most {limit}: shorten it"
-    )
     CALL_NEEDS_RELIABLE = "{protocol} may lose messages, and calls must not be lost: leave protocol out"
     NOT_CROSSING = (
         "{protocol} needs a link over {needed} ({chosen_by}), and this one is over {medium}: give {crossing}, or leave "
@@ -103,30 +89,11 @@ class TopicMistake(Wording):
         "such topics"
     )
     NEEDS_CHANNEL = "missing: a bluetooth {noun} of an IP link needs a channel, {range}; several topics may share one"
-    WILDCARDS_DIFFER = (
-        "{remote} has {remote_wildcards}, and {name} has {wildcards}: give both the same wildcards in the same order"
-    )
     PORT_OF_PATTERN = "each name that matches would need its own {kind}: leave port out, so that they share the link's"
-    NOT_A_PATTERN = (
-        "{name} is not a pattern of names: /part/part, where * matches characters of one part, and a part ** "
-        "matches any number of parts"
-    )
-    NEITHER_NAME_NOR_PATTERN = (
-        "{name} is neither a name nor a pattern: /part/part, where * matches characters of one part, and a "
-        "part ** matches any number of parts"
-    )
-    HIDDEN = "{name}: patterns never match hidden names, whose parts begin with _: list them by their names"
-    PART_OF_ACTION = "{name} belongs to the action {action}: list the action under actions, which bridges all its parts"
-    OF_THE_BRIDGE = "{name} belongs to the bridge itself and is never bridged: name another one"
     TYPE_OF_OTHER_KIND = "{name} is the type of {kind}: list this entry under {list}"
     NOT_A_TYPE = "{name} is no type of {kind}: write package/{folder}/Name, or leave it out{hint}"
     CALLED_TYPE_TOO_LONG = "{name} is too long for a type name: {length} characters"
-    OTHER_PROVIDER = (
-        "{name} is listed already, with provider: {provider}: only one side can answer; keep the entry of "
-        "the side whose node answers"
-    )
     OTHER_NAME = "{name} does not name a route for {purpose}: both sides have to call it {purpose}/NAME"
-    BRIDGED_ALREADY = "{service} is bridged already, with {noun} {name}: keep one of the two"
 
 
 def range_problems(holder: msgspec.Struct, location: str) -> Iterator[Problem]:
@@ -213,7 +180,7 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
         session: as in `entry_problems`.
         client: as in `entry_problems`.
     """
-    yield from _name_problems(topic, location, session, client)
+    yield from topic_name_problems(topic, location, client)
     yield from _type_problems(topic, join(location, "type"))
     yield from _transport_problems(topic, location, session)
     yield from _qos_problems(topic.qos, join(location, "qos"))
@@ -237,7 +204,7 @@ def problems_here(topic: Topic, session: Session, *, renamed: bool) -> Iterator[
         renamed: whether this side's name is another one than the peer's, which has been checked.
     """
     if renamed:
-        yield from _name_problems(topic, "", session, None)
+        yield from topic_name_problems(topic, "", None)
     yield from _transport_problems(topic, "", session)
 
 
@@ -259,112 +226,7 @@ def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -
     yield from range_problems(entry, "")
 
 
-# --- names
-
-
-def _name_problems(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:
-    name, remote = join(location, key_of(topic.kind, "topic")), join(location, key_of(topic.kind, "remote_topic"))
-    names = [(topic.topic, name)]
-    if topic.remote_topic is not None:
-        names.append((topic.remote_topic, remote))
-    if topic.excepts:
-        yield from _exception_problems(topic.topic, topic.excepts, join(location, "except"))
-    if topic.is_pattern:
-        found = [problem for each in names for problem in form_problems(*each)]
-        yield from found
-        # What is not valid has no wildcards to compare.
-        if topic.remote_topic is not None and not found:
-            yield from _wildcard_problems(topic.topic, topic.remote_topic, remote)
-        transport = transport_of(topic, session)
-        if topic.port is not None and not transport.multiplexed:
-            yield Problem(join(location, "port"), TopicMistake.PORT_OF_PATTERN(kind=transport.port_kind))
-    else:
-        for each in names:
-            yield from name_problems(*each, topic.kind)
-    # A name that is too long without the prefix is reported already.
-    if topic.remote_topic is None and client is not None and len(topic.topic) <= TOPIC_LENGTH:
-        yield from _length(server_topic(topic.topic, client), name, topic.kind, TopicMistake.NAME_TOO_LONG_WITH_PREFIX)
-    for text, here in names if topic.kind != "topic" else ():
-        if match := _OF_AN_ACTION.fullmatch(text):
-            yield Problem(here, TopicMistake.PART_OF_ACTION(name=show(text), action=match["action"] or "/..."))
-        elif text.startswith(OWN_NAMES):
-            yield Problem(here, TopicMistake.OF_THE_BRIDGE(name=show(text)))
-
-
-def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Problem]:
-    """Yield the mistake in the name of one topic or the like, which ROS must have, and a bridge may carry."""
-    if not name:
-        yield Problem(location, TopicMistake.NO_NAME(noun=_NAMED[kind]))
-    elif is_pattern(name):
-        yield Problem(location, f"{show(name)} is a pattern: give the name of one {_NAMED[kind]}")
-    elif not is_topic_name(name):
-        better = well_formed(name)
-        hint = Hint.DID_YOU_MEAN(name=f"/{better}") if better else ""
-        yield Problem(location, TopicMistake.NOT_ABSOLUTE(name=show(name), noun=_NAMED[kind], hint=hint))
-    elif kind == "topic" and name == ANNOUNCEMENT_TOPIC:
-        yield Problem(location, TopicMistake.ANNOUNCEMENT(name=show(name)))
-    else:
-        yield from _length(name, location, kind)
-
-
-_LONGEST_SUFFIX = {kind: max((len(lane.suffix) for lane in lanes), default=0) for kind, lanes in LANES.items()}
-
-
-def _length(
-    name: str, location: str, kind: Kind, mistake: TopicMistake = TopicMistake.NAME_TOO_LONG
-) -> Iterator[Problem]:
-    most = TOPIC_LENGTH - _LONGEST_SUFFIX[kind]
-    if len(name) > most:
-        yield Problem(location, mistake(name=show(name), length=len(name), limit=most))
-
-
-def form_problems(text: str, location: str, *, hidden: bool = False) -> Iterator[Problem]:
-    """Yield the mistake in a name or a pattern, which may match hidden names if `hidden`."""
-    if is_pattern(text) and not is_valid(text):
-        yield Problem(location, TopicMistake.NOT_A_PATTERN(name=show(text)))
-    elif not is_pattern(text) and not is_topic_name(text):
-        yield Problem(location, TopicMistake.NEITHER_NAME_NOR_PATTERN(name=show(text)))
-    elif len(text) > TOPIC_LENGTH:
-        message = TopicMistake.NAME_TOO_LONG(name=show(text), length=len(text), limit=TOPIC_LENGTH)
-        yield Problem(location, message)
-    elif is_hidden(text) and not hidden:
-        yield Problem(location, TopicMistake.HIDDEN(name=show(text)))
-
-
-def _wildcard_problems(name: str, remote: str, location: str) -> Iterator[Problem]:
-    ours, theirs = Pattern(name).wildcards, Pattern(remote).wildcards
-    if ours != theirs:
-        message = TopicMistake.WILDCARDS_DIFFER(
-            remote=show(remote),
-            remote_wildcards=" ".join(theirs) or "no wildcard",
-            name=show(name),
-            wildcards=" ".join(ours) or "no wildcard",
-        )
-        yield Problem(location, message)
-
-
-def _exception_problems(name: str, excepts: Sequence[str], location: str) -> Iterator[Problem]:
-    if excepts and not is_pattern(name):
-        yield Problem(location, f"{show(name)} is a single name, not a pattern: leave except out")
-    elif len(excepts) > EXCEPTIONS_PER_PATTERN:
-        message = f"{len(excepts)} entries, and at most {EXCEPTIONS_PER_PATTERN} are allowed: use patterns in it"
-        yield Problem(location, message)
-    else:
-        for at, each in enumerate(excepts):
-            yield from form_problems(each, join(location, at), hidden=True)
-
-
-def armed_name_problems(entry: ArmedName, location: str) -> Iterator[Problem]:
-    """Yield the mistakes in what a line of `armed` says of a client's names."""
-    if entry.topic is not None:
-        found = list(form_problems(entry.topic, join(location, "topic"), hidden=True))
-        yield from found
-        if not found and not list(form_problems(entry.name, location, hidden=True)):
-            yield from _wildcard_problems(entry.name, entry.topic, join(location, "topic"))
-    yield from _exception_problems(entry.name, entry.excepts, join(location, "except"))
-
-
-# --- values
+# --- values of an entry
 
 
 def _type_problems(topic: Topic, location: str) -> Iterator[Problem]:
@@ -414,9 +276,12 @@ def _transport_problems(topic: Topic, location: str, session: Session | None) ->
             )
             yield Problem(here, message)
     elif protocol == "bluetooth" and session is not None and not session.is_bluetooth and topic.port is None:
-        yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=_NAMED[topic.kind], range=CHANNEL))
+        yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=KIND_NOUNS[topic.kind], range=CHANNEL))
     if topic.port is not None:
-        yield from port_problems(topic.port, join(location, "port"), transport_of(topic, session))
+        transport, here = transport_of(topic, session), join(location, "port")
+        if topic.is_pattern and not transport.multiplexed:
+            yield Problem(here, TopicMistake.PORT_OF_PATTERN(kind=transport.port_kind))
+        yield from port_problems(topic.port, here, transport)
 
 
 def _qos_problems(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
@@ -489,57 +354,3 @@ def limits_problems(
             yield Problem(location, "a pattern with limits needs type: Twist or type: TwistStamped")
     elif full_type(type_name) not in TWISTS:
         yield Problem(location, TopicMistake.LIMITS_OF_TYPE(name=show(type_name)))
-
-
-# --- several entries of one link
-
-
-def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
-    """Yield a problem for each pattern beyond a link's limit.
-
-    Args:
-        where: the location of the session or client that lists them.
-    """
-    patterns = [here for topic, here in zip(topics, locations(topics), strict=True) if topic.is_pattern]
-    for here in patterns[PATTERNS_PER_LINK:]:
-        message = f"{len(patterns)} patterns, and at most {PATTERNS_PER_LINK} are allowed: use fewer, wider ones"
-        yield Problem(join(where, here), message)
-
-
-def service_names(kind: Kind, name: str) -> list[str]:
-    """Return the full names of the services that are bridged with a service, an action or a node's parameters."""
-    return [f"{name}{lane.suffix}" for lane in LANES[kind] if not lane.is_topic]
-
-
-def overlap(topic: Topic, others: Iterable[Topic]) -> str:
-    """Return the reason why an entry cannot be bridged together with others of the link, or an empty string."""
-    names = set(service_names(topic.kind, topic.topic))
-    if not names:
-        return ""
-    # What overlaps among the others is not this entry's fault.
-    related = [other for other in others if not names.isdisjoint(service_names(other.kind, other.topic))]
-    return next((f"{topic.topic}: {problem.message}" for problem in overlaps([*related, topic], "")), "")
-
-
-def overlaps(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
-    """Yield the entries of one link that bridge a service which another one bridges.
-
-    Args:
-        where: the location of the session or client that lists them.
-    """
-    first: dict[str, int] = {}
-    for at, (topic, here) in enumerate(zip(topics, locations(topics), strict=True)):
-        if topic.kind == "topic" or not is_topic_name(topic.topic):
-            continue
-        name, other = next(
-            ((name, first[name]) for name in service_names(topic.kind, topic.topic) if name in first), ("", at)
-        )
-        first |= dict.fromkeys(service_names(topic.kind, topic.topic), at)
-        if other == at or topics[other].identity == topic.identity:
-            continue
-        if topics[other].kind == topic.kind:
-            message = TopicMistake.OTHER_PROVIDER(name=topic.topic, provider=topics[other].provider)
-        else:
-            noun = NOUNS[LISTS[topics[other].kind]]
-            message = TopicMistake.BRIDGED_ALREADY(service=name, noun=noun, name=topics[other].topic)
-        yield Problem(join(where, here), message)

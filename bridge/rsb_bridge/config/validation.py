@@ -22,20 +22,17 @@ from rsb_bridge.config.file_form import (
     key_of,
     locations,
 )
+from rsb_bridge.config.grants import grant_problems
 from rsb_bridge.config.keys import conceal
+from rsb_bridge.config.name_rules import armed_name_problems, form_problems, name_problems
 from rsb_bridge.config.operator_keys import operator_problems
-from rsb_bridge.config.rights import grant_problems
+from rsb_bridge.config.overlaps import overlaps, too_many_patterns
 from rsb_bridge.config.topic_rules import (
-    armed_name_problems,
     entry_problems,
-    form_problems,
     limits_problems,
-    name_problems,
     on_end_problems,
-    overlaps,
     port_problems,
     range_problems,
-    too_many_patterns,
     topic_problems,
     transport_of,
     unreported,

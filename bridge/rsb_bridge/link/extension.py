@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rsb_bridge.config.topic_rules import name_problems
+from rsb_bridge.config.name_rules import name_problems
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from rsb_bridge.config.rights import Use, as_if_listed, uses
+from rsb_bridge.config.grants import uses
+from rsb_bridge.config.rights import Use, as_if_listed
 from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode

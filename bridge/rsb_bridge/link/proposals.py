@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, TypeVar
 import msgspec
 
 from rsb_bridge import __version__
-from rsb_bridge.config.rights import Use, uses
+from rsb_bridge.config.grants import uses
+from rsb_bridge.config.overlaps import overlap
+from rsb_bridge.config.rights import Use
 from rsb_bridge.config.session_changes import values_apart
-from rsb_bridge.config.topic_rules import entry_problems, internal_problems, overlap, problems_here
+from rsb_bridge.config.topic_rules import entry_problems, internal_problems, problems_here
 from rsb_bridge.feature import installed
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.model.by_hand import end_text

@@ -24,7 +24,7 @@ from rsb_bridge.config.keys import (
     written,
 )
 from rsb_bridge.config.operator_keys import operator_key_problem
-from rsb_bridge.config.rights import listings
+from rsb_bridge.config.rights_listing import listings
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of

@@ -9,8 +9,8 @@ import msgspec
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import is_there, why_not_written, write_whole
+from rsb_bridge.config.grants import GrantError, typed_grants
 from rsb_bridge.config.keys import fingerprint
-from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.config.session_changes import ClientError, client_named
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.remote_engine import attach

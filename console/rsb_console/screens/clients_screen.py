@@ -15,8 +15,8 @@ from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import is_there
+from rsb_bridge.config.grants import GrantError, typed_grants
 from rsb_bridge.config.keys import KeyFileError, fingerprint
-from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.config.session_changes import ClientError, client_named, with_client
 from rsb_bridge.config.session_file import SessionError, validate
 from rsb_bridge.model.commands import Effect, undoing

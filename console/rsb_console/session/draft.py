@@ -11,8 +11,8 @@ import msgspec
 
 from rsb_bridge.config.decoding import read
 from rsb_bridge.config.file_form import DIRECTIONS, KEYS, field_of, hints_of, key_of, locations
+from rsb_bridge.config.overlaps import overlaps
 from rsb_bridge.config.session_file import SessionError, validate, validate_topic
-from rsb_bridge.config.topic_rules import overlaps
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.names import client_topic

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.advice import interface_problem
 from rsb_bridge.config.decoding import show
-from rsb_bridge.config.topic_rules import name_problems
+from rsb_bridge.config.name_rules import name_problems
 from rsb_bridge.config.validation import SessionMistake, is_host, is_ip, lacks_zone
 from rsb_bridge.model.demands import local_name
 from rsb_bridge.model.limits import PORT

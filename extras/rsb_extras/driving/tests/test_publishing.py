@@ -24,7 +24,7 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.fields_text import read_fields
-from rsb_bridge.config.topic_rules import TopicMistake
+from rsb_bridge.config.name_rules import NameMistake
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import (
     ActingOperator,
@@ -194,7 +194,7 @@ def test_what_is_refused(bridge: Bridge, robot: Domain, monkeypatch: pytest.Monk
     refused: tuple[tuple[str, str, str, Wording], ...] = (
         ("/nobody", "", "", PublishProblem.NO_TYPE),
         ("/text", "", TWIST, PublishProblem.OTHER_TYPE),
-        ("view/1", "", STRING, TopicMistake.NOT_ABSOLUTE),
+        ("view/1", "", STRING, NameMistake.NOT_ABSOLUTE),
         ("/cmd", "data: x", "", PublishProblem.NO_ROUTE_TO_ARM),  # wherever it comes from
     )
     for topic, fields, type_name, problem in refused:

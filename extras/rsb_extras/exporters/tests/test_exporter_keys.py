@@ -17,8 +17,8 @@ from tests.support.wording import says
 from rsb_bridge.config.advice import Advice, advise
 from rsb_bridge.config.decoding import ValueMistake
 from rsb_bridge.config.file_form import with_types
+from rsb_bridge.config.name_rules import NameMistake
 from rsb_bridge.config.session_file import dump, load_file, parse, save
-from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake, validate
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.text import is_clean
@@ -62,7 +62,7 @@ def replace(session: Session, **features: object) -> Session:
         (CLIENT + "metrics: '[fe80::1]:9464'\n", "6 metrics", SessionMistake.ZONE_MISSING, {}),
         (CLIENT + "diagnostics_topic: /a/*\n", "6 diagnostics_topic", None, {}),
         (CLIENT + "driver_topic: /a/*\n", "6 driver_topic", None, {}),
-        (CLIENT + "diagnostics_topic: health\n", "6 diagnostics_topic", TopicMistake.NOT_ABSOLUTE, {}),
+        (CLIENT + "diagnostics_topic: health\n", "6 diagnostics_topic", NameMistake.NOT_ABSOLUTE, {}),
     ],
 )  # fmt: skip
 def test_a_mistake_has_its_line(text: str, place: str, code: Wording | None, parameters: dict[str, Any]) -> None:

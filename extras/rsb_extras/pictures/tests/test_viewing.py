@@ -28,8 +28,8 @@ from tests.support.waiting import eventually
 from tests.support.wording import has_text, pattern
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.name_rules import NameMistake
 from rsb_bridge.config.rights import DeniedText
-from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Grant, Topic
 from rsb_extras.pictures.link_views import VIEW, VIEWS_OF_PEER, LinkViews, ViewCode, ViewRefused
@@ -351,7 +351,7 @@ def test_a_peer_names_topics_as_rights_do(bridge: Bridge, robot: Domain, monkeyp
     picture_places.CHECK_NAMES.set(monkeypatch, lambda _: None)
     (link,) = inside(client).links()
     for name in NO_NAMES:
-        with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
+        with pytest.raises(EngineError, match=pattern(NameMistake.NOT_ABSOLUTE)):
             look_at(server, "me", (name,), WISH, "robot1").result(30)
         assert not views_drawn_by(link)
 
@@ -359,7 +359,7 @@ def test_a_peer_names_topics_as_rights_do(bridge: Bridge, robot: Domain, monkeyp
 def test_operator_names_published_topics_in_full(pair: tuple[Engine, Engine]) -> None:
     server, _ = pair
     for name in NO_NAMES:
-        with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
+        with pytest.raises(EngineError, match=pattern(NameMistake.NOT_ABSOLUTE)):
             look_at(server, "me", (name,), WISH).result(30)
     with pytest.raises(EngineError, match=pattern(LookProblem.NOWHERE)):
         look_at(server, "me", ("/nothing",), WISH).result(30)
