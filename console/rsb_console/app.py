@@ -251,7 +251,7 @@ class ConsoleApp(TerminalApp[None]):
             self._server = None
 
     def saved_to(self, session: Session, path: Path | None) -> None:
-        from rsb_console.screens.session_files import remember  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.recent_sessions import remember  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of  # noqa: PLC0415 -- keeps the start short
 
         # An attached bridge keeps to its own file, even if another one gets a copy.

@@ -37,8 +37,8 @@ from rsb_console.screens.help import HelpScreen
 from rsb_console.screens.links_screen import LinksScreen
 from rsb_console.screens.main import MainText
 from rsb_console.screens.message_screen import MessageScreen
-from rsb_console.screens.session_files import WelcomeScreen
 from rsb_console.screens.topic_form import TopicScreen
+from rsb_console.screens.welcome_screen import WelcomeScreen
 from rsb_console.widgets.form import FormScreen
 
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}

@@ -29,7 +29,7 @@ from rsb_console.operations.save_operations import SaveQuestion
 from rsb_console.operations.session_operations import SessionQuestion, attach_instead
 from rsb_console.operations.topic_operations import OperationText
 from rsb_console.screens.dialog import OfferScreen
-from rsb_console.screens.session_files import WelcomeScreen
+from rsb_console.screens.welcome_screen import WelcomeScreen
 
 CHATTER = f"/console_{os.getpid()}/attached"
 

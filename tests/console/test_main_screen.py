@@ -342,7 +342,7 @@ def touched() -> dict[str, Any]:
 @pytest.mark.usefixtures("folder")
 @on_main(before=touched, temporary=True)
 async def test_demo_session_is_neither_unsaved_nor_recent(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    from rsb_console.screens.session_files import recent_sessions
+    from rsb_console.session.recent_sessions import recent_sessions
 
     engine_of(app).session = msgspec.structs.replace(engine_of(app).session, topics=(Topic("/new", "transmit"),))
     assert recent_sessions() == []

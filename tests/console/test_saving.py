@@ -17,7 +17,8 @@ from rsb_bridge.model.session import Client, Session, Topic
 from rsb_console.app import ConsoleApp
 from rsb_console.operations.bridge_operations import ReloadText
 from rsb_console.operations.session_operations import SessionQuestion
-from rsb_console.screens.session_files import LIMIT, SaveText, recent_sessions, remember
+from rsb_console.screens.save_screens import SaveText
+from rsb_console.session.recent_sessions import LIMIT, recent_sessions, remember
 from rsb_console.session.saving import moved, unsaved
 
 pytestmark = pytest.mark.usefixtures("folder")

@@ -26,7 +26,9 @@ from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Session, Topic
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.new_session import MissingField
-from rsb_console.screens.session_files import FileText, WelcomeScreen, recent_sessions, remember
+from rsb_console.screens.session_files import FileText
+from rsb_console.screens.welcome_screen import WelcomeScreen
+from rsb_console.session.recent_sessions import recent_sessions, remember
 from rsb_console.session.saving import PathProblem
 
 BRINGUP = """\

@@ -59,7 +59,7 @@ async def _save_there(console: Console) -> None:
 
 
 async def save_as(screen: MainScreen) -> None:
-    from rsb_console.screens.session_files import SaveAsScreen  # noqa: PLC0415 -- keeps the start short
+    from rsb_console.screens.save_screens import SaveAsScreen  # noqa: PLC0415 -- keeps the start short
 
     console = screen.console
     engine = console.engine
@@ -75,7 +75,7 @@ async def save_as(screen: MainScreen) -> None:
 async def _save_to(screen: MainScreen, path: Path) -> bool:
     """Save the session to a file. Return False if the operator may name another one."""
     from rsb_bridge.config.session_file import open_file  # noqa: PLC0415 -- not needed without a file
-    from rsb_console.screens.session_files import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
+    from rsb_console.screens.save_screens import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
     from rsb_console.session.saving import file_of, is_changed  # noqa: PLC0415 -- keeps the start short
 
     console = screen.console

@@ -66,7 +66,7 @@ async def confirm_end(console: Console, title: str, yes: str, then: Effect = Eff
 
 async def welcome(screen: MainScreen) -> None:
     """Offer all ways to begin, until one has led to a session."""
-    from rsb_console.screens.session_files import WelcomeScreen  # noqa: PLC0415 -- keeps the start short
+    from rsb_console.screens.welcome_screen import WelcomeScreen  # noqa: PLC0415 -- keeps the start short
 
     console = screen.console
     while choice := await console.ask(WelcomeScreen(await _running(), readonly=console.readonly)):

@@ -20,13 +20,13 @@ from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.clients_screen import HandoutScreen, words
 from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.save_screens import save_asking
 from rsb_console.screens.session_files import (
     FileText,
     OpenedFile,
     is_file,
     is_path,
     no_suggestion,
-    save_asking,
     suggestions,
     yaml_files,
 )
