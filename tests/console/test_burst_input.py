@@ -21,7 +21,7 @@ from textual.pilot import Pilot
 from rsb_bridge.config.session_file import save
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.new_session import NewSessionScreen
-from rsb_console.screens.session_files import FileText
+from rsb_console.screens.save_screens import SaveText
 from rsb_console.terminal.driver import KeyParser
 from rsb_console.widgets.form import FieldInput
 
@@ -35,7 +35,7 @@ FORMS = {  # the keys that open each form, and words in it
     "Add a topic": ("a", "Direction"),
     "Edit": ("e", "Direction"),
     "Sessions": ("o", "↑ ↓ and ⏎"),
-    "Save as": ("W", FileText.RELATIVE_KEYS()),
+    "Save as": ("W", SaveText.RELATIVE_KEYS()),
     "New session": (["f2"], "Encryption"),
     "Import": (["f3"], "Session file"),
     "Generate a key": ("Kg", "Generate a key"),
@@ -169,7 +169,7 @@ def test_in_tmux_all_forms_take_all_fields(how: str, tmp_path: Path) -> None:
         (("F2",), "Encryption", "\tcart3\t10.0.0.20\t7070", ["Name           cart3 ", "Server         10.0.0.20 "]),
         (("F2",), "Encryption", "cart3\t10.0.0.20\t7070", ["Name           cart3 ", "Port           7070 "]),
         (("a",), "Direction", "/x\t\t\tstd_msgs/msg/String\t20", ["Topic          /x ", "std_msgs/msg/String ", "20 "]),
-        (("W",), FileText.RELATIVE_KEYS(), ".copy", ["nav2.yaml.copy "]),
+        (("W",), SaveText.RELATIVE_KEYS(), ".copy", ["nav2.yaml.copy "]),
         (("F3",), "Session file", "a.yaml\tcart3", ["a.yaml ", "cart3"]),
         (("K", "g"), "Generate a key", "2", ["2"]),
     ]

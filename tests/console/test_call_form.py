@@ -26,7 +26,8 @@ from rsb_bridge.config.file_form import KEYS
 from rsb_bridge.model.session import Client, Kind, Topic
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.topic_form import KINDS, ORDER, fields_by_kind, suggestions_for
+from rsb_console.screens.topic_fields import KINDS, ORDER, fields_by_kind
+from rsb_console.screens.topic_suggestions import suggestions_for
 from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
 
 LOAD = TopicInfo("/map_server/load_map", "nav_msgs/srv/LoadMap", "", None, 1, 0, "service")

@@ -31,7 +31,9 @@ from rsb_bridge.model.session import Client, Kind, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.model.transports import Protocol
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.topic_form import KINDS, TopicScreen, fields_by_kind, suggestions_for
+from rsb_console.screens.topic_fields import KINDS, fields_by_kind
+from rsb_console.screens.topic_form import TopicScreen
+from rsb_console.screens.topic_suggestions import suggestions_for
 from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
 from rsb_console.widgets.form import Field, FormScreen
 

@@ -23,7 +23,8 @@ from rsb_bridge.model.text import join_first, plural
 from rsb_console.notation import formats
 from rsb_console.notation.glyphs import DONE, FAILED, UNDER_WAY
 from rsb_console.screens.dialog import ConfirmScreen, Dialog
-from rsb_console.screens.topic_form import fields_by_kind, padded
+from rsb_console.screens.topic_fields import fields_by_kind
+from rsb_console.screens.topic_suggestions import padded
 from rsb_console.session.draft import SWITCHES, Ends, TypedError, typed_topic, values_of
 from rsb_console.terminal.input_queue import InputGate
 from rsb_console.widgets.form import Field, FieldInput, Spec

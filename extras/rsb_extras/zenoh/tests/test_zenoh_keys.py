@@ -15,7 +15,7 @@ from rsb_bridge.config.session_file import load, parse, save
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake, validate
 from rsb_bridge.model.transports import of_link
-from rsb_console.screens.topic_form import fields_by_kind
+from rsb_console.screens.topic_fields import fields_by_kind
 from rsb_console.session.draft import Ends
 from rsb_extras.zenoh import ZENOH, ZenohSettings
 from rsb_extras.zenoh.zenoh_rules import ZenohMistake
