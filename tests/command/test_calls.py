@@ -22,8 +22,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
 from rsb_bridge.model.topic_keys import ForeignKey
 from rsb_console.command.call_command import CallProblem
-from rsb_console.command.remote import RemoteProblem
 from rsb_console.command.target import RouteChoice
+from rsb_console.command.topic_commands import TopicCommandProblem
 from rsb_console.notation.formats import AnswerText
 
 if TYPE_CHECKING:
@@ -83,10 +83,10 @@ def test_what_is_called_is_added_with_its_provider(
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("--service", "/map"), RemoteProblem.PROVIDER_MISSING(topic="/map", kind="service")),
+        (("--service", "/map"), TopicCommandProblem.PROVIDER_MISSING(topic="/map", kind="service")),
         (("--service", "/map", "transmit"),
-         RemoteProblem.KEY_WITHOUT_VALUE(topic="/map", word="transmit", kind="service")),
-        (("/map", "transmit", "--provider", "client"), RemoteProblem.PROVIDER_OF_A_TOPIC(topic="/map")),
+         TopicCommandProblem.KEY_WITHOUT_VALUE(topic="/map", word="transmit", kind="service")),
+        (("/map", "transmit", "--provider", "client"), TopicCommandProblem.PROVIDER_OF_A_TOPIC(topic="/map")),
         (("--service", "/map", "provider=robot"),
          f"provider: {ValueMistake.MISFIT(value=repr('robot'), expected='one of client, server', hint='')}"),
         (("--service", "/map", "provider=client", "qos=5"), f"qos=5: {ForeignKey.QOS_OF_CALLED()} (keys"),

@@ -18,7 +18,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.native.typesupport import hash_of
-from rsb_console.command.remote import RemoteProblem
+from rsb_console.command.watching_commands import WatchingProblem
 from rsb_console.session.reading import ArrivalText, StampText
 
 if TYPE_CHECKING:
@@ -168,6 +168,6 @@ def test_where_nothing_comes_it_says_why(ran: Any, engine: ScriptedEngine) -> No
     engine.now = replace(engine.now, routes=(replace(SCAN, reason="no publisher of /scan in domain 4"),))
     late = ran("echo", "/scan", "--timeout", "0.2")
     assert late.code == 1
-    assert says(late.err, RemoteProblem.NO_MORE_MESSAGES, topic="/scan", seconds=0.2)
+    assert says(late.err, WatchingProblem.NO_MORE_MESSAGES, topic="/scan", seconds=0.2)
     assert "no publisher of /scan in domain 4" in late.err
     assert ran("echo", "/scn", "--once").code == 2

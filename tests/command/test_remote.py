@@ -40,9 +40,11 @@ from rsb_bridge.model.snapshot import (
 )
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lease import Standstill
+from rsb_console.command.arming_commands import ArmingNote
 from rsb_console.command.headless import HeadlessText
-from rsb_console.command.remote import RemoteProblem
 from rsb_console.command.target import BridgeChoice, RouteChoice
+from rsb_console.command.topic_commands import TopicCommandProblem
+from rsb_console.command.watching_commands import WatchingProblem
 from rsb_console.session.draft import TypedProblem
 
 if TYPE_CHECKING:
@@ -225,20 +227,20 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
     [
         (("add", "/map", "receive", "prtocol=udp"), "prtocol=udp: unknown key; did you mean protocol? (keys: topic,"),
         (("add", "/map", "receive", "udp"), TypedProblem.NOT_A_PAIR(text="udp")),
-        (("add", "/map", "receive", "--rate", "5"), RemoteProblem.RATE_WITHOUT_DRY_RUN(topic="/map")),
-        (("add", "/map"), RemoteProblem.DIRECTION_MISSING(topic="/map")),
-        (("add", "/map", "type=String"), RemoteProblem.DIRECTION_MISSING(topic="/map")),
-        (("edit", "/scan"), RemoteProblem.NOTHING_TO_CHANGE(topic="/scan")),
+        (("add", "/map", "receive", "--rate", "5"), TopicCommandProblem.RATE_WITHOUT_DRY_RUN(topic="/map")),
+        (("add", "/map"), TopicCommandProblem.DIRECTION_MISSING(topic="/map")),
+        (("add", "/map", "type=String"), TopicCommandProblem.DIRECTION_MISSING(topic="/map")),
+        (("edit", "/scan"), TopicCommandProblem.NOTHING_TO_CHANGE(topic="/scan")),
         (("retry", "--link", "robot7"), NO_LINK),
         (("pause", "/scan", "--link", "robot7"), NO_LINK),
         (("add", "/map", "recieve"),
-         RemoteProblem.DIRECTION_UNKNOWN(topic="/map", word="recieve", hint="; did you mean receive?")),
+         TopicCommandProblem.DIRECTION_UNKNOWN(topic="/map", word="recieve", hint="; did you mean receive?")),
         (("add", "/map", "receive", "max_rate=fast"), "max_rate: "),
         (("add", "/scan", "transmit"), "topic: "),
         (("pause", "/scna"), NOT_BRIDGED),
         (("wait", "--for", "flowing", "/scna"), NOT_BRIDGED),
         (("wait", "--for", "linked", "robot7"), NO_LINK),
-        (("wait", "--for", "happy"), RemoteProblem.CONDITION_UNKNOWN(condition="happy")),
+        (("wait", "--for", "happy"), WatchingProblem.CONDITION_UNKNOWN(condition="happy")),
     ],
 )  # fmt: skip
 def test_what_is_not_valid_is_said_in_words(
@@ -274,7 +276,7 @@ def test_reload_tells_changed_and_unchanged(ran: Any, engine: ScriptedEngine) ->
 @pytest.mark.parametrize("lines", ["nav2.yaml:7", ""])
 def test_remove_says_whether_the_demand_to_arm_stays(lines: str, ran: Any, engine: ScriptedEngine) -> None:
     engine.demanded = lines
-    assert (RemoteProblem.STILL_DEMANDED(lines=lines) in ran("remove", "/scan").out) == bool(lines)
+    assert (TopicCommandProblem.STILL_DEMANDED(lines=lines) in ran("remove", "/scan").out) == bool(lines)
     assert ran("remove", "/scan", "--json").json["demanded"] == bool(lines)
 
 
@@ -397,8 +399,8 @@ def test_server_waits_for_topic_that_client_may_bring(ran: Any, machine: Machine
     machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, role="server"), routes=(SCAN,)))
     late = ran("wait", "--for", "flowing", "/scna", "--timeout", "0")
     assert late.code == 1
-    assert says(late.err, RemoteProblem.NOT_REACHED, condition="flowing /scna", seconds=0)
-    assert says(late.err, RemoteProblem.NOT_BROUGHT, topic="/scna", hint="; did you mean /scan?")
+    assert says(late.err, WatchingProblem.NOT_REACHED, condition="flowing /scna", seconds=0)
+    assert says(late.err, WatchingProblem.NOT_BROUGHT, topic="/scna", hint="; did you mean /scan?")
 
 
 def test_server_of_several_needs_clients_name(ran: Any, machine: Machine) -> None:
@@ -406,7 +408,7 @@ def test_server_of_several_needs_clients_name(ran: Any, machine: Machine) -> Non
     engine.now = replace(engine.now, links=(LINK, replace(LINK, name="robot2")))
     machine.serve(engine)
     refused = ran("add", "/map", "receive")
-    question = RemoteProblem.CLIENT_MISSING(topic="/map", links="robot1 or --link robot2")
+    question = TopicCommandProblem.CLIENT_MISSING(topic="/map", links="robot1 or --link robot2")
     assert (refused.code, refused.err) == (2, f"rsb-console: {question}\n")
     assert ran("add", "/map", "receive", "--link", "robot2").code == 0
 
@@ -656,7 +658,7 @@ def test_shell_asks_holder_and_enter_keeps_topic(
     replaced.REMOTE_PRINT_ERROR.set(monkeypatch, Keys.questions.append)
     ran("arm", "/scan")
     (question,) = Keys.questions
-    assert says(question, RemoteProblem.ASKED_FOR)
+    assert says(question, ArmingNote.ASKED_FOR)
     assert "bert" in question
     answers = [each for each in engine.commands if each[0] == "answer_asker"]
     assert answers == ([("answer_asker", "/scan", False)] if keeps else [])
@@ -682,8 +684,8 @@ def test_arm_ends_once_another_operator_holds_the_topic(
     replaced.REMOTE_TYPED_KEYS.set(monkeypatch, Holding)
     result = ran("arm", "/scan")
     assert result.code == 1
-    assert says(result.err, RemoteProblem.HELD_BY_ANOTHER, topic="/scan", who="bert\\x1b[2J")
-    assert not says(result.err, RemoteProblem.ASKED_FOR)
+    assert says(result.err, ArmingNote.HELD_BY_ANOTHER, topic="/scan", who="bert\\x1b[2J")
+    assert not says(result.err, ArmingNote.ASKED_FOR)
 
 
 class StandsStill(Terminal):
@@ -719,4 +721,4 @@ def test_arm_after_standstill_names_no_takeover_by_itself(
     said = json.loads(result.out.splitlines()[-1])
     assert (said["ok"], said["cause"]) == (False, Disarmed.LEASE)
     assert Standstill.LOOP.value in said["error"]
-    assert not says(result.out + result.err, RemoteProblem.HELD_BY_ANOTHER)
+    assert not says(result.out + result.err, ArmingNote.HELD_BY_ANOTHER)

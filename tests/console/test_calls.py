@@ -5,14 +5,7 @@ from typing import get_args
 
 import pytest
 from tests.console.driving import NARROW, gone, listed, on_main, put, shown, text, until
-from tests.console.scripted import (
-    CALL_ROUTES,
-    CALLS,
-    ROUTES,
-    call_route,
-    call_stages,
-    route,
-)
+from tests.console.scripted import CALL_ROUTES, CALLS, ROUTES, call_route, call_stages, route
 from tests.console.test_detail import said
 from textual.pilot import Pilot
 

@@ -5,18 +5,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from tests.console.driving import (
-    NARROW,
-    choose,
-    engine_of,
-    fill,
-    form_of,
-    gone,
-    notices,
-    on_welcome,
-    shown,
-    until,
-)
+from tests.console.driving import NARROW, choose, engine_of, fill, form_of, gone, notices, on_welcome, shown, until
 from tests.console.scripted import SESSION
 from tests.support.long import long
 from textual.pilot import Pilot

@@ -21,7 +21,7 @@ from rsb_bridge.model.names import node_of_hop
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_console.command.remote import _carries
+from rsb_console.command.watching_commands import _carries
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher

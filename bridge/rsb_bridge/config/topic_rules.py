@@ -30,12 +30,8 @@ from rsb_bridge.model.by_hand import (
 from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH
-from rsb_bridge.model.names import (
-    expand_type_name,
-)
-from rsb_bridge.model.patterns import (
-    is_pattern,
-)
+from rsb_bridge.model.names import expand_type_name
+from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey

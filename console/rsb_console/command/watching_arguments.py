@@ -59,12 +59,12 @@ _UNTIL = "{} may wait for ever: give --timeout N"
 
 def add_watching_commands(command: AddCommand, complete: Complete) -> None:
     remote = partial(bridge_command, command, complete)
-    events = remote("events", "remote:print_events", "print the events of a running bridge", after="save")
+    events = remote("events", "watching_commands:print_events", "print the events of a running bridge", after="save")
     events.add_argument("--follow", action="store_true", help="continue with new events")
     events.set_defaults(endless=_endless_events)
     wait = remote(
         "wait",
-        "remote:wait_until",
+        "watching_commands:wait_until",
         "wait until topics flow, a link is up, or the bridge has stopped",
         _WAIT,
         after="events",
@@ -78,7 +78,7 @@ def add_watching_commands(command: AddCommand, complete: Complete) -> None:
     wait.set_defaults(endless=lambda arguments: _UNTIL.format("wait") if arguments.timeout is None else "")
     echo = remote(
         "echo",
-        "remote:print_messages",
+        "watching_commands:print_messages",
         "print a topic's messages, two a second at most",
         _EXIT_ECHO,
         after="wait",
