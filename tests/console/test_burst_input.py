@@ -23,7 +23,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.screens.new_session import NewSessionScreen
 from rsb_console.screens.save_screens import SaveText
 from rsb_console.terminal.driver import KeyParser
-from rsb_console.widgets.form import FieldInput
+from rsb_console.widgets.controls import FieldInput
 
 SENTENCE = "the quick brown fox jumps over y n q/the lazy dog 0123456789"
 F8 = "\x1b[19~"

@@ -6,7 +6,7 @@ from textual.events import Key
 from textual.pilot import Pilot
 
 from rsb_console.app import ConsoleApp
-from rsb_console.widgets.form import FieldInput
+from rsb_console.widgets.controls import FieldInput
 
 pytestmark = pytest.mark.usefixtures("folder")
 

@@ -15,8 +15,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
 from rsb_console.notation.glyphs import to_ascii
 from rsb_console.screens.new_session import FIELDS
+from rsb_console.widgets.controls import Choice
 from rsb_console.widgets.filter import RowFilter
-from rsb_console.widgets.form import Choice
 from rsb_console.widgets.topics import TopicsTable
 
 

@@ -10,8 +10,9 @@ from textual import on
 from textual.binding import Binding
 from textual.widgets import Input
 
+from rsb_console.widgets.controls import FieldInput
 from rsb_console.widgets.filter import RowFilter
-from rsb_console.widgets.form import Field, FieldInput, Spec
+from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.lines import Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
 

@@ -27,7 +27,8 @@ from rsb_console.screens.topic_fields import fields_by_kind
 from rsb_console.screens.topic_suggestions import padded
 from rsb_console.session.draft import SWITCHES, Ends, TypedError, typed_topic, values_of
 from rsb_console.terminal.input_queue import InputGate
-from rsb_console.widgets.form import Field, FieldInput, Spec
+from rsb_console.widgets.controls import FieldInput
+from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.lines import Line, ScrolledLines, clip
 from rsb_console.widgets.picker import PickField, Suggestion
 from rsb_extras.fleet.rolling import Rollout, bridged_by, report, said, way_back
