@@ -22,8 +22,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
 from rsb_bridge.model.topic_keys import ForeignKey
 from rsb_console.command.call_command import CallProblem
+from rsb_console.command.route_commands import TopicCommandProblem
 from rsb_console.command.target import RouteChoice
-from rsb_console.command.topic_commands import TopicCommandProblem
 from rsb_console.notation.formats import AnswerText
 
 if TYPE_CHECKING:

@@ -42,8 +42,8 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lease import Standstill
 from rsb_console.command.arming_commands import ArmingNote
 from rsb_console.command.headless import HeadlessText
+from rsb_console.command.route_commands import TopicCommandProblem
 from rsb_console.command.target import BridgeChoice, RouteChoice
-from rsb_console.command.topic_commands import TopicCommandProblem
 from rsb_console.command.watching_commands import WatchingProblem
 from rsb_console.session.draft import TypedProblem
 

@@ -32,7 +32,7 @@ from tests.support.handles import Handle
 
 _ROOT = Path(__file__).parents[2]
 _FOR_ALL = ("rsb_bridge.ros.participant", "std_msgs.msg", "geometry_msgs.msg", "rclpy.node", "rclpy.executors")
-_RSB_CONSOLE = ("rsb_console.cli", "rsb_console.command.headless", "rsb_console.command.topic_commands")
+_RSB_CONSOLE = ("rsb_console.cli", "rsb_console.command.headless", "rsb_console.command.route_commands")
 _FOR_MODULE = {
     "rsb_console": _RSB_CONSOLE,
     "tests.system.torture.program": _RSB_CONSOLE,

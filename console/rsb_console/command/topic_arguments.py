@@ -55,14 +55,14 @@ for example:
 def add_topic_commands(command: AddCommand, complete: Complete) -> None:
     remote = partial(bridge_command, command, complete)
     topics = remote(
-        "topics", "topic_commands:print_topics", "list the topics and services of a running bridge", after="status"
+        "topics", "route_commands:print_topics", "list the topics and services of a running bridge", after="status"
     )
     topics.add_argument(
         "--available", action="store_true", help="list the names that can be bridged, on both sides, instead"
     )
     add = remote(
         "add",
-        "topic_commands:add_topic",
+        "route_commands:add_topic",
         "bridge one more topic, service, action or node's parameters",
         _ADD,
         after="topics",
@@ -82,14 +82,14 @@ def add_topic_commands(command: AddCommand, complete: Complete) -> None:
     which = "the client to bridge with, on a server with several clients"
     complete(add.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     edit = remote(
-        "edit", "topic_commands:edit_topic", "change a topic or service that is bridged", after="add", about_topic=True
+        "edit", "route_commands:edit_topic", "change a topic or service that is bridged", after="add", about_topic=True
     )
     route_arguments(edit, complete)
     _topic_keys(edit, complete)
     drop_arm_option(edit, "with arm=false: also drop the demand that the name requires arming")
     remove = remote(
         "remove",
-        "topic_commands:remove_topic",
+        "route_commands:remove_topic",
         "stop bridging a topic or service, on both sides",
         after="edit",
         about_topic=True,
@@ -104,10 +104,10 @@ def add_topic_commands(command: AddCommand, complete: Complete) -> None:
         ),
         ("pause", "resume", "resume a paused topic or service; all routes of the name"),
     ):
-        route_arguments(remote(name, f"topic_commands:{name}_topic", summary, after=after, about_topic=True), complete)
+        route_arguments(remote(name, f"route_commands:{name}_topic", summary, after=after, about_topic=True), complete)
     ack = remote(
         "ack",
-        "topic_commands:acknowledge",
+        "route_commands:acknowledge",
         "acknowledge a fault, until it changes",
         _EXIT_ACK,
         after="resume",
