@@ -13,7 +13,8 @@ import sys
 from pathlib import Path
 
 CORE = Path("build/core").absolute()
-KEPT = {".mypy_cache", ".import_linter_cache"}
+KEPT = {".mypy_cache", ".import_linter_cache", "__pycache__"}
+"""Caches. Files are copied with their times, so that bytecode of those that have not changed stays valid."""
 FEATURES = "extras/"
 USERS = "bench/"
 """The developers' benchmarks, which use the feature for benchmarks."""
@@ -22,15 +23,22 @@ ENTRY_POINTS = re.compile(r"\[rsb_console\.feature\]\n(?:[^\[\n].*\n|\n)*")
 
 def main(environment: Path) -> None:
     CORE.mkdir(parents=True, exist_ok=True)
-    for each in CORE.iterdir():
+    for name in (".git", ".venv"):
+        shutil.rmtree(CORE / name, ignore_errors=True)
+    clear(CORE)
+    copy_tree()
+    copy_environment(environment, CORE / ".venv")
+
+
+def clear(folder: Path) -> None:
+    """Delete all files of a folder but caches."""
+    for each in folder.iterdir():
         if each.name in KEPT:
             continue
         if each.is_dir() and not each.is_symlink():
-            shutil.rmtree(each)
+            clear(each)
         else:
             each.unlink()
-    copy_tree()
-    copy_environment(environment, CORE / ".venv")
 
 
 def copy_tree() -> None:

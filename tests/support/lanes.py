@@ -16,9 +16,11 @@ from xdist.scheduler import LoadScopeScheduling
 if TYPE_CHECKING:
     import pytest
 
-COMPUTING = {"simulation": "simulation", "checks": "checks"} | dict.fromkeys(
-    ("cdr", "channel", "config", "fuzz", "model", "route", "wire"), "pure"
-)
+COMPUTING = {
+    "simulation": "simulation",
+    **dict.fromkeys(("checks", "cdr", "fuzz"), "checks"),
+    **dict.fromkeys(("channel", "config", "model", "route", "wire"), "pure"),
+}
 ALONE = {"bluetooth", "network", "release"}
 """Folders whose tests share machines, hosts or builds."""
 SHARED = {"calls": 3}
