@@ -48,10 +48,10 @@ class Came(NamedTuple):
     """The times of one outage, as its clients see them.
 
     Attributes:
-        outage: s, from when its clients saw no action server until it was ended.
-        result: s until the result of the goal that ended meanwhile had come, from when the outage was ended.
-        cancel: likewise, until its client knew that the goal was cancelled.
-        feedback: likewise, until feedback came again.
+        outage: s from the moment at which its clients saw no action server to its end.
+        result: s from its end to the result of the goal that ended meanwhile.
+        cancel: s from its end until the client knew that its goal was cancelled.
+        feedback: s from its end to the next feedback.
         numbers: of the sequence that was computed all the time, and came whole.
     """
 

@@ -101,7 +101,7 @@ def test_goal_waits_for_a_silent_link(
 
 
 class _Hesitant(FibonacciServer):
-    """Accepts goals, and runs one when the test says so."""
+    """An action server that runs a goal when the test calls `run`."""
 
     def _accepted(self, handle: Any) -> None:
         self._ends[id_of(handle)] = threading.Event()

@@ -142,7 +142,7 @@ async def test_a_camera_fills_no_queue_of_a_radio() -> None:
 
 
 async def test_path_without_arrivals_holds_up_no_stream() -> None:
-    """Only what was in transit does, until it is written off; once datagrams arrive again, they go on within 1 s."""
+    """Datagrams in transit do so until they are written off. Sending resumes within 1 s of the first arrival."""
     scan, odom = Live(1, 1_000, 50), Live(2, 100, 10)
     async with publishing(radio(), 400_000, (scan,), (odom,)) as scene:
         air, loop = scene.channel.air, asyncio.get_running_loop()

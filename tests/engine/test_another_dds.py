@@ -97,7 +97,7 @@ def sides(request: pytest.FixtureRequest, robot: Domain, pc: Domain) -> Iterator
 
 
 def crossed(writer: Any, reader: Any, messages: list[str]) -> None:
-    """Have these messages cross, after one by which the route is known to be open."""
+    """Send these messages once a first one has shown that the route is open."""
 
     def is_open() -> bool:
         writer.publish("first")

@@ -164,7 +164,7 @@ def test_greedy_client_leaves_enough_for_next(bridge: Bridge, programs: Programs
         assert hog.has_streams()
         for number in range(TOPICS):
             hog.route(f"/hogged{number}", "tcp", Qos())
-            assert hog.open_stream(large=bool(number % 2))  # in the place of one of the two that all routes share
+            assert hog.open_stream(large=bool(number % 2))  # it replaces one of the two shared streams
         for _ in range(TOPICS):
             resources.enter_context(socket.create_connection(("127.0.0.1", bridge.port)))
         client = bridge.client(*(Topic(name, "transmit") for name in names), name="robot2", key_file="other.key")
@@ -181,7 +181,7 @@ def test_greedy_client_leaves_enough_for_next(bridge: Bridge, programs: Programs
 def test_half_a_pair_of_streams_holds_no_descriptor(
     bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """If descriptors are scarce, half a pair of each topic would be all that there is, and none would connect."""
+    """Otherwise each topic might get one stream of its pair from the last descriptors, and none would connect."""
     out = robot.publisher("/scan")
     port = free_port()
     message = Scarcity.ROUTE_WITHOUT_STREAM(side="client", limit=150, remedy=MORE_DESCRIPTORS)

@@ -78,7 +78,7 @@ async def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop)
 
 
 async def test_slow_list_serves_later_askers_too(loop: VirtualLoop) -> None:
-    """On a thin link, each further list would come after the one that is under way."""
+    """On a thin link, a second list would have to wait for the first."""
     sent: list[Any] = []
     lists = TopicLists(link_for(sent.append, loop.create_task))
     gives_up = asyncio.ensure_future(lists.ask())

@@ -142,7 +142,7 @@ class Driven:
 
         Args:
             on_end: of the robot's session, or None if it only demands that the topic is armed.
-            there: of the control PC's, likewise.
+            there: the same of the control PC's session.
             serves: whether the robot is the server. A client demands it by an entry, a server by a pattern.
         """
         self.robot, self._loop = Robot(loop), loop

@@ -1,4 +1,4 @@
-"""What DDS misses of publishers that assert their liveliness while a subscription is made."""
+"""DDS misses publishers that assert their liveliness while a subscription is made."""
 
 from __future__ import annotations
 

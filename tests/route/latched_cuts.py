@@ -1,8 +1,9 @@
 """Counts what a subscriber hears of latched topics whose link is cut: ``python -m tests.route.latched_cuts``.
 
 Nine topics, of 2, 10 and 25 Hz and depths of 1, 10 and 100, cross to a subscriber that is there all the time. A line
-has the messages that the sender's ledger counts as delivered, those that the subscriber heard, those that came after a
-newer one, and the longest time without one. On a busy machine many were lost: ``--niceness 10 --hogs 6``.
+counts the messages that the sender's ledger calls delivered, the messages that the subscriber heard, and its messages
+that came after a newer one; it ends with the longest time without a message. On a busy machine many were lost:
+``--niceness 10 --hogs 6``.
 """
 
 from __future__ import annotations

@@ -393,7 +393,7 @@ def test_live_subscriber_misses_nothing_while_depths_are_learned() -> None:
 @pytest.mark.parametrize("depth", [1, 10, 100])
 @pytest.mark.parametrize("rate", [2, 25])
 def test_a_live_subscriber_hears_all_over_cuts(rate: int, depth: int) -> None:
-    """On a busy machine it knows a new publisher seconds later, and DDS overwrites what it has not heard by then."""
+    """On a busy machine it discovers a publisher after seconds, when DDS has overwritten the first messages."""
     with virtual_loop() as loop:
         world = World(loop, depth)
         world.far.discovery = lambda: world.random.uniform(0.5, 4.0)

@@ -79,7 +79,7 @@ def test_ended_cause_leaves_silence_to_tell() -> None:
 
 
 def test_expected_message_waits_for_a_silent_link(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    """The receiving side need not be told that nobody publishes any more."""
+    """The receiving side finds out by itself that nobody publishes any more."""
     peer = FakePeer()
     ros = OnePublisher()
     ros.published.subscriber_count = 1

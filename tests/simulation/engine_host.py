@@ -181,7 +181,7 @@ class Run:
         it.
 
         Args:
-            who: gives it, on a console of that name; empty: the bridge's own.
+            who: the name of the operator's console, or an empty string for the bridge's own.
 
         Raises:
             EngineError: it cannot be carried out.

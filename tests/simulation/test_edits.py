@@ -400,7 +400,7 @@ async def test_one_entry_on_both_sides_is_one_route(direction: Direction, two: B
 
 
 def test_what_the_server_lists_itself_needs_no_right(two: Both) -> None:
-    """As little as any entry of its own."""
+    """Its other entries need none, either."""
     clients = tuple(msgspec.structs.replace(each, deny=("/*",)) for each in two.server.session.accepted_clients)
     two.server.session = msgspec.structs.replace(two.server.session, clients=clients)
     two.world.play(life=two.live(two.both(5)))

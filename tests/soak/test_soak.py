@@ -68,7 +68,7 @@ def test_a_ledger_that_does_not_balance() -> None:
 
 def test_one_kill_and_one_cut(tmp_path: Path, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.SOAK_STOPS_WITHIN.set(monkeypatch, _RECOVERY)
-    # Over shared memory, Fast DDS may leave deaf what stands still for a second, as all do here; it ends then.
+    # Over shared memory, Fast DDS may leave a process deaf that stands still for a second, and then it ends.
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     stage = Stage(tmp_path, (pc.id, robot.id))
     told: list[str] = []

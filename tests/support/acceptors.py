@@ -1,4 +1,4 @@
-"""Takes what comes on a listening transport."""
+"""A server that takes the streams and datagrams of a listening transport."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from tests.support.waiting import eventually
 class Handle:
     """The handle of a process, from when it was started on (pidfd_open(2)).
 
-    With numbers, a kill at the end of a test hit whoever had the number by then: they come round every few minutes.
+    The kernel reuses a process's number after minutes: a kill by number, at the end of a test, hit another process.
     """
 
     def __init__(self, pid: int) -> None:

@@ -1,7 +1,7 @@
 """Makes the ROS participants of this process known to each other before a test goes on.
 
 Two participants of one process miss each other's first announcements in a third of all cases, and hear the next one
-only 3 s later. So those of this process are announced more often; what a test starts as a child is not. Fast DDS may
+only 3 s later. So this process announces its participants more often; children of a test do not. Fast DDS may
 even leave them undiscovered for good; then no message of one reaches the other. No robot has two participants of a
 domain in one process. So a new participant waits until all know each other. If they do not, it leaves and joins again,
 which no test notices.

@@ -49,7 +49,7 @@ def test_a_data_stream_is_attached(suite: CipherSuite) -> None:
 
 @SUITES
 def test_a_route_moves_to_another_stream(suite: CipherSuite) -> None:
-    """The frame that says so is sealed in order with the route's messages."""
+    """The frame of the move is sealed in order with the route's messages."""
     _, _, client_keys, server_keys = established(suite)
     writer = DataWriter(client_keys.route_sealer(3, "client"), 3)
     reader = DataReader(server_keys.stream_opener(3, "client"))

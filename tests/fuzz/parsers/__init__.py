@@ -1,4 +1,4 @@
-"""The parsers, a module for each family, and those of features. A module's `PARSERS` are what is fuzzed."""
+"""The parsers, a module for each family, and those of features. Each module lists its parsers in `PARSERS`."""
 
 from __future__ import annotations
 

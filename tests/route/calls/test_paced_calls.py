@@ -111,7 +111,7 @@ def test_waiting_call_that_expires_never_reaches_the_node(
 
 
 class Patrol:
-    """A client of `get_result`, whose node reads nothing until it is told to."""
+    """A client of `get_result` whose node reads nothing until the test lets it."""
 
     ready = True
 

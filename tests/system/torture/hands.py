@@ -157,7 +157,7 @@ class Bed:
         return route is not None and route.arming is not None and route.arming.armed
 
     def heard(self, since: float) -> list[Arrival]:
-        """The messages that have come since then; the number of one that moves the robot is not 0."""
+        """Return the messages that have come since then. A message that moves the robot has another number than 0."""
         return [each for each in self._stage.heard() if each.arrived >= since]
 
     def await_rest(self) -> None:
