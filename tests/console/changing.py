@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from tests.console.scripted import ScriptedEngine, refused, route
 
-from rsb_bridge.model.commands import AddTopic, Command, EditTopic, PauseTopics, R, RemoveTopic, is_undo
+from rsb_bridge.model.commands import AddTopic, Command, EditTopic, PauseTopics, RemoveTopic, is_undo
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 
@@ -20,13 +20,8 @@ ARMED = Topic("/cmd_vel", "receive", arm=True)
 
 
 class ChangingEngine(ScriptedEngine):
-    """An engine whose snapshot follows its commands; it notes whether each one is an undo.
+    """An engine whose snapshot follows its commands; it notes whether each one is an undo."""
 
-    Attributes:
-        refuses: the reason why it adds no topic, or an empty string.
-    """
-
-    refuses = ""
     specs: tuple[Topic, ...] = (SCAN, ARMED)
 
     def __init__(self, *arguments: Any) -> None:
@@ -51,10 +46,8 @@ class ChangingEngine(ScriptedEngine):
     def spec(self, key: str) -> Topic:
         return next(each.spec for each in self.now.routes if each.key == key)
 
-    def do(self, command: Command[R], step: Any = None) -> Future[R]:
+    def _execute(self, command: Command[Any], step: Any) -> Future[Any]:
         match command:
-            case AddTopic() if self.refuses:
-                return refused(self.refuses)
             case AddTopic(topic):
                 self.show(*self.now.routes, route(topic.topic, spec=topic))
             case EditTopic(key, topic, _, seen):
@@ -65,4 +58,4 @@ class ChangingEngine(ScriptedEngine):
                 self.show(*(each for each in self.now.routes if each.key != key))
             case PauseTopics(key, paused):
                 self.put(key, msgspec.structs.replace(self.spec(key), paused=paused))
-        return super().do(command, step)
+        return super()._execute(command, step)

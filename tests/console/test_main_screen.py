@@ -30,6 +30,7 @@ from textual.pilot import Pilot
 from textual.widgets import Button
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import PauseTopics
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.app import ConsoleApp
@@ -420,7 +421,7 @@ def test_engine_that_cannot_start_explains_itself() -> None:
 
 @on_main(landmark="p pause")
 async def test_a_refused_command_is_said_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    engine_of(app).pause = lambda *_: refused("route gone")  # type: ignore[method-assign]
+    engine_of(app).answering = lambda command: refused("route gone") if isinstance(command, PauseTopics) else None
     await pilot.press("p")
     await shown(pilot, "route gone")
 

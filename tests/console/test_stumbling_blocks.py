@@ -11,6 +11,7 @@ from tests.console.scripted import LINK, SESSION, refused, route
 from textual.pilot import Pilot
 
 from rsb_bridge.config.session_file import save
+from rsb_bridge.model.commands import AddTopic
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
 from rsb_console.notation.glyphs import to_ascii
@@ -28,7 +29,8 @@ def test_chosen_and_unchosen_differ_in_ascii() -> None:
 
 @on_main()
 async def test_refused_topic_returns_with_values_and_reason(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    engine_of(app).add_topic = lambda *_: refused("robot1 does not allow /added")  # type: ignore[method-assign]
+    why = "robot1 does not allow /added"
+    engine_of(app).answering = lambda command: refused(why) if isinstance(command, AddTopic) else None
     await pilot.press("a")
     await shown(pilot, "Add a topic")
     await fill(pilot, topic="/added", max_rate="7")

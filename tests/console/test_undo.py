@@ -24,9 +24,11 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
+from tests.console.scripted import refused as refused_by
 from tests.support.long import long
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import AddTopic, EditTopic
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, PatternSnapshot, Snapshot, State
 from rsb_console.operations.topic_operations import OperationText
@@ -292,7 +294,7 @@ async def test_edit_ends_without_its_form_and_undoes(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     under_way: Future[str] = Future()
-    engine.edit_topic = lambda *_, **__: under_way  # type: ignore[method-assign]
+    engine.answering = lambda command: under_way if isinstance(command, EditTopic) else None
     await pilot.press("e")
     await fill(pilot, max_rate="2.5")
     await pilot.press("enter")
@@ -319,11 +321,11 @@ async def test_what_the_bridge_refuses_can_be_tried_again(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
     await removed(pilot, "/scan")
-    engine.refuses = "not now"
+    engine.answering = lambda command: refused_by("not now") if isinstance(command, AddTopic) else None
     await question(app, pilot)
     await pilot.press("y")
     await shown(pilot, "not now")
-    engine.refuses = ""
+    engine.answering = lambda _: None
     assert engine.undone == []
     await question(app, pilot)
     await pilot.press("y")

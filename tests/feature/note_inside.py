@@ -84,7 +84,7 @@ def test_a_key_of_the_console_writes_a_note() -> None:
     app = scripted_app(routes=ROUTES)
     given: list[Any] = []
 
-    def taken(command: Any, step: object = None) -> Future[Any]:
+    def take(command: Any) -> Future[Any]:
         given.append(command)
         done: Future[Any] = Future()
         done.set_result(None)
@@ -93,7 +93,7 @@ def test_a_key_of_the_console_writes_a_note() -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, ROUTES[0].topic)
         await shown(pilot, "NOTE")
-        engine_of(app).do = taken  # type: ignore[method-assign]
+        engine_of(app).answering = take
         await pilot.press("M", *"ok", "enter")
         await until(pilot, lambda: given, "a command")
 

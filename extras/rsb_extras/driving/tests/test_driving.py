@@ -29,6 +29,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.by_hand import VelocityLimits
+from rsb_bridge.model.commands import AskHolder, Command
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_console.app import ConsoleApp
@@ -529,13 +530,15 @@ async def test_who_may_not_take_is_not_offered_it(app: ConsoleApp, pilot: Pilot[
 async def test_leaving_the_screen_asks_no_longer(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     asking: list[Future[None]] = []
 
-    def ask_holder(key: str, *, shared: bool = False) -> Future[None]:
+    def answer(command: Command[Any]) -> Future[None] | None:
+        if not isinstance(command, AskHolder):
+            return None
         asking.append(Future())
         return asking[-1]
 
     engine = engine_of(app)
     engine.holds = ()
-    engine.ask_holder = ask_holder  # type: ignore[method-assign]
+    engine.answering = answer
     await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
     await pilot.press("A")
     await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
