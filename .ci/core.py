@@ -1,6 +1,6 @@
 """Makes ``build/core``: this tree without its features, in an environment without them (``make test-core``).
 
-The environment is a copy of the one that is given, in symbolic links, with this project's metadata and path replaced.
+The environment is the one that is given, in symbolic links, with this project's metadata and path replaced.
 """
 
 from __future__ import annotations
@@ -63,8 +63,19 @@ def copy_tree() -> None:
     subprocess.run(("git", "-C", CORE, "add", "."), check=True)
 
 
+def link(old: Path, new: Path, own: set[Path]) -> None:
+    """Link the entries of a folder, and those of the folders in it that are the copy's own."""
+    new.mkdir()
+    for each in old.iterdir():
+        if each in own:
+            link(each, new / each.name, own)
+        else:
+            (new / each.name).symlink_to(each.readlink() if each.is_symlink() else each)
+
+
 def copy_environment(old: Path, new: Path) -> None:
-    shutil.copytree(old.absolute(), new, symlinks=True, copy_function=os.symlink)
+    (metadata,) = old.absolute().glob("lib/python*/site-packages/rsb_console-*.dist-info")
+    link(old.absolute(), new, {old.absolute() / "bin", metadata, *metadata.parents})
     (packages,) = new.glob("lib/python*/site-packages")
     (path,) = packages.glob("_editable_impl_rsb_console.pth")
     (entries,) = packages.glob("rsb_console-*.dist-info/entry_points.txt")
