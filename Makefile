@@ -22,7 +22,7 @@ demo-fleet: $(STAMP)
 	$(BIN)/rsb-console demo --fleet
 
 # Most tests wait for most of their time, so there are six workers a core. Sets have one order in all workers, and each day another.
-WORKERS := $(shell $(PYTHON) -c 'import os; print(min(max(8, 6 * len(os.sched_getaffinity(0))), 12))')
+WORKERS := $(shell $(PYTHON) -c 'import os; print(min(6 * len(os.sched_getaffinity(0)), 12))')
 PYTEST = PYTHONHASHSEED=$(SEED) timeout -s INT -k 60 $(LIMIT) $(BIN)/python -m pytest
 SEED := 0
 LIMIT := 2400

@@ -147,8 +147,12 @@ class Side:
 
     async def acknowledges_all(self) -> None:
         """Wait until all that the other side has sent is here, and it knows that."""
+        await self.ticks_until(lambda: not self.other.in_transit())
+
+    async def ticks_until(self, condition: Callable[[], object]) -> None:
+        """Wait as on a link, where a side ticks: it acknowledges what is less than a window."""
         async with asyncio.timeout(60):
-            while self.other.in_transit():
+            while not condition():
                 self.tick()
                 await asyncio.sleep(0.005)
 

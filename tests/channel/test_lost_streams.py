@@ -91,8 +91,8 @@ async def test_route_goes_on_in_order_counting_losses(name: str, size: int, cut_
             numbers.send(10)
             others.send(10)
             await reopen(near, far, names=("small", "large") if name == "small" else ("large",))
-            await until(numbers.all_known)
-            await until(others.all_known)
+            await far.ticks_until(numbers.all_known)
+            await far.ticks_until(others.all_known)
             for each in (numbers, others):
                 assert each.arrived == sorted(set(each.arrived))
                 assert each.counted == each.sent
