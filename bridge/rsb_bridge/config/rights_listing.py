@@ -1,4 +1,4 @@
-"""What the rights of a session come to, for operators: rows of a table, and what a peer may move or change."""
+"""A session's rights as operators read them: rows of a table, and what a peer may move or change."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ class PathWatch(Extension):
         self._logged = False
 
     def disconnected(self) -> None:
-        self._begin()  # but for the losses: they count for the next connection, if that comes soon
+        self._begin()  # except for the losses: they count for the next connection, if that comes soon
 
     def tick(self) -> None:
         link = self._link

@@ -1,4 +1,4 @@
-"""What an action of an operator is: a key with its name, its texts, its condition and what it does."""
+"""An action of an operator: a key with its name, its texts, its condition and what it does."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class TopicDraft(NamedTuple):
 
 @dataclass
 class SideGraph:
-    """What one side has, as far as it has answered.
+    """The answers of one side so far.
 
     Attributes:
         problem: the reason why it does not answer, or an empty string.

@@ -1,4 +1,4 @@
-"""What can be bridged: suggestions from the graphs of both sides."""
+"""Suggestions of what can be bridged, from the graphs of both sides."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class OpenLane:
             self._held = held.pop_all()
 
     def _open(self, held: ExitStack) -> None:
-        """Make the endpoint, and have `held` close it, and whatever else goes with it."""
+        """Make the endpoint, and have `held` close it and all that goes with it."""
         raise NotImplementedError
 
     def offer(self, batch: Sequence[Any]) -> None:
