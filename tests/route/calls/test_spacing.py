@@ -7,7 +7,7 @@ import itertools
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from tests.support.goals import cancel_response, goal, result_response
+from tests.support.goals import cancel_request, cancel_response, goal, goal_request, result_response
 from tests.support.inside import offers_of, pending_calls
 from tests.support.offline import half_of
 
@@ -15,6 +15,7 @@ from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.calls.calling import CallerCall
 from rsb_bridge.route.calls.calling_action import CallingActionRoute
+from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
@@ -74,6 +75,18 @@ def test_result_keeps_its_distance_from_feedback(make_context: Callable[..., Con
     *_, (fed, number), (answered, last) = client.got
     assert (number, last) == (2, -1)
     assert 0.039 < answered - fed < 0.042
+
+
+def test_requests_for_results_hold_up_no_cancel(make_context: Callable[..., Context]) -> None:
+    """After a gap they come at once, and a cancel may stop a robot."""
+    route = half_of(ProvidingActionRoute, make_context(), Topic("/dock", "receive", kind="action"))
+    requests = [
+        (CallFrame(What.CALL, GET_RESULT, number, 0, goal_request(goal(number))).pack(), number * 100 * _MS, 0)
+        for number in range(1, 11)
+    ]
+    cancel = CallFrame(What.CALL, CANCEL_GOAL, 11, 0, cancel_request(goal(1))).pack(), 1100 * _MS, 0
+    route.deliver([*requests, cancel])
+    assert route.calls.asked == 11
 
 
 def test_feedback_in_time_is_not_delayed(make_context: Callable[..., Context], loop: VirtualLoop) -> None:

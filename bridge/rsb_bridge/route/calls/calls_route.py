@@ -371,7 +371,8 @@ class CallsRoute(Route):
                 if self.id != opening:
                     return  # an earlier frame has ended the opening
                 frame = self._frame_of(message)
-                spaced = frame.what is What.MESSAGE or self.members[frame.lane].patient
+                # Not requests: a cancel would wait behind them.
+                spaced = frame.what is What.MESSAGE or (frame.what is What.ANSWER and self.members[frame.lane].patient)
                 if spaced and (due := self._spacing.wait(message[1], self.context.now())) is not None:
                     self.context.loop.call_at(due, self._unpacker.go_on)
                     self._unpacker.wait((message, *messages))
