@@ -106,13 +106,12 @@ class OpenLanes(Generic[S, T]):
         # The types of most topics follow from the route's.
         topics = self.topics if len(fitting) == len(self.services) else ()
         self.close(keep={*fitting.intersection(lanes), *topics})
-        try:
+        with ExitStack() as failed:
+            failed.callback(self.close)
             for lane, (member, entry) in enumerate(zip(self._route.members, entries, strict=True)):
                 if lane in lanes and not member.is_topic and lane not in self.services:
                     self.services[lane] = self._service(self._route, lane, version_of(entry))
-        except RosError:
-            self.close()
-            raise
+            failed.pop_all()
 
     def open_topics(self, entries: Sequence[LaneEntry]) -> list[T]:
         """Open the topics whose types are known by now, and return them.
