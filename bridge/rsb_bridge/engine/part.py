@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class EnginePart:
         """Wait for its threads, at the very end."""
 
 
-class MovingPart(EnginePart):
+class MovingPart(EnginePart, ABC):
     """A part that moves robots. Before it does, it asks `Bridge.may_move`."""
 
     @abstractmethod

@@ -155,9 +155,8 @@ class TopicCommands(EnginePart):
         """Return what a key names after the motions on its topics have ended."""
         named = named_in(self._bridge.links(), key)
         if await self._bridge.end_motions({route.local_topic for route in named.routes()}):
-            return named_in(
-                self._bridge.links(), key
-            )  # the peer may have removed or edited it while the robots came to rest
+            # The peer may have removed or edited it while the robots came to rest.
+            return named_in(self._bridge.links(), key)
         return named
 
     async def add(self, command: AddTopic) -> str:

@@ -98,9 +98,16 @@ async def attach_instead(screen: MainScreen, running: RunningBridge) -> None:
 
 async def _begin(screen: MainScreen, choice: str) -> None:
     """Begin with the choice of a dialog: an action, or the path of a session file or of a control socket."""
-    offered = (demo, new_session, import_session, sessions, save, save_as)
-    if action := next((each for each in offered if each.__name__ == choice), None):
-        await action(screen)
+    actions = {
+        "demo": demo,
+        "new_session": new_session,
+        "import_session": import_session,
+        "sessions": sessions,
+        "save": save,
+        "save_as": save_as,
+    }
+    if choice in actions:
+        await actions[choice](screen)
     elif choice.endswith(SUFFIX):
         await screen.console.attach(Path(choice))
     else:

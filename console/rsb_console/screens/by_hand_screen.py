@@ -27,7 +27,7 @@ _CHECKED = 4 << 10
 
 
 class FieldsText(Wording):
-    """A mistake in fields that are written by hand, and what stands for none."""
+    """Texts about fields that are written by hand."""
 
     NO_MAPPING = "not a mapping of fields: write one line for each field, such as data: true"
     ALL_DEFAULTS = "(the default of every field)"
