@@ -6,7 +6,6 @@ import contextlib
 import socket
 import sys
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from http.client import HTTPConnection
 from typing import TYPE_CHECKING
@@ -231,9 +230,7 @@ def test_few_silent_connections_are_borne_more_are_closed(served: Served) -> Non
 def test_closing_waits_for_nobody(served: Served) -> None:
     with socket.create_connection(("127.0.0.1", served.port), timeout=30) as silent:
         eventually(lambda: len(threading.enumerate()) > 2)
-        began = time.monotonic()
-        served.close()
-        assert time.monotonic() - began < 5.0, "and not the 10 s that a connection may last"
+        served.close()  # a connection may last 10 s of a clock that stands still here
         with contextlib.suppress(ConnectionResetError):  # its request was not read: the kernel may report it
             assert silent.recv(1) == b""
 
