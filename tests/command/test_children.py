@@ -101,7 +101,7 @@ def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_module_in_child_runs_nothing_of_its_folder(planted: Path) -> None:
     with ChildProcess("rsb_console", "--version", stdout=subprocess.PIPE) as child:
-        assert child.communicate(timeout=60)[0].startswith("rsb-console ")
+        assert child.communicate(timeout=180)[0].startswith("rsb-console ")
     assert not planted.exists()
 
 

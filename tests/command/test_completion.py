@@ -208,7 +208,7 @@ def test_bash_completes_with_what_is_installed(tmp_path: Path) -> None:
 )
 def test_the_other_shells_get_theirs(shell: str, file: str, word: str) -> None:
     assert f"rsb-console completion {shell}" in (_ROOT / "completions" / file).read_text()
-    run = subprocess.run([COMMAND, "completion", shell], capture_output=True, text=True, timeout=60, check=False)
+    run = subprocess.run([COMMAND, "completion", shell], capture_output=True, text=True, timeout=180, check=False)
     assert run.returncode == 0
     assert word in run.stdout
 

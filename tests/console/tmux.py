@@ -19,7 +19,7 @@ class Tmux:
     def __call__(self, *words: str) -> str:
         environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         command = ["tmux", "-S", self._socket, "-f", "/dev/null", *words]
-        return subprocess.run(command, env=environ, text=True, capture_output=True, check=True, timeout=60).stdout
+        return subprocess.run(command, env=environ, text=True, capture_output=True, check=True, timeout=180).stdout
 
     @property
     def picture(self) -> str:

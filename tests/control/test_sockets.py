@@ -114,7 +114,7 @@ def served_by(uid: int) -> Iterator[Path]:
 def answer_to(uid: int, path: Path) -> str:
     """Return the bridge's answer to a user's console."""
     command = [sys.executable, "-c", SAYS_HELLO, str(path), str(uid)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout.strip()
+    return subprocess.run(command, capture_output=True, text=True, timeout=180, check=True).stdout.strip()
 
 
 @as_root

@@ -60,7 +60,7 @@ def _start(module: str, *arguments: str, **pipes: Any) -> subprocess.Popen[str]:
 
 def _version(python: str) -> str:
     command = [python, "-c", "from rsb_bridge.ros.distribution import distribution; print(distribution())"]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.strip()
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=180).stdout.strip()
 
 
 @pytest.fixture(autouse=True)

@@ -21,7 +21,7 @@ from rsb_bridge.ros.stand_in import NoRos
 
 _TYPE, _HASH, _GID = "std_msgs/msg/String", "RIHS01_" + "1" * 64, b"talker".ljust(16, b"\0")
 _TOPICS = [f"/churn{number}" for number in range(4)]
-_WITHIN = 60.0
+_WITHIN = 180.0
 
 
 class Subscription:

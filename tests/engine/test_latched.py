@@ -239,7 +239,7 @@ def test_message_arrives_together_with_proof_of_address(
 
     relay.to_server = together
     bridge.both(Topic("/map", "transmit", protocol="udp"))
-    eventually(lambda: heard.payloads, 60.0)
+    eventually(lambda: heard.payloads)
 
 
 @pytest.mark.parametrize(

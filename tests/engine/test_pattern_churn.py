@@ -111,7 +111,7 @@ def test_topics_of_patterns_leave_nothing_behind(tmp_path: Path, monkeypatch: py
         def grown() -> dict[str, int]:
             return {kind: more for kind, more in (counts() - before).items() if more > TOPICS // 2 and kind not in KEPT}
 
-        eventually(lambda: not grown(), within=60, what="what grows goes again")
+        eventually(lambda: not grown(), what="what grows goes again")
         bridge = inside(engines[1])
         (link,) = bridge.links()
         # Plain values are not among the objects that are counted.

@@ -36,7 +36,7 @@ def shows(engine: Engine, text: str) -> None:
 
 
 def write(engine: Engine, text: str) -> None:
-    engine.do(WriteNote(route(engine, "/scan").key, text)).result(10)
+    engine.do(WriteNote(route(engine, "/scan").key, text)).result(60)
 
 
 def test_both_sides_show_a_note(bridge: Bridge) -> None:
@@ -116,5 +116,5 @@ def test_a_subcommand_writes_a_note(bridge: Bridge, machine: Any, ran: Any) -> N
 def test_a_subcommand_costs_nothing_until_it_runs() -> None:
     program = "import sys; from rsb_console.command.arguments import parser_and_commands; parser_and_commands()"
     program += "; print('rsb_note' in sys.modules, {'rsb_note.console', 'rsb_note.bridge', 'textual'} & {*sys.modules})"
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=180, check=True)
     assert ran.stdout == "True set()\n"

@@ -146,7 +146,7 @@ def test_another_program_that_connects_to_the_server(
     constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 60.0 if sent else 0.3)  # who speaks may do so late
     server = bridge.server()
     for _ in range(4):
-        with socket.create_connection(("127.0.0.1", bridge.port), timeout=60) as stranger:
+        with socket.create_connection(("127.0.0.1", bridge.port), timeout=180) as stranger:
             stranger.sendall(sent)
             while stranger.recv(4096):
                 pass

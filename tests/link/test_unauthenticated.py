@@ -157,7 +157,7 @@ def test_what_is_no_handshake(friend: Any, bridge: Bridge) -> None:
 def talk(address: tuple[str, int], sent: bytes, source: str = "") -> bytes:
     """Send, and give back everything that comes until the other side closes."""
     answer = b""
-    with socket.create_connection(address, timeout=60, source_address=(source, 0)) as stranger:
+    with socket.create_connection(address, timeout=180, source_address=(source, 0)) as stranger:
         stranger.sendall(sent)
         with contextlib.suppress(ConnectionResetError):  # it closed with something of ours unread
             while more := stranger.recv(4096):
@@ -171,7 +171,7 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge, monkeypa
     server, _, out, there = friend
     with contextlib.ExitStack() as crowd:
         strangers = [
-            crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=60)) for _ in range(100)
+            crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=180)) for _ in range(100)
         ]
         for stranger in strangers:
             stranger.sendall(frame(b"rsb\x01\x01")[:5])
@@ -214,11 +214,11 @@ def test_client_is_read_among_many_arrivals(sent: bytes, friend: Any, bridge: Br
 
         def strangers() -> None:
             for _ in range(150):
-                stranger = crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=60))
+                stranger = crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=180))
                 stranger.sendall(sent)
 
         strangers()
-        client = crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=60))
+        client = crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=180))
         client.sendall(ClientConnection(Hello("0.1.0", "robot2", "x", 0), key, CipherSuite.AESGCM).start())
         strangers()
         go_on.set()

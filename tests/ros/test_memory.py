@@ -41,7 +41,7 @@ before = resources().resident
 for _ in range(100):
     publisher.publish(bytes(1 << 20))
 eventually(lambda: sum(taken) == 100 and publisher.acknowledged)
-eventually(lambda: resources().resident < before + (64 << 20), within=30)
+eventually(lambda: resources().resident < before + (64 << 20))
 sender.stop()
 receiver.stop()
 """
@@ -50,7 +50,7 @@ receiver.stop()
 def test_what_history_held_goes_back_to_kernel(spare_domains: int) -> None:
     """Its reader and its writer held 100 MB, each once."""
     command = [sys.executable, "-c", _LARGE, str(spare_domains)]
-    subprocess.run(command, cwd=Path(__file__).parents[2], timeout=120, check=True)
+    subprocess.run(command, cwd=Path(__file__).parents[2], timeout=300, check=True)
 
 
 def test_a_users_profiles_have_priority() -> None:

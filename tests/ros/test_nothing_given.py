@@ -153,11 +153,11 @@ def test_answers_of_other_clients_are_no_fault(
     eventually(lambda: client.ready and other.ready)
     for number in range(1, 31):
         client.call(b"\0\1\0\0\0\0\0\0")
-        server.answer(requests.get(timeout=10).caller, b"\0\1" + bytes(11))
+        server.answer(requests.get(timeout=60).caller, b"\0\1" + bytes(11))
         eventually(lambda number=number: len(answers) == number)
     eventually(lambda: takes.count > 60)  # of each answer at least one by either client
     other.call(b"\0\1\0\0\0\0\0\0")
-    server.answer(requests.get(timeout=10).caller, b"\0\1" + bytes(11))
+    server.answer(requests.get(timeout=60).caller, b"\0\1" + bytes(11))
     eventually(lambda: idle_answers)
     assert not failures
     assert not other.rests_until

@@ -184,7 +184,7 @@ class CallNode(Asked):
 
     def close(self) -> None:
         if self._process.returncode is None:
-            self._process.communicate(timeout=60)
+            self._process.communicate(timeout=180)
 
 
 # --- the node's own process

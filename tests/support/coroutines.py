@@ -33,6 +33,6 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
 
 async def until(condition: Callable[[], object]) -> None:
     """Wait on the running loop for what other sockets and threads do."""
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(180):
         while not condition():  # noqa: ASYNC110 (it is no event of ours)
             await asyncio.sleep(0.005)

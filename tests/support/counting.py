@@ -176,7 +176,7 @@ class CountedBridge:
                 last, since = now, time.monotonic()
             return (heard, topic) if time.monotonic() - since > _QUIET else None
 
-        heard, topic = eventually(quiet, within=30, what=f"a settled ledger; the last was {last}")
+        heard, topic = eventually(quiet, what=f"a settled ledger; the last was {last}")
         return Count(published, heard["heard"], heard["doubled"], self.listener.ask(gaps=True), topic)
 
 

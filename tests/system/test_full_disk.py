@@ -126,7 +126,7 @@ def test_what_keeps_crash_from_being_recorded_is_said(tmp_path: Path) -> None:
 fill()
 script = "import sys; from rsb_console import cli; sys.exit(cli._unexpected(ValueError('a mistake'), show=False))"
 run = subprocess.run([sys.executable, "-c", script], env=os.environ | {"XDG_STATE_HOME": str(disk)},
-                     capture_output=True, text=True, timeout=60)
+                     capture_output=True, text=True, timeout=180)
 assert run.returncode == 1
 assert "a mistake" in run.stderr and f"free space on {disk}" in run.stderr, run.stderr
 assert "Traceback" not in run.stderr
@@ -141,7 +141,13 @@ def test_standard_output_on_full_disk_ends_in_sentence(arguments: tuple[str, ...
     )
     with Path("/dev/full").open("w") as full:
         run = subprocess.run(
-            [COMMAND, *arguments], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+            [COMMAND, *arguments],
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=180,
+            check=False,
         )
     assert run.returncode == 1
     assert "No space left on device" in run.stderr

@@ -90,7 +90,7 @@ async def test_silent_address_does_not_delay_next(
     """A name may have an IPv6 address whose packets are dropped on the way."""
     constants.TCP_CONNECT_TIMEOUT.set(monkeypatch, 120.0)
     resolves += [_SILENT, _LIVE]
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(180):
         stream = await Tcp().connect("robot", port, StreamHandler())
     assert stream.host == _LIVE
     stream.abort("over")
@@ -243,7 +243,7 @@ async def _connected() -> AsyncIterator[tuple[Stream, Kept, Stream, Kept]]:
     _, near = await loop.create_connection(lambda: TcpStream(near_kept, set()), sock=near_socket)
     _, far = await loop.create_connection(lambda: TcpStream(far_kept, set()), sock=far_socket)
     try:
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(180):
             yield near, near_kept, far, far_kept
     finally:
         near.abort("over")
@@ -341,7 +341,7 @@ async def test_stream_may_end_as_writing_resumes(kind: type[Stream], end: str) -
 
     with contextlib.suppress(ConnectionResetError):
         await asyncio.to_thread(read_all)
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(180):
         await over.wait()
     await asyncio.sleep(0)
     assert not errors

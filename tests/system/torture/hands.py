@@ -141,7 +141,7 @@ class Bed:
 
     def _await_console(self) -> None:
         try:
-            eventually(lambda: self.terminal.shows(TOPIC), 120, "the console")
+            eventually(lambda: self.terminal.shows(TOPIC), what="the console")
         except AssertionError:
             raise AssertionError(f"the console is not drawn: {self.terminal.state()}") from None
         time.sleep(3)  # a terminal's kind, and its first answers
@@ -162,9 +162,7 @@ class Bed:
 
     def await_rest(self) -> None:
         began = time.monotonic()
-        eventually(
-            lambda: (now := time.monotonic()) > began + _RESTS and not self.heard(now - _RESTS), what="rest", within=60
-        )
+        eventually(lambda: (now := time.monotonic()) > began + _RESTS and not self.heard(now - _RESTS), what="rest")
 
     # --- the operator
 
@@ -183,8 +181,8 @@ class Bed:
             time.sleep(0.3)
         route = self.route()
         if route is not None and self.armed:
-            self._stage.pc.console.disarm(route.key).result(10)
-        eventually(lambda: (route := self.route()) is not None and route.state == "disarmed", 60, "disarmed")
+            self._stage.pc.console.disarm(route.key).result(60)
+        eventually(lambda: (route := self.route()) is not None and route.state == "disarmed", what="disarmed")
 
     def arm_and_drive(self) -> None:
         """Open the drive screen, arm the topic, and drive a moment, all by keys."""

@@ -187,7 +187,7 @@ def _await_motion(stage: Stage, holder: Command) -> list[Arrival]:
         return found if len(found) >= 3 else None
 
     try:
-        return eventually(moving, 30, "it moves")
+        return eventually(moving, what="it moves")
     except AssertionError as error:
         raise AssertionError(f"{error}; running: {holder.running} {holder.output[-300:]}; {stage.describe()}") from None
 

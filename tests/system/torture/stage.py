@@ -43,7 +43,7 @@ RATE = 100.0
 _SHOW_DISARMED = {"disarmed", "down"}
 """States in which a console shows an unarmed topic as disarmed: not `disarming`."""
 _LOOK_EVERY = 0.02
-_FLOWS_WITHIN = 30.0
+_FLOWS_WITHIN = 120.0
 _SIGN_OF_LIFE_EVERY = 0.5
 
 
@@ -295,7 +295,7 @@ class Stage:
             self.windows.append(window)
             self._arms = bridge
         try:
-            bridge.console.arm(bridge.routes()[0].key).result(10)
+            bridge.console.arm(bridge.routes()[0].key).result(60)
         except EngineError:
             with self._lock:
                 window.show("an error")

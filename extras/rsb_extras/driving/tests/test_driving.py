@@ -613,7 +613,7 @@ async def test_speed_is_within_limits_whose_line_is_shown(app: ConsoleApp, pilot
     await pressed(pilot, clock, "o")
     await until(pilot, lambda: sent(app), "a command")
     assert velocities(app)[0] == velocity(TWIST, 0.1, -0.3)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 180
     while not is_shown(app, "+0.10"):  # for as long as the key counts, which the commands shorten
         assert time.monotonic() < deadline
         await pressed(pilot, clock, "o")

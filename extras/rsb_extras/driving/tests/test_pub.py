@@ -320,7 +320,7 @@ def test_a_slow_start_makes_no_message_old(machine: Machine, engine: PublishingE
     starts = f"import sys, time\ntime.sleep({OLD_AFTER + 0.1})\nfrom rsb_console.cli import main\n"
     script = f"{starts}sys.argv = {words}\nsys.exit(main())"
     environ = {**os.environ, **machine.environ}
-    done = subprocess.run([sys.executable, "-c", script], env=environ, capture_output=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", script], env=environ, capture_output=True, timeout=180, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
     assert [each.ticket for each in sent(engine)] == [0, 7]
 

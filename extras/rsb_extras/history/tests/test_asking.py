@@ -45,7 +45,7 @@ def test_recorder_reports_on_one_link() -> None:
     for link in ("robot2", "", "robot1"):
         world.events.add(Level.INFO, EventCode.OPERATOR_PAUSED, f"of {link}", link=link, who="anna")
     world.go(5)
-    report = world.recorder.history(60.0, "robot2").result(10)
+    report = world.recorder.history(60.0, "robot2").result(60)
     assert report.name == "robot2 at robot1"
     assert [track.topic for track in report.tracks] == ["/map"]
     assert [event.text for event in report.actions] == ["of robot2", "of "]

@@ -485,15 +485,15 @@ def test_actions_and_outages_are_clean_text() -> None:
 
 def test_a_recorder_that_was_never_started_answers() -> None:
     """Its engine could not start, and its console shows the history all the same."""
-    assert World("/scan").recorder.history(60.0).result(10).name == "robot1"
+    assert World("/scan").recorder.history(60.0).result(60).name == "robot1"
 
 
 def test_a_question_that_fails_costs_no_other() -> None:
     recorder = World("/scan").recorder
     recorder.start()
     with pytest.raises(ZeroDivisionError):
-        recorder.ask(lambda: 1 / 0).result(10)
-    assert recorder.ask(lambda: "answered").result(10) == "answered"
+        recorder.ask(lambda: 1 / 0).result(60)
+    assert recorder.ask(lambda: "answered").result(60) == "answered"
     recorder.stop(10)
 
 
@@ -507,5 +507,5 @@ def test_a_thread_that_failed_answers_all_the_same() -> None:
     recorder = Recorder("robot1", "client", EventLog(clock), broken, clock)
     recorder.start()
     with pytest.raises(ZeroDivisionError):
-        recorder.history(60.0).result(10)
+        recorder.history(60.0).result(60)
     recorder.stop(10)  # else pytest may find the thread's failure in another test

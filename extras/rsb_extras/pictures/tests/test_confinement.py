@@ -101,7 +101,7 @@ def tried(tmp_path: Path) -> dict[str, Any]:
     with socket.create_server(("127.0.0.1", 0)) as server:
         arguments = (str(secret), str(tmp_path / "written"), str(server.getsockname()[1]))
         ran = subprocess.run(
-            (sys.executable, "-P", "-c", _TRIES, *arguments), capture_output=True, text=True, check=True, timeout=60
+            (sys.executable, "-P", "-c", _TRIES, *arguments), capture_output=True, text=True, check=True, timeout=180
         )
     found: dict[str, Any] = json.loads(ran.stdout)
     return found

@@ -38,7 +38,7 @@ def test_refused_stream_over_zenoh_is_freed_at_once(bridge: Bridge, arrived: lis
                     attachment=Header(SampleKind.DATA, 0, 0).pack(),
                     congestion_control=zenoh.CongestionControl.BLOCK,
                 )
-            eventually(lambda: len(arrived) == len(sent) * 4 and not any(each() for each in arrived), 20, what="freed")
+            eventually(lambda: len(arrived) == len(sent) * 4 and not any(each() for each in arrived), what="freed")
             assert strangers_of(server).used == 0
             assert strangers_of(server).turned_away == 1
     finally:

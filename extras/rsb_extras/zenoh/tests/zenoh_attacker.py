@@ -163,7 +163,7 @@ class Attacker:
 
     def stop(self) -> dict[str, int]:
         """End it, and return its counts."""
-        said, _ = self._process.communicate(timeout=60)
+        said, _ = self._process.communicate(timeout=180)
         counts: dict[str, int] = json.loads(said)
         return counts
 
