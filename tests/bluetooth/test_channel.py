@@ -149,7 +149,7 @@ class Pair(NamedTuple):
         """The client's topics that wait for the connection."""
         (link,) = inside(self.client).links()
         assert isinstance(link, ClientLink)
-        return link.route_channels.awaiting.get(("bluetooth", _CHANNEL), {})
+        return link.channels.awaiting.get(("bluetooth", _CHANNEL), {})
 
     def remove(self, topic: str) -> None:
         self.client.remove_topic(self.route(topic).key).result(60)

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
     from tests.support.program import Programs
 
-    from rsb_bridge.link.client_link import ClientLink
+    from rsb_bridge.link.client_link import ClientChannels
     from rsb_bridge.transport.transport import StreamTransport
 
 TOPICS = 100
@@ -188,7 +188,7 @@ def test_half_a_pair_of_streams_holds_no_descriptor(
     opened: list[bool] = []
     open_stream: Callable[..., Awaitable[Failure | None]] = replaced.OPEN_DATA_STREAM.value
 
-    async def one_left(self: ClientLink, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
+    async def one_left(self: ClientChannels, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
         if large:
             return Failure(message)
         failure = await open_stream(self, transport, port, large=large)
@@ -225,7 +225,7 @@ def test_simultaneous_topics_share_descriptors(bridge: Bridge, monkeypatch: pyte
     opening, in_vain = 0, list[bool]()
     open_stream: Callable[..., Awaitable[Failure | None]] = replaced.OPEN_DATA_STREAM.value
 
-    async def opens(self: ClientLink, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
+    async def opens(self: ClientChannels, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
         nonlocal opening
         if left() < 1:
             in_vain.append(large)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support import replaced
+from tests.support.inside import pretend_linked
 
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.codes import EventCode
@@ -132,7 +133,7 @@ def test_task_of_link_that_fails_ends_connection(loop: VirtualLoop, context: Con
         def abort(self, reason: str) -> None:
             aborted.append(reason)
 
-    link.control = Control()  # type: ignore[assignment]
+    pretend_linked(link, Control())
 
     async def fail() -> None:
         raise KeyError("a mistake of ours")
@@ -160,7 +161,7 @@ class SaysGoodbye(Tcp):
     async def connect(self, host: str, port: int, handler: Any, rank: int | None = None) -> Stream:
         self.times.append(self._loop.time())
         (link,) = self.role.links()
-        link.control = Control(link)  # type: ignore[assignment]
+        pretend_linked(link, Control(link))
         handler.outcome.set_result(None)
         self._loop.call_soon(link.handlers[Shutdown], Shutdown(reason="for years", retry_after=self.retry_after))
         return None  # type: ignore[return-value]
@@ -183,7 +184,7 @@ class AnswersAtTheLastMoment(Tcp):
         (link,) = self.role.links()
 
         def answer() -> None:
-            link.control = Control(link)  # type: ignore[assignment]
+            pretend_linked(link, Control(link))
             handler.outcome.set_result(None)
 
         self._loop.call_later(5.0, answer)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from tests.support.held import held_by
+from tests.support.inside import pretend_linked
 
 from rsb_bridge.link.refused_clients import DUPLICATES_KEPT, DuplicateClients
 from rsb_bridge.link.roles import ClientRole
@@ -52,7 +53,7 @@ def test_last_one_is_named_others_counted() -> None:
 
 def test_the_linked_client_says_little_of_many(loop: VirtualLoop, context: Context) -> None:
     link = ClientRole(context, {"robot1": ()}).links()[0]
-    link.control = SimpleNamespace()  # type: ignore[assignment]
+    pretend_linked(link, SimpleNamespace())
     link.status.up(context.clock.steady())
 
     def lines() -> int:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.inside import pretend_linked
 
 from rsb_bridge.link.fullness import Asked, LinkFullness
 from rsb_bridge.link.roles import ClientRole
@@ -143,7 +144,7 @@ def test_a_smaller_figure_has_a_smaller_text() -> None:
 
 def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, context: Context) -> None:
     link = ClientRole(context, {"robot1": ()}).links()[0]
-    link.control = SimpleNamespace()  # type: ignore[assignment]
+    pretend_linked(link, SimpleNamespace())
     link.status.up(context.clock.steady())
     up = link.context.wall()
     loop.jump(100.0)
@@ -163,7 +164,7 @@ def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, context:
 @pytest.mark.parametrize(("seconds", "words"), [(30, "30 s ahead of"), (-7200, "2 h behind"), (2, "")])
 def test_clocks_that_differ_are_a_warning(seconds: int, words: str, context: Context) -> None:
     link = ClientRole(context, {"robot1": ()}).links()[0]
-    link.control = SimpleNamespace()  # type: ignore[assignment]
+    pretend_linked(link, SimpleNamespace())
     link.status.up(context.clock.steady())
     there = seconds * 10**9
     link.clock.add(0, there + 10**6, there + 10**6, 2 * 10**6)

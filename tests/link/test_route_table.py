@@ -14,9 +14,10 @@ from tests.support import constants
 from tests.support.offline import FakePeer, proposal_for
 
 from rsb_bridge.config.rights import Rights
-from rsb_bridge.link.base_link import LinkStatus, RouteIds
+from rsb_bridge.link.base_link import LinkStatus
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.proposed_routes import ProposedTopics
+from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import sources_of_entries

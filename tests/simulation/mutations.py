@@ -27,8 +27,8 @@ from tests.support import replaced
 from rsb_bridge.channel.data_stream import DataStream, StreamSender
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.channel.window import Window
-from rsb_bridge.link.base_link import RouteIds
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from tests.support import replaced
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.engine import Engine
     from rsb_bridge.engine.bridge import Bridge
+    from rsb_bridge.link.link import Link
     from rsb_bridge.model.calls import Refused
     from rsb_bridge.ros.node import RosNode
     from rsb_bridge.ros.participant import Participant
@@ -42,6 +44,11 @@ def inside(engine: Engine) -> Bridge:
 
 def _bridge_of(engine: Engine) -> Bridge | None:
     return engine._bridge
+
+
+def pretend_linked(link: Link, control: Any) -> None:
+    """Let a link have a connection of which there is only a stand-in of its control channel."""
+    link._channels = SimpleNamespace(control=control, session_keys=None, close=lambda: None)  # type: ignore[assignment]
 
 
 def renew_snapshot(engine: Engine) -> None:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.link.control_channel import ControlChannel
-from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.extension import Extension, Extensions
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.transports import profile_of
@@ -17,9 +17,8 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks
-from rsb_bridge.wire.codec import decode_urgent, encode
-from rsb_bridge.wire.messages import Ping, Pong
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.codec import encode
+from rsb_bridge.wire.messages import Ping, Pong, Receipts
 
 if TYPE_CHECKING:
     import asyncio
@@ -27,10 +26,10 @@ if TYPE_CHECKING:
     from enum import StrEnum
 
     from rsb_bridge.cdr.description import CompareTypes
-    from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import Slices
+    from rsb_bridge.link.data_channels import DataChannels
     from rsb_bridge.link.keepalive import ChannelCarrier
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.transports import LinkProfile
@@ -38,94 +37,12 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.transport.streams import Stream
-    from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.events import Established
     from rsb_bridge.wire.messages import ControlMessageBase, Hello, Propose, UrgentMessage, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _E = TypeVar("_E", bound=Extension)
-
-_CLOSED_REMEMBERED = 4
-"""Closed ids that are remembered of each route: the peer's messages about one may come while the next ones come and go.
-
-A round figure: with none, a removal that crosses a reopening would be lost; more cost memory only."""
-
-
-class RouteIds:
-    """The ids of a link's open routes on the present connection, and of routes that were closed lately.
-
-    Each opening of a route has its own id, and none is used twice. A client gives odd ids, a server even ones.
-    """
-
-    def __init__(self, *, is_client: bool) -> None:
-        self._is_client = is_client
-        self._by_id: dict[int, Route] = {}
-        self._closed: dict[int, Route] = {}  # by the ids of their last openings
-        # Ids count on across connections, so that late messages from a closed connection match no route.
-        self._next = 1 if is_client else 2
-        self._newest_of_peer = 0
-
-    def disconnected(self) -> None:
-        """Forget all ids: messages of a closed connection cannot come late."""
-        for route in self._closed.values():
-            route.closed_ids.clear()
-        self._by_id.clear()
-        self._closed.clear()
-        self._newest_of_peer = 0  # another process of the peer counts from the beginning
-
-    def new(self) -> int:
-        self._next += 2
-        return self._next - 2
-
-    def take_of_peer(self, route_id: int) -> bool:
-        """Record an id that the peer gives; return False unless it is the peer's to give and newer than the last."""
-        # The ids of both sides only count up, so that no pair of key and nonce repeats (PROTOCOL.md, 1.3).
-        if route_id % 2 == self._is_client or route_id <= self._newest_of_peer:
-            return False
-        self._newest_of_peer = route_id
-        return True
-
-    def opened(self, route: Route, route_id: int) -> None:
-        self._by_id[route_id] = route
-
-    def closed(self, route_id: int) -> None:
-        route = self._by_id.pop(route_id, None)
-        if route is not None:
-            self._closed[route_id] = route
-            route.closed_ids.append(route_id)
-            if len(route.closed_ids) > _CLOSED_REMEMBERED:
-                del self._closed[route.closed_ids.popleft()]
-
-    def forget(self, route: Route) -> None:
-        """Forget the closed ids of a route that is removed."""
-        for route_id in route.closed_ids:
-            del self._closed[route_id]
-
-    def open_route(self, route_id: int) -> Route | None:
-        return self._by_id.get(route_id)
-
-    def open_routes(self) -> tuple[Route, ...]:
-        return tuple(self._by_id.values())
-
-    def find(self, route_id: int) -> Route | None:
-        """Return the route that is open under an id, or was lately, or None."""
-        return self._by_id.get(route_id) or self._closed.get(route_id)
-
-    def last_of(self, route: Route) -> int:
-        """Return the id of a route's last opening on this connection, or 0 without one."""
-        return route.id or next(reversed(route.closed_ids), 0)
-
-    def awaits_channel(self, route_id: int) -> bool:
-        """Whether a route is open under an id, and has no channel yet."""
-        route = self._by_id.get(route_id)
-        return route is not None and route.channel is None
-
-    def is_closed_id(self, route_id: int) -> bool:
-        """Whether a route was open under an id and is closed: what still arrives for it is late, not wrong."""
-        ours = route_id % 2 == self._is_client
-        newest = self._next - 2 if ours else self._newest_of_peer
-        return 0 < route_id <= newest and route_id not in self._by_id
 
 
 @dataclass(slots=True)
@@ -188,8 +105,6 @@ class BaseLink(ABC):
         transport: transport of the control connection.
         name: name of the client, on both sides.
         routes: the routes, by key.
-        control: the authenticated connection, or None without a link.
-        keys: keys of the present connection, or None without a link.
         peer: `Hello` or `Welcome` of the present or last peer, or None before the first connection.
         instance: process of the present or last peer, or an empty string before the first connection.
         clock: offset of the peer's clock, on the present or last connection.
@@ -199,8 +114,6 @@ class BaseLink(ABC):
         bridges: names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown.
         budget: limits on what the peer may have this side hold and do.
         report_soon: sends a route's counts before the next regular report. May be called for every batch.
-        open_channel: opens the channel of a route, or begins to.
-        udp_ready: advances the routes that wait for a UDP channel.
         compare_types: asks the peer how its versions of a route's types differ.
         extensions: the link's parts.
         route_fields: returns what features show of a route.
@@ -210,8 +123,6 @@ class BaseLink(ABC):
     path: LinkPath
     fullness: LinkRates
     report_soon: Callable[[Route], None]
-    open_channel: Callable[[Route], None]
-    udp_ready: Callable[[], None]
     compare_types: CompareTypes
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
@@ -222,8 +133,7 @@ class BaseLink(ABC):
         self.role: Role = "client" if is_client else "server"
         self.peer_name = "the server" if is_client else name
         self._peer_role = "the server" if is_client else "the client"
-        self.control: ControlChannel | None = None
-        self.keys: SessionKeys | None = None
+        self._channels: DataChannels | None = None
         self.peer: Hello | Welcome | None = None
         self.instance = ""
         self.encrypted = encrypted
@@ -241,12 +151,12 @@ class BaseLink(ABC):
         self.route_fields, self.meter_of = self.extensions.route_fields, self.extensions.meter_of
         self.keepalive = Keepalive(self)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
-        self._channels: DataChannels | None = None
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
-        # Not the keepalive's own methods, as each connection has another one.
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
+            # Not those of keepalive and channels, as each connection has others.
             Ping: self._on_ping,
             Pong: self._on_pong,
+            Receipts: self._on_receipts,
         }
 
     # --- extensions
@@ -310,40 +220,53 @@ class BaseLink(ABC):
         """
 
     @abstractmethod
-    def open_streams(self, transport: StreamTransport, port: int) -> None:
-        """Open the streams for routes with that port; a server waits for the client's."""
+    def make_channels(self, control: ControlChannel, keys: SessionKeys) -> DataChannels:
+        """Return the channels of a new connection."""
 
-    @abstractmethod
-    def open_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
-        """Open datagrams to the peer's port. Return None on failure, and on a server: there, a probe opens them."""
-
-    def derive_keys(self, route_id: int, *, proposed_here: bool) -> None:
-        """Derive the keys of a route. Call it once for each proposal, in the order in which they cross."""
-        if self.keys is not None:
-            self.keys.proposed(route_id, "client" if self.is_client is proposed_here else "server")
-
-    def closed(self, route_id: int) -> None:
-        """Record that an opening of a route is over."""
-        self.ids.closed(route_id)
-        if self.keys is not None:
-            self.keys.closed(route_id)
-
-    # --- up and down
+    # --- the present connection
 
     @property
     def channels(self) -> DataChannels:
-        """Carries the messages of the present connection."""
+        """The present connection."""
         assert self._channels is not None
         return self._channels
 
     @property
+    def control(self) -> ControlChannel | None:
+        return self._channels.control if self._channels is not None else None
+
+    @property
+    def keys(self) -> SessionKeys | None:
+        return self._channels.session_keys if self._channels is not None else None
+
+    @property
     def linked(self) -> bool:
-        return self.control is not None
+        return self._channels is not None
+
+    def carriers(self) -> set[ChannelCarrier]:
+        return self._channels.carriers() if self._channels is not None else set()
+
+    def derive_keys(self, route_id: int, *, proposed_here: bool) -> None:
+        """Derive the keys of a route. Call it once for each proposal, in the order in which they cross."""
+        if self._channels is not None:
+            self._channels.session_keys.proposed(route_id, "client" if self.is_client is proposed_here else "server")
+
+    def closed(self, route_id: int) -> None:
+        """Record that an opening of a route is over."""
+        self.ids.closed(route_id)
+        if self._channels is not None:
+            self._channels.session_keys.closed(route_id)
+
+    def open_channel(self, route: Route) -> None:
+        """Open the channel of a route, or begin to."""
+        self.channels.open(route)
+
+    # --- up and down
 
     @property
     def down_reason(self) -> str:
         """The reason why it is not linked, for an operator, or an empty string."""
-        return "" if self.control else self.status.reason
+        return "" if self._channels is not None else self.status.reason
 
     @property
     def peer_at(self) -> str:
@@ -353,19 +276,16 @@ class BaseLink(ABC):
     def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
         """Begin a connection on a stream whose peer is authenticated, and return what takes its further events."""
         control = ControlChannel(stream, connection, self.handlers, self.lost)
-        peer, keys = event.peer, event.keys
-        self.control, self.peer, self.keys = control, peer, keys
+        peer = self.peer = event.peer
         self.instance = peer.instance
-        self._channels = DataChannels(self, keys)
-        if self.transport.multiplexed:
-            control.data = self.channels.use_control(stream, self.transport, self.shared_port())
+        self._channels = self.make_channels(control, event.keys)
         self._is_silent = False
         self.connections += 1
         self.linked_at = self.context.now()
         self.keepalive = Keepalive(self, stream)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.status.up(self.context.clock.steady())
-        encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
+        encryption = f"encrypted with {event.keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = f"linked with {self._peer_role} at {stream.peer}, {encryption}, rsb-console {peer.version} there"
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
         self.send(self.keepalive.ping())  # the age of messages is unknown until it is answered
@@ -390,7 +310,7 @@ class BaseLink(ABC):
         """End the connection."""
         self.keepalive.stop()
         # Before the extensions end: what they still send goes nowhere, and they find no link.
-        self.control = self.keys = None
+        channels, self._channels = self.channels, None
         cause = _CAUSES.get(code, LinkCause.CLOSED)
         # The most telling first: without its router a link is silent, too.
         if cause is LinkCause.LOST and self.transport.problem:
@@ -401,9 +321,7 @@ class BaseLink(ABC):
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.clock.steady()
         self.extensions.disconnected()
-        if self._channels is not None:
-            self._channels.close()
-            self._channels = None
+        channels.close()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
@@ -438,31 +356,20 @@ class BaseLink(ABC):
     def protocol_error(self, reason: str) -> None:
         """End the connection: the peer broke the protocol."""
         if self.control is not None:
-            self.control.abort(f"the peer broke the format: {reason}")
+            self.control.broken(reason)
 
     # --- control messages
 
     def send(self, message: ControlMessageBase) -> None:
         """Send a control message; without a connection, nothing happens."""
-        if self.control is not None:
-            self.control.send(message)
+        if self._channels is not None:
+            self._channels.control.send(message)
 
     def send_urgent(self, message: UrgentMessage) -> None:
         """Send a control message, and over the UDP channels besides: there it does not wait for what a stream lost."""
         self.send(message)
-        if self.control is not None:
-            self.channels.send_urgent(encode(message))
-
-    def take_urgent(self, content: bytes) -> None:
-        """Take a control message that came as a datagram."""
-        if self.control is None:  # another datagram of the same batch has ended the link
-            return
-        try:
-            message = decode_urgent(content)
-        except ProtocolError as error:
-            self.protocol_error(str(error))
-        else:
-            self.control.take_urgent(message)
+        if self._channels is not None:
+            self._channels.send_urgent(encode(message))
 
     def _on_ping(self, ping: Ping) -> None:
         if (pong := self.keepalive.answer(ping)) is not None:
@@ -471,17 +378,17 @@ class BaseLink(ABC):
     def _on_pong(self, pong: Pong) -> None:
         self.keepalive.answered(pong)
 
+    def _on_receipts(self, receipts: Receipts) -> None:
+        self.channels.take_receipts(receipts)
+
     # --- time and figures
 
     def tick(self) -> None:
         """Do the regular work once a second, after the routes' own tick."""
-        if self.control is not None:
+        if self._channels is not None:
             self.send(self.keepalive.tick())
-            self.channels.tick()
+            self._channels.tick()
         self.extensions.tick()
-
-    def carriers(self) -> set[ChannelCarrier]:
-        return self.channels.carriers(self.control) if self.control is not None else set()
 
     def log_of_peer(self, level: Level, code: StrEnum, text: str, *, link_status: bool = False) -> None:
         """Add an event about this link that names the peer."""

@@ -12,6 +12,7 @@ from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn, ServerSearch, failure_of_search, unproven_servers
+from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, server_refusal, with_remedy
 from rsb_bridge.model.budgets import Backoff
@@ -22,7 +23,7 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamProblem, os_error_message
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
-from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode
+from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode, StreamName
 from rsb_bridge.wire.messages import Duplicate, Shutdown, Welcome
 
 if TYPE_CHECKING:
@@ -30,11 +31,12 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
+    from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
     from rsb_bridge.wire.messages import Hello, Propose
-    from rsb_bridge.wire.sealing import CipherSuite
+    from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
 _HANDSHAKE_TIMEOUT = 10.0  # s for an answer, as long as a server waits for a handshake (`pending_connections`)
 _KEY_CHANGED = "the client has another key now"
@@ -61,8 +63,128 @@ _UDP_RETRIED_AFTER = 1.0  # s until a socket for datagrams is tried again: its t
 _DUPLICATES_LOGGED_EVERY = 60.0  # s between lines about one more client of this one's name: a round figure
 
 
+class ClientChannels(DataChannels):
+    """The client's end of a connection, which opens the streams and sockets."""
+
+    _link: ClientLink
+
+    def __init__(self, link: ClientLink, control: ControlChannel, keys: SessionKeys) -> None:
+        super().__init__(link, control, keys)
+        self._opening: dict[tuple[str, int], asyncio.Task[None]] = {}
+        self._wanted = 0  # streams that these tasks open, and that have their descriptors yet to take
+        self._udp_retry: asyncio.TimerHandle | None = None
+
+    def close(self) -> None:
+        super().close()
+        for opening in self._opening.values():
+            opening.cancel()
+        if self._udp_retry is not None:
+            self._udp_retry.cancel()
+
+    def open_streams(self, transport: StreamTransport, port: int) -> None:
+        if (transport.name, port) not in self._opening:
+            self._opening[transport.name, port] = self._link.spawn(self._open_lacking(transport, port))
+
+    async def _open_lacking(self, transport: StreamTransport, port: int) -> None:
+        """Open the streams that are lacking, and let the waiting routes use them."""
+        key = transport.name, port
+        failure: Failure | None = None
+        try:
+            # A firewall that has forgotten one connection has mostly forgotten the other one, too, and that may show a
+            # little later.
+            for _ in range(_ROUNDS):
+                pair = self._pairs.get(key)
+                lacks = (True, True) if pair is None or pair.over else pair.lacks()
+                wanted = [large for large in ((True,) if transport.multiplexed else (False, True)) if lacks[large]]
+                if not wanted or (failure := await self._open_each(transport, port, wanted)) is not None:
+                    break
+        finally:
+            del self._opening[key]
+        if failure is None and self.pair_of(*key) is None:
+            failure = Failure(StreamProblem.CLOSED_HERE())
+        if failure is None:
+            self.streams_opened(*key)
+        else:
+            reason = Reason(failure.reason, EndCode.BROKE)
+            for route in self._take_awaiting(*key):
+                route.channel_lost(reason)
+            if key in self._pairs:  # of the routes that wait for streams in place of lost ones
+                self._pairs[key].give_up(reason)
+        # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
+        if key in self._pairs:
+            self._pairs[key].end_unused()
+
+    async def _open_each(self, transport: StreamTransport, port: int, wanted: list[bool]) -> Failure | None:
+        """Open the wanted streams, by whether they are for large messages. The small one comes first."""
+        # Where all topics open their first streams before any opens its second one, none may get that.
+        if descriptors.left() < self._wanted + len(wanted):
+            return Failure(descriptors.scarcity_message("client"))
+        left = len(wanted)
+        self._wanted += left
+        try:
+            for large in wanted:
+                if (failure := await self._open_stream(transport, port, large=large)) is not None:
+                    return failure
+                left -= 1
+                self._wanted -= 1
+        finally:
+            self._wanted -= left
+        return None
+
+    async def _open_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
+        if descriptors.scarce():  # again: the handshake of the first stream may have taken seconds
+            return Failure(descriptors.scarcity_message("client"))
+        link = self._link
+        self._newest += 1
+        # Channel 11 is not port 11: the link's own streams are on its own transport only.
+        is_own = transport is link.transport and port == link.shared_port()
+        name = StreamName(self._newest, 0 if is_own else port, large)
+        connection = DataConnection(self.session_keys, name)
+
+        def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+            if self.control.over:  # lost in this turn of the loop; the attempt is cancelled in the next one
+                stream.abort("the link was lost")
+            else:
+                self.attach(stream, name, transport, port, connection.leftover())
+
+        # The address that the control connection reached: the server's name may resolve to another by now.
+        host = self.control.stream.host if transport is link.transport else transport.host(link.context.session)
+        # Ranks as of topics: over some transports, small messages go ahead of large ones.
+        rank = -1 if large and not transport.multiplexed else 0
+        return await link.open(transport, host, port, connection, let_in, rank, self.session_keys.sample_secret)
+
+    def _open_udp(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
+        link, address = self._link, self.control.stream.address
+        server = (address[0], port, *address[2:])  # with flow and scope, without which no link-local one is reached
+        failure = ""
+        if descriptors.scarce():
+            failure = descriptors.scarcity_message("client")
+        else:
+            try:
+                channel = ClientUdpChannel(self, transport, server)
+            except OSError as error:
+                failure = f"UDP to {transport.format_address(server)}: {os_error_message(error)}"
+        if failure and failure != link.udp_failure:  # it is tried each second; one event is enough
+            link.log_of_peer(Level.ERROR, EventCode.LINK_UDP_BLOCKED, failure)
+        link.udp_failure = failure
+        if failure:
+            self._udp_retry = self._udp_retry or link.context.loop.call_later(_UDP_RETRIED_AFTER, self._retry_udp)
+            return None
+        self._udp[port] = channel
+        self._probe(channel)
+        return channel
+
+    def _retry_udp(self) -> None:
+        self._udp_retry = None
+        self.udp_ready()
+
+
 class ClientLink(Link):
-    """The one link of a client."""
+    """The one link of a client.
+
+    Attributes:
+        udp_failure: the last reason why no socket for datagrams could be opened, or an empty string.
+    """
 
     def __init__(self, context: Context, hello: Hello, key: Key | None, suite: CipherSuite) -> None:
         session = context.session
@@ -77,13 +199,10 @@ class ClientLink(Link):
         self._stays_down = False
         self._longest = _LONGEST_DELAY_UNREACHED
         self._duplicates_logged_at = 0.0
-        self._udp_failure = ""
-        self._udp_retry: asyncio.TimerHandle | None = None
+        self.udp_failure = ""
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random, _JITTER)
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
         self._search = ServerSearch(self.transport, context.now, _HANDSHAKE_TIMEOUT)
-        self._streams_opening: dict[tuple[str, int], asyncio.Task[None]] = {}
-        self._streams_wanted = 0  # by those, which have their descriptors yet to take
         self.handlers |= {Duplicate: self.on_duplicate, Shutdown: self.on_shutdown}
 
     @property
@@ -160,7 +279,7 @@ class ClientLink(Link):
             assert isinstance(event, Established)
             self.up(stream, connection, event).receive(more)
 
-        return await self._open(self.transport, host, self.port, connection, linked)
+        return await self.open(self.transport, host, self.port, connection, linked)
 
     async def _find(self, hosts: list[str], begin: Callable[[CipherSuite | None], ClientConnection]) -> Failure | None:
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
@@ -192,7 +311,7 @@ class ClientLink(Link):
         text = with_remedy(failure.code, failure.reason, name=self.name, has_key=self.key is not None)
         return failure._replace(reason=text)
 
-    async def _open(
+    async def open(
         self,
         transport: StreamTransport,
         host: str,
@@ -265,10 +384,6 @@ class ClientLink(Link):
 
     def lost(self, reason: str, code: EventCode) -> None:
         super().lost(reason, code)
-        # They need the keys, which are gone: a failed assertion there would end the next connection.
-        for opening in self._streams_opening.values():
-            opening.cancel()
-        self._streams_opening.clear()
         self._ended.set()
 
     def on_shutdown(self, message: Shutdown) -> None:
@@ -340,101 +455,8 @@ class ClientLink(Link):
     async def prepare_port(self, route: Route) -> None:
         return
 
-    def open_streams(self, transport: StreamTransport, port: int) -> None:
-        if (transport.name, port) not in self._streams_opening:
-            opening = self.spawn(self._open_streams(transport, port))
-            self._streams_opening[transport.name, port] = opening
-
-    async def _open_streams(self, transport: StreamTransport, port: int) -> None:
-        """Open the streams that are lacking, and let the waiting routes use them."""
-        failure: Failure | None = None
-        try:
-            # A firewall that has forgotten one connection has mostly forgotten the other one, too, and that may show a
-            # little later.
-            for _ in range(_ROUNDS):
-                lacks = self.channels.lacks(transport.name, port)
-                wanted = [large for large in ((True,) if transport.multiplexed else (False, True)) if lacks[large]]
-                if not wanted or (failure := await self._open_each(transport, port, wanted)) is not None:
-                    break
-        finally:
-            self._streams_opening.pop((transport.name, port), None)
-        if failure is None and self.channels.pair_of(transport.name, port) is None:
-            failure = Failure(StreamProblem.CLOSED_HERE())
-        if failure is None:
-            self.route_channels.streams_opened(transport.name, port)
-        else:
-            reason = Reason(failure.reason, EndCode.BROKE)
-            self.route_channels.streams_failed(transport.name, port, reason)
-            self.channels.give_up(transport.name, port, reason)
-        # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
-        self.channels.end_unused(transport.name, port)
-
-    async def _open_each(self, transport: StreamTransport, port: int, wanted: list[bool]) -> Failure | None:
-        """Open the wanted streams, by whether they are for large messages. The small one comes first."""
-        # Where all topics open their first streams before any opens its second one, none may get that.
-        if descriptors.left() < self._streams_wanted + len(wanted):
-            return Failure(descriptors.scarcity_message("client"))
-        left = len(wanted)
-        self._streams_wanted += left
-        try:
-            for large in wanted:
-                if (failure := await self._open_data_stream(transport, port, large=large)) is not None:
-                    return failure
-                left -= 1
-                self._streams_wanted -= 1
-        finally:
-            self._streams_wanted -= left
-        return None
-
-    async def _open_data_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
-        assert self.keys is not None
-        assert self.control is not None
-        if descriptors.scarce():  # again: the handshake of the first stream may have taken seconds
-            return Failure(descriptors.scarcity_message("client"))
-        # Channel 11 is not port 11: the link's own streams are on its own transport only.
-        own = 0 if transport is self.transport and port == self.shared_port() else port
-        name = self.channels.next_name(own, large=large)
-        connection = DataConnection(self.keys, name)
-
-        control = self.control
-
-        def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
-            if self.control is not control:  # lost in this turn of the loop; the attempt is cancelled in the next one
-                stream.abort("the link was lost")
-                return
-            self.channels.attach(stream, name, transport, port, connection.leftover())
-
-        # The address that the control connection reached: the server's name may resolve to another by now.
-        host = control.stream.host if transport is self.transport else transport.host(self.context.session)
-        # Ranks as of topics: over some transports, small messages go ahead of large ones.
-        rank = -1 if large and not transport.multiplexed else 0
-        return await self._open(transport, host, port, connection, let_in, rank, self.keys.sample_secret)
-
-    def open_udp_channel(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
-        assert self.control is not None
-        if descriptors.scarce():
-            self._udp_failed(descriptors.scarcity_message("client"))
-            return None
-        address = self.control.stream.address  # of IPv6 with flow and scope, without which no link-local one is reached
-        server = (address[0], port, *address[2:])
-        try:
-            udp_channel = ClientUdpChannel(self.channels, transport, server)
-        except OSError as error:
-            self._udp_failed(f"UDP to {transport.format_address(server)}: {os_error_message(error)}")
-            return None
-        self._udp_failure = ""
-        return udp_channel
-
-    def _udp_failed(self, text: str) -> None:
-        if text != self._udp_failure:  # it is tried each second; one event is enough
-            self._udp_failure = text
-            self.log_of_peer(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
-        if self._udp_retry is None:
-            self._udp_retry = self.context.loop.call_later(_UDP_RETRIED_AFTER, self._retry_udp)
-
-    def _retry_udp(self) -> None:
-        self._udp_retry = None
-        self.udp_ready()
+    def make_channels(self, control: ControlChannel, keys: SessionKeys) -> ClientChannels:
+        return ClientChannels(self, control, keys)
 
 
 def _not_connected(address: str, error: OSError) -> Failure:

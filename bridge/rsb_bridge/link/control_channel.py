@@ -213,7 +213,7 @@ class ControlChannel(StreamHandler):
             entries = int(end.value)
         except ProtocolError as error:
             self._work = None
-            self._broken(error)
+            self.broken(error)
             return 0
         self._entries.spend(entries, now)
         return entries
@@ -235,7 +235,7 @@ class ControlChannel(StreamHandler):
                 try:
                     message = decode(content)
                 except ProtocolError as error:
-                    self._broken(error)
+                    self.broken(error)
                     return 1
                 self._work = self._handlers[type(message)](message)
                 endpoints = len(message.sources) if isinstance(message, Describe) else 1
@@ -246,14 +246,14 @@ class ControlChannel(StreamHandler):
                     self.data.count(frame_size(frame))
                     self.data.receive((frame,))
                 except (ProtocolError, SealError) as error:
-                    self._broken(error)
+                    self.broken(error)
             case Failed(reason):
-                self._broken(reason)
+                self.broken(reason)
             case StreamRefused(_, reason):
                 self.abort(reason)
         return 1
 
-    def _broken(self, reason: object) -> None:
+    def broken(self, reason: object) -> None:
         self.abort(f"the peer broke the format: {reason}")
 
     def writable(self) -> None:

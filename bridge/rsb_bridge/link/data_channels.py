@@ -1,104 +1,103 @@
-"""The streams and UDP channels of one connection of a link, which carry the messages of its routes."""
+"""One connection of a link: its control channel and keys, and the streams and UDP channels of the link's routes."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.data_stream import StreamPair, stream_channel, take_receipts
+from rsb_bridge.channel.datagram_channel import datagram_channel
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.channel.window import ReceiptBook, Window
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.transport.transport import RECEIVE_BUFFER
-from rsb_bridge.wire.events import StreamName
+from rsb_bridge.tasks import in_slices
+from rsb_bridge.transport.transport import RECEIVE_BUFFER, StreamTransport
+from rsb_bridge.wire.codec import decode_urgent
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    import asyncio
+    from collections.abc import Coroutine, Iterator
 
     from rsb_bridge.channel.data_keys import Meter
-    from rsb_bridge.channel.data_stream import DataStream, RouteNumbers
+    from rsb_bridge.channel.data_stream import DataStream
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.link.keepalive import ChannelCarrier, Keepalive
+    from rsb_bridge.link.route_ids import RouteIds
     from rsb_bridge.route.peer import PeerBudget
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.streams import Stream
-    from rsb_bridge.transport.transport import StreamTransport
-    from rsb_bridge.wire.messages import Receipts
+    from rsb_bridge.transport.transport import DatagramTransport
+    from rsb_bridge.wire.events import StreamName
+    from rsb_bridge.wire.messages import ControlMessageBase, Receipts
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _PROBE_EVERY, _QUICK_PROBES = 0.25, 8  # s, and how many: `tick` comes once a second only. Round figures
 CONTROL_NUMBER = 0  # of the control connection where it is a data stream, too
-_OUT_OF_ORDER = 1024
+OUT_OF_ORDER = 1024
 """How far below the newest a stream's number may be (PROTOCOL.md, 1.3): the streams of several ports open at once, and
 arrive in any order. Older numbers are refused, so none of them is remembered."""
 
 
 class CarriedLink(Protocol):
-    """The link whose routes use the channels (`rsb_bridge.link.base_link.BaseLink`).
-
-    Attributes:
-        shortages_told: of kernel buffers, here (True) or there, that the operator was told of.
-    """
+    """The members of a link (`rsb_bridge.link.base_link.BaseLink`) that its connection uses."""
 
     context: Context
     transport: StreamTransport
     role: Role
+    ids: RouteIds
     budget: PeerBudget
     keepalive: Keepalive
     shortages_told: set[bool]
+    """Kernel buffers, here (True) or there, that the operator was told of."""
 
-    @property
-    def ids(self) -> RouteNumbers:
-        """The ids of its routes."""
+    def shared_port(self) -> int: ...
 
-    @property
-    def udp_ready(self) -> Callable[[], None]:
-        """Advances the routes that wait for a UDP channel."""
+    def meter_of(self, route_id: int) -> Meter | None: ...
 
-    def send(self, message: Receipts) -> None:
-        """Send a control message."""
+    def send(self, message: ControlMessageBase) -> None: ...
 
-    def take_urgent(self, content: bytes) -> None:
-        """Take a control message that came as a datagram."""
+    def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]: ...
 
-    def open_streams(self, transport: StreamTransport, port: int) -> None:
-        """Open the streams for routes with that port."""
-
-    def meter_of(self, route_id: int) -> Meter | None:
-        """Return the meter of a route that has one."""
-
-    def log_of_peer(self, level: Level, code: EventCode, text: str) -> None:
-        """Add an event."""
+    def log_of_peer(self, level: Level, code: EventCode, text: str) -> None: ...
 
 
-class DataChannels:
-    """Made when a link comes up, and closed when it is lost.
+class DataChannels(ABC):
+    """Made when a link comes up, and closed when it is lost. A client opens the streams, a server accepts them.
 
     Attributes:
+        control: the authenticated connection.
+        session_keys: its keys.
         keys: seal and open the routes' messages.
         scheduler: shares the streams among the routes.
         book: sends receipts.
         probe: the datagram that finds a UDP path.
+        awaiting: the routes that wait for streams, by their transport and port, then by the ids of their openings.
     """
 
-    def __init__(self, link: CarriedLink, keys: SessionKeys) -> None:
+    def __init__(self, link: CarriedLink, control: ControlChannel, keys: SessionKeys) -> None:
         self._link = link
-        # What its streams and UDP channels ask of the link.
-        self.ids, self.now, self.udp_ready = link.ids, link.context.now, link.udp_ready
-        self.send_receipts, self.take_urgent, self.open_streams = link.send, link.take_urgent, link.open_streams
+        self.control, self.session_keys = control, keys
+        # What its streams and UDP channels ask for.
+        self.ids, self.now, self.send_receipts = link.ids, link.context.now, link.send
         self.book = ReceiptBook(link.context.loop, self)
         self.scheduler = Scheduler(self.book, Window(link.transport.ages))
         self.keys = DataKeys(keys, link.role, link.budget.unfinished, meter_of=link.meter_of)
         self.probe = PathProbe(self.keys)
+        self.awaiting: dict[tuple[str, int], dict[int, Route]] = {}
         self._pairs: dict[tuple[str, int], StreamPair] = {}
         self._udp: dict[int, UdpChannel] = {}
         self._newest = 0
         self._taken: set[int] = set()
+        if link.transport.multiplexed:  # the stream carries the routes of its own port, too, as streams are scarce
+            pair = self._pair(link.transport, link.shared_port())
+            control.data = pair.add(control.stream, CONTROL_NUMBER, large=True, small=True)
 
     def ping(self) -> float:
         return 2 * (self._link.keepalive.clock.uncertainty or 0.0)
@@ -119,40 +118,64 @@ class DataChannels:
         self.book.close()
         self.scheduler.close()
 
+    # --- the routes' channels
+
+    def open(self, route: Route) -> None:
+        """Open the channel of a route, or begin to."""
+        transport, port = route.transport, route.proposal.port or self._link.shared_port()
+        if isinstance(transport, StreamTransport):
+            if (pair := self.pair_of(transport.name, port)) is not None:
+                self._carry(route, pair)
+            else:
+                self.awaiting.setdefault((transport.name, port), {})[route.id] = route
+                self.open_streams(transport, port)
+            return
+        # One whose last route has left is over at once, and stays in the table until the next tick.
+        channel = self._udp.get(port)
+        if channel is None or channel.over:
+            channel = self._open_udp(transport, port)
+        # Without one, a client tries again, and a server waits for its client's probe; both then call `udp_ready`.
+        if channel is not None:
+            route.channel = datagram_channel(channel, route, self.keys, self.scheduler)
+
+    def _carry(self, route: Route, pair: StreamPair) -> None:
+        route.channel = stream_channel(pair, route, self.keys)
+        pair.resume()  # its first frames may have overtaken the control message that has opened it
+
+    def _take_awaiting(self, transport: str, port: int) -> Iterator[Route]:
+        """Yield the routes that wait for streams, and for which nothing else has come first; none of them waits on."""
+        for route_id, route in self.awaiting.pop((transport, port), {}).items():
+            if route.id == route_id and route.channel is None:  # else it was closed meanwhile
+                yield route
+
+    def udp_ready(self) -> None:
+        """Advance the routes that wait for a UDP channel: one has found its path, or can be opened now."""
+        self._link.spawn(self._advance())
+
+    async def _advance(self) -> None:
+        def advance(route: Route) -> None:
+            if route.id:  # a slice before this one may have closed it
+                route.advance()
+
+        await in_slices(self.ids.open_routes(), advance)  # hundreds may wait for the same path
+
     # --- streams
 
-    def use_control(self, stream: Stream, transport: StreamTransport, port: int) -> DataStream:
-        """Have the control connection's stream carry the routes of its own port, as streams are scarce."""
-        return self._pair(transport, port).add(stream, CONTROL_NUMBER, large=True, small=True)
-
-    def next_name(self, port: int, *, large: bool) -> StreamName:
-        self._newest += 1
-        return StreamName(self._newest, port, large)
-
-    def is_new(self, name: StreamName) -> bool:
-        """Whether a client may open a stream of that name now: none has had its number."""
-        return max(0, self._newest - _OUT_OF_ORDER) < name.number and name.number not in self._taken
+    @abstractmethod
+    def open_streams(self, transport: StreamTransport, port: int) -> None:
+        """Open the streams for routes with that port; a server waits for the client's."""
 
     def pair_of(self, transport: str, port: int) -> StreamPair | None:
         """Return the streams for routes with that port, or None if they are not both open."""
         pair = self._pairs.get((transport, port))
         return pair if pair is not None and pair.ready and not pair.over else None
 
-    def lacks(self, transport: str, port: int) -> tuple[bool, bool]:
-        """Return whether the streams of small and of large messages for that port are not open."""
-        pair = self._pairs.get((transport, port))
-        return (True, True) if pair is None or pair.over else pair.lacks()
-
-    def carry(self, route: Route, pair: StreamPair) -> None:
-        route.channel = stream_channel(pair, route, self.keys)
-        pair.resume()  # its first frames may have overtaken the control message that has opened it
-
     def attach(self, stream: Stream, name: StreamName, transport: StreamTransport, port: int, beginning: bytes) -> None:
         """Use an accepted stream; `beginning` are the bytes that arrived after its preamble."""
         self._newest = max(self._newest, name.number)
         self._taken.add(name.number)
-        if len(self._taken) > 2 * _OUT_OF_ORDER:  # twice as many: it is rebuilt once in a thousand streams
-            self._taken = {each for each in self._taken if each > self._newest - _OUT_OF_ORDER}
+        if len(self._taken) > 2 * OUT_OF_ORDER:  # twice as many: it is rebuilt once in a thousand streams
+            self._taken = {each for each in self._taken if each > self._newest - OUT_OF_ORDER}
         pair = self._pair(transport, port)
         if (old := pair.large if name.large else pair.small) is not None:
             pair.cut(old, Reason("the other side opened it again", EndCode.BROKE))
@@ -166,15 +189,14 @@ class DataChannels:
         if beginning and not added.over:
             added.received(beginning)
 
-    def give_up(self, transport: str, port: int, reason: Reason) -> None:
-        """Close the routes that wait for streams for that port in place of lost ones."""
-        if (pair := self._pairs.get((transport, port))) is not None:
-            pair.give_up(reason)
-
-    def end_unused(self, transport: str, port: int) -> None:
-        """Close the streams for routes with that port if none uses them: they hold descriptors that others need."""
-        if (pair := self._pairs.get((transport, port))) is not None:
-            pair.end_unused()
+    def streams_opened(self, transport: str, port: int) -> None:
+        """Open the channels of the routes that wait for streams, if these are complete."""
+        pair = self.pair_of(transport, port)
+        if pair is None:
+            return
+        for route in self._take_awaiting(transport, port):
+            self._carry(route, pair)
+            route.advance()
 
     def _pair(self, transport: StreamTransport, port: int) -> StreamPair:
         pair = self._pairs.get((transport.name, port))
@@ -187,24 +209,17 @@ class DataChannels:
             if not pair.over:
                 yield from pair.streams()
 
-    def handle_receipts(self, receipts: Receipts) -> None:
+    def take_receipts(self, receipts: Receipts) -> None:
         take_receipts(receipts, self._streams(), self.scheduler)
 
     # --- UDP
 
-    def udp(self, port: int) -> UdpChannel | None:
-        """Return the open channel of a port."""
-        # One whose last route has left is over at once, and stays in the table until the next tick.
-        channel = self._udp.get(port)
-        return channel if channel is not None and not channel.over else None
+    @abstractmethod
+    def _open_udp(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
+        """Open datagrams to the peer's port. Return None on failure, and on a server: there, a probe opens them."""
 
-    def add_udp(self, port: int, channel: UdpChannel, *, probe: bool = False) -> None:
-        """Add a new channel; a client probes its path every 0.25 s, and from the 9th time on only in `tick`."""
-        self._udp[port] = channel
-        if probe:
-            self._probe(channel, _QUICK_PROBES)
-
-    def _probe(self, channel: UdpChannel, left: int) -> None:
+    def _probe(self, channel: UdpChannel, left: int = _QUICK_PROBES) -> None:
+        """Probe the path of a new channel every 0.25 s; from the 9th time on, only `tick` does."""
         if left and not channel.ready and not channel.over:
             channel.tick()
             self._link.context.loop.call_later(_PROBE_EVERY, self._probe, channel, left - 1)
@@ -214,6 +229,17 @@ class DataChannels:
         for channel in self._udp.values():
             if channel.ready and not channel.over:
                 channel.send_urgent(content)
+
+    def take_urgent(self, content: bytes) -> None:
+        """Take a control message that came as a datagram."""
+        if self.control.over:  # another datagram of the same batch has ended the link
+            return
+        try:
+            message = decode_urgent(content)
+        except ProtocolError as error:
+            self.control.broken(error)
+        else:
+            self.control.take_urgent(message)
 
     def _tick_udp(self) -> None:
         """Probe, and log when a path breaks or recovers, or a kernel buffer is too small."""
@@ -249,6 +275,6 @@ class DataChannels:
         for pair in tuple(self._pairs.values()):
             pair.tick(self._link.keepalive.control_quiet)
 
-    def carriers(self, control: ControlChannel) -> set[ChannelCarrier]:
+    def carriers(self) -> set[ChannelCarrier]:
         """Return all streams and UDP channels, including the control connection's."""
-        return {control.stream, *(each.stream for each in self._streams()), *self._udp.values()}
+        return {self.control.stream, *(each.stream for each in self._streams()), *self._udp.values()}

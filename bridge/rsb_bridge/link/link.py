@@ -1,4 +1,4 @@
-"""One peer with its routes, their channels and reports, and all other features of a link.
+"""One peer with its routes, their reports, and all other features of a link.
 
 Clients and servers add how it is connected.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.datagram_channel import datagram_channel
 from rsb_bridge.feature import installed
 from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.control_channel import entries_in_slices
@@ -22,11 +21,9 @@ from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import LinkSnapshot
-from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
-from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.codec import ReportParts, report_entries
-from rsb_bridge.wire.messages import Neighbours, Receipts, Report
+from rsb_bridge.wire.messages import Neighbours, Report
 from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
@@ -36,7 +33,6 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.demands import DemandSource
-    from rsb_bridge.model.reason import Reason
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import TopicInfo
     from rsb_bridge.model.verdict import LinkCause
@@ -107,78 +103,6 @@ class Neighbourhood(Extension):
 
     def disconnected(self) -> None:
         self._link.bridges = self._told = ()
-
-
-class RouteChannels(Extension):
-    """Gives a link's routes their channels, as soon as the streams or the UDP channel that carry them are open.
-
-    Attributes:
-        awaiting: the routes that wait for streams, by their transport and port, then by the ids of their openings.
-    """
-
-    def __init__(self, link: BaseLink) -> None:
-        self.messages = {Receipts: self._take_receipts}
-        self.awaiting: dict[tuple[str, int], dict[int, Route]] = {}
-        self._link = link
-
-    def disconnected(self) -> None:
-        self.awaiting.clear()
-
-    def _take_receipts(self, receipts: Receipts) -> None:
-        self._link.channels.handle_receipts(receipts)
-
-    def open(self, route: Route) -> None:
-        """Open the channel of a route, or begin to."""
-        transport, channels = route.transport, self._link.channels
-        port = route.proposal.port or self._link.shared_port()
-        if isinstance(transport, StreamTransport):
-            self._use_streams(route, transport, port)
-            return
-        udp_channel = channels.udp(port)
-        if udp_channel is None and (udp_channel := self._link.open_udp_channel(transport, port)) is not None:
-            channels.add_udp(port, udp_channel, probe=True)
-        # Without one, a client tries again, and a server waits for its client's probe; both then call `udp_ready`.
-        if udp_channel is not None:
-            route.channel = datagram_channel(udp_channel, route, channels.keys, channels.scheduler)
-
-    def _use_streams(self, route: Route, transport: StreamTransport, port: int) -> None:
-        pair = self._link.channels.pair_of(transport.name, port)
-        if pair is not None:
-            self._link.channels.carry(route, pair)
-            return
-        self.awaiting.setdefault((transport.name, port), {})[route.id] = route
-        self._link.open_streams(transport, port)
-
-    def streams_opened(self, transport: str, port: int) -> None:
-        """Open the channels of the routes that wait for streams, if these are complete."""
-        pair = self._link.channels.pair_of(transport, port)
-        if pair is None:
-            return
-        for route in self._take_awaiting(transport, port):
-            self._link.channels.carry(route, pair)
-            route.advance()
-
-    def streams_failed(self, transport: str, port: int, reason: Reason) -> None:
-        """Report to the routes that wait for streams that these cannot be opened."""
-        for route in self._take_awaiting(transport, port):
-            route.channel_lost(reason)
-
-    def _take_awaiting(self, transport: str, port: int) -> Iterator[Route]:
-        """Yield the routes that wait for streams, and for which nothing else has come first; none of them waits on."""
-        for route_id, route in self.awaiting.pop((transport, port), {}).items():
-            if route.id == route_id and route.channel is None:  # else it was closed meanwhile
-                yield route
-
-    def udp_ready(self) -> None:
-        """Advance the routes that wait for a UDP channel: one has found its path, or can be opened now."""
-        self._link.spawn(self._advance())
-
-    async def _advance(self) -> None:
-        def advance(route: Route) -> None:
-            if route.id:  # a slice before this one may have closed it
-                route.advance()
-
-        await in_slices(self._link.ids.open_routes(), advance)  # hundreds may wait for the same path
 
 
 def _reports(
@@ -265,8 +189,6 @@ class Link(BaseLink):
         self.fault = self.extend(LinkFault(self, self.path, self.fullness))
         # Before the proposals: Neighbours decides what would loop (PROTOCOL.md, 3).
         self.neighbourhood = self.extend(Neighbourhood(self))
-        self.route_channels = self.extend(RouteChannels(self))
-        self.open_channel, self.udp_ready = self.route_channels.open, self.route_channels.udp_ready
         self.report_soon = self.extend(RouteReports(self)).add
         self.table = self.extend(RouteTable(self))
         self.proposed = self.extend(ProposedTopics(self, self.table))

@@ -233,19 +233,9 @@ class Server:
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
         """Attach a stream that was opened for routes' data; raise Refusal if none needs it."""
-        link = self._link_of(event.link_id)
-        if link is None:
+        if (link := self._link_of(event.link_id)) is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
-        assert link.keys is not None
-        # Before any refusal: on a data stream a server tags everything (PROTOCOL.md, 12).
-        stream.authenticate(link.keys.sample_secret, opener=False)
-        transport, port = link.take_stream(event)
-        if refusal := link.descriptors.refusal:
-            raise Refusal(RefusalCode.BUSY, refusal, link.name)
-        stream.when_gone = link.descriptors.take()
-        stream.write(connection.accept_attach())
-        link.channels.attach(stream, event.name, transport, port, connection.leftover())
-        link.route_channels.streams_opened(transport.name, port)
+        link.channels.accept(stream, connection, event)
 
     def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> str:
         """Show on the link of that name that a client was refused; one of another version says no name.
@@ -285,7 +275,7 @@ class Server:
 
     def new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
         link = self._link_of(link_id)
-        return link.new_udp_channel(socket, address) if link is not None else None
+        return link.channels.new_udp_channel(socket, address) if link is not None else None
 
 
 class InboundStreams(PendingConnections):
@@ -301,7 +291,7 @@ class InboundStreams(PendingConnections):
         """Return how many streams linked clients have yet to open."""
         controls = ((link, link.control) for link in self.admission.links.values())
         return sum(
-            link.streams_awaited
+            link.channels.streams_awaited
             for link, control in controls
             if control is not None and host in ("", control.stream.host)
         )

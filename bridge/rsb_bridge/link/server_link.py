@@ -12,6 +12,7 @@ import msgspec
 
 from rsb_bridge.channel.udp_channel import ServerUdpChannel
 from rsb_bridge.config.keys import fingerprint
+from rsb_bridge.link.data_channels import OUT_OF_ORDER, DataChannels
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, FORGOTTEN_AFTER, LinkShutdown, name_taken
 from rsb_bridge.model.codes import EventCode
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
     from rsb_bridge.wire.connection import ServerConnection
     from rsb_bridge.wire.events import Attach, Established
+    from rsb_bridge.wire.sealing import SessionKeys
 
 _NAMED = 12
 """Ports that a refusal lists."""
@@ -222,8 +224,82 @@ class DescriptorShare:
         self.held -= 1
 
 
+class ServerChannels(DataChannels):
+    """The server's end of a connection, whose client opens the streams, and sends the first datagrams."""
+
+    _link: ServerLink
+
+    def open_streams(self, transport: StreamTransport, port: int) -> None:
+        """Do nothing: the client opens them."""
+
+    def _open_udp(self, transport: DatagramTransport, port: int) -> None:
+        """Do nothing: the client's first probe opens them."""
+
+    @property
+    def streams_awaited(self) -> int:
+        """Number of permitted streams that the client has yet to open."""
+        waiting = (transport for (transport, _), waits in self._stream_users().items() if waits)
+        awaited = sum(1 if transport.multiplexed else 2 for transport in waiting)
+        # The room costs a call of the kernel.
+        return min(awaited, max(0, self._link.descriptors.room)) if awaited else 0
+
+    def _stream_users(self) -> dict[tuple[StreamTransport, int], bool]:
+        """Return the transports and ports of routes over streams, and whether one of these waits for them."""
+        users = {
+            (route.transport, route.proposal.port or self._link.shared_port())
+            for route in self.ids.open_routes()
+            if isinstance(route.transport, StreamTransport)
+        }
+        return {(each, port): self.pair_of(each.name, port) is None for each, port in users}
+
+    def accept(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
+        """Attach a stream that the client opens; raise Refusal if no route needs it, or it may not have it."""
+        link, name = self._link, event.name
+        # Before any refusal: on a data stream a server tags everything (PROTOCOL.md, 12).
+        stream.authenticate(self.session_keys.sample_secret, opener=False)
+        try:
+            self.session_keys.check_attach_proof(event.header, name.number, event.proof)
+        except SealError as error:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
+        shared = link.shared_port()
+        port = name.port or shared
+        is_own = not name.port  # a channel of another transport may have the number of the link's own port
+        # Of routes that have their streams, too: the client may have lost one, and the kernel here not know that yet.
+        fitting = [
+            (transport, waits)
+            for (transport, at), waits in self._stream_users().items()
+            if at == port and (port != shared or is_own == (transport is link.transport))
+        ]
+        is_new = max(0, self._newest - OUT_OF_ORDER) < name.number and name.number not in self._taken
+        if not fitting or not is_new:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE, link.name)
+        # Several transports may have the port: the choice must not depend on the order of the routes.
+        transport, _ = min(fitting, key=lambda each: (not each[1], each[0] is not link.transport, each[0].name))
+        if refusal := link.descriptors.refusal:
+            raise Refusal(RefusalCode.BUSY, refusal, link.name)
+        stream.when_gone = link.descriptors.take()
+        stream.write(connection.accept_attach())
+        self.attach(stream, name, transport, port, connection.leftover())
+        self.streams_opened(transport.name, port)
+
+    def new_udp_channel(self, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
+        """Open a UDP channel on the socket and from the address of its first datagram, or return None.
+
+        A datagram of the other IP version is ignored: a forged one must not take over the UDP channel.
+        """
+        stream = self.control.stream
+        if len(address) != len(stream.address):
+            return None
+        channel = self._udp[socket.port] = ServerUdpChannel(self, socket, stream.own_address)
+        # The client may send messages together with its answer to the first challenge: routes have to take them then.
+        self.udp_ready()
+        return channel
+
+
 class ServerLink(Link):
     """One client, as the server sees it."""
+
+    _channels: ServerChannels | None
 
     def __init__(self, context: Context, entry: ClientEntry, ports: Ports, descriptors: DescriptorShare) -> None:
         super().__init__(context, entry.client.name, is_client=False, encrypted=bool(entry.keys))
@@ -352,6 +428,14 @@ class ServerLink(Link):
     def shared_port(self) -> int:
         return self.context.session.server_port
 
+    def make_channels(self, control: ControlChannel, keys: SessionKeys) -> ServerChannels:
+        return ServerChannels(self, control, keys)
+
+    @property
+    def channels(self) -> ServerChannels:
+        assert self._channels is not None
+        return self._channels
+
     @property
     def use_name(self) -> bool:
         return self.entry.use_name
@@ -412,51 +496,6 @@ class ServerLink(Link):
             if not topic.is_pattern:
                 self.proposed.add(topic)
 
-    def open_streams(self, transport: StreamTransport, port: int) -> None:
-        """Do nothing: the client opens them."""
-
-    @property
-    def streams_awaited(self) -> int:
-        """Number of permitted streams that the client has yet to open."""
-        waiting = (transport for (transport, _), waits in self._stream_users().items() if waits)
-        awaited = sum(1 if transport.multiplexed else 2 for transport in waiting)
-        return min(awaited, max(0, self.descriptors.room)) if awaited else 0  # the room costs a call of the kernel
-
-    def _stream_users(self) -> dict[tuple[StreamTransport, int], bool]:
-        """Return the transports and ports of routes over streams, and whether one of these waits for them."""
-        users = {
-            (route.transport, route.proposal.port or self.shared_port())
-            for route in self.ids.open_routes()
-            if isinstance(route.transport, StreamTransport)
-        }
-        return {(each, port): self.channels.pair_of(each.name, port) is None for each, port in users}
-
-    def take_stream(self, event: Attach) -> tuple[StreamTransport, int]:
-        """Return the transport and the port of a stream that the client opens; raise Refusal if no route needs it."""
-        if self.keys is None:
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
-        try:
-            self.keys.check_attach_proof(event.header, event.name.number, event.proof)
-        except SealError as error:
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
-        shared = self.shared_port()
-        port = event.name.port or shared
-        is_own = not event.name.port  # a channel of another transport may have the number of the link's own port
-        # Of routes that have their streams, too: the client may have lost one, and the kernel here not know that yet.
-        fitting = [
-            (transport, waits)
-            for (transport, at), waits in self._stream_users().items()
-            if at == port and (port != shared or is_own == (transport is self.transport))
-        ]
-        if not fitting or not self.channels.is_new(event.name):
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE, self.name)
-        # Several transports may have the port: the choice must not depend on the order of the routes.
-        transport, _ = min(fitting, key=lambda each: (not each[1], each[0] is not self.transport, each[0].name))
-        return transport, port
-
-    def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:
-        """Do nothing: the client's first probe opens them."""
-
     async def prepare_port(self, route: Route) -> None:
         port, route_id, transport = route.proposal.port, route.id, route.transport
         same_numbers = transport.port_kind == self.transport.port_kind  # channel 5 is not port 5
@@ -472,18 +511,3 @@ class ServerLink(Link):
             taken.callback(await self._ports.open(transport.name, port))
             if route.id == route_id and route.release_port is None:  # else it was closed while the port was being bound
                 route.release_port = taken.pop_all().close
-
-    def new_udp_channel(self, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
-        """Open the link's UDP channel on the socket and from the address of its first datagram, or return None.
-
-        A datagram of the other IP version is ignored: a forged one must not take over the UDP channel.
-        """
-        assert self.control is not None
-        stream = self.control.stream
-        if len(address) != len(stream.address):
-            return None
-        udp_channel = ServerUdpChannel(self.channels, socket, stream.own_address)
-        self.channels.add_udp(socket.port, udp_channel)
-        # The client may send messages together with its answer to the first challenge: routes have to take them then.
-        self.udp_ready()
-        return udp_channel
