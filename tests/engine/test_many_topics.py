@@ -129,7 +129,7 @@ def pending(server: Engine) -> int:
     """Return the number of a server's unauthenticated connections."""
     role = role_of(server)
     assert isinstance(role, ServerRole)
-    return len(role._server._pending.present)
+    return len(role._server.pending.present)
 
 
 def test_burst_of_messages_leaves_loop_to_others(bridge: Bridge) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.long import long
@@ -20,20 +19,15 @@ _DAY = 24 * 3600.0
 _TRIED_EVERY = 10.0
 
 
-def a_stream(host: str) -> Any:
-    return SimpleNamespace(host=host, peer=f"{host}:4242")
-
-
 def test_a_refusal_that_goes_on(loop: VirtualLoop, context: Context) -> None:
     refusals = Refusals(context)
-    stream = a_stream("10.0.0.9")
 
     def tries(seconds: float, message: str) -> int:
         """How many lines so many seconds of attempts cost."""
         before = context.events.last
         end = loop.time() + seconds
         while loop.time() < end:
-            refusals.log(stream, EventCode.LINK_WRONG_KEY, message, "robot1")
+            refusals.log("10.0.0.9", "a client", EventCode.LINK_WRONG_KEY, message, "robot1")
             for _ in range(int(_TRIED_EVERY)):
                 loop.jump(1.0)
                 refusals.tick()
@@ -57,11 +51,11 @@ def test_ever_new_words_from_one_host(hosts: list[str], loop: VirtualLoop, conte
     for second in range(1200):
         for number in range(40):
             name = f"{second}.{number}"
-            refusals.log(a_stream(hosts[number % len(hosts)]), EventCode.LINK_UNKNOWN_NAME, f"unknown: {name}", name)
+            refusals.log(hosts[number % len(hosts)], "a client", EventCode.LINK_UNKNOWN_NAME, f"unknown: {name}", name)
         loop.jump(1.0)
         refusals.tick()
     assert context.events.last <= 20
-    refusals.log(a_stream("10.0.0.7"), EventCode.LINK_WRONG_KEY, "the keys differ", "robot1")
+    refusals.log("10.0.0.7", "a client", EventCode.LINK_WRONG_KEY, "the keys differ", "robot1")
     assert context.events.after(0)[-1].link == "robot1"
 
 
@@ -69,7 +63,7 @@ def test_a_log_line_from_many_hosts(loop: VirtualLoop, context: Context) -> None
     refusals = Refusals(context)
     for second in range(600):
         for number in range(40):
-            refusals.log(a_stream(f"10.1.{second % 200}.{number}"), EventCode.LINK_UNKNOWN_NAME, f"{second}", "")
+            refusals.log(f"10.1.{second % 200}.{number}", "a client", EventCode.LINK_UNKNOWN_NAME, f"{second}", "")
         loop.jump(1.0)
         refusals.tick()
     assert context.events.last <= 256 + 600 * 0.5

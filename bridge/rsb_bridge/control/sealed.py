@@ -192,7 +192,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         host, self._peer = _origin(transport.get_extra_info("peername"))
         at = transport.get_extra_info("sockname")[0] if isinstance(transport, OpenNetworkTransport) else ""
         self._machine = OperatorEngine(self._acceptor.access.name, self._acceptor.credential, at)
-        if not self._acceptor.add(self) or not self._arrive(host):
+        if not self._acceptor.add(self) or not self._arrive(host, f"a console at {self._peer}"):
             self.abort()
 
     def data_received(self, data: bytes) -> None:
@@ -275,10 +275,6 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
             self.abort()
         elif self.stage is not ConnectionStage.OVER:
             self._refuse(EventCode.ATTACH_REJECTED, reason, answer)
-
-    def _log(self, code: EventCode, message: str, cause: str = "", name: str = "") -> None:
-        del cause, name  # of links
-        self._pending.refusals.log_of(self.host, f"a console at {self._peer}", code, message)
 
     def _busy(self, message: str) -> bytes:
         if self._machine.accepted:

@@ -33,17 +33,11 @@ LetIn: TypeAlias = "Callable[[Stream, Established | Accepted, list[Event]], None
 
 
 class Failure(NamedTuple):
-    """The reason why the server did not accept a stream.
+    """The reason why the server did not accept a stream."""
 
-    Attributes:
-        reason: in words; of a refusal, the server's, without a remedy.
-        cause: the same as a code.
-        code: of the server's refusal, or None if it did not refuse.
-    """
-
-    reason: str
+    reason: str  # of a refusal, the server's, without a remedy
     cause: LinkCause = LinkCause.UNREACHABLE
-    code: RefusalCode | None = None
+    code: RefusalCode | None = None  # of the server's refusal, or None if it did not refuse
 
     @property
     def refused(self) -> bool:
@@ -70,13 +64,11 @@ class ConnectAttempt(StreamHandler):
         let_in: LetIn,
         sample_secret: bytes | None = None,
     ) -> None:
-        self._sample_secret = sample_secret
         self.outcome: asyncio.Future[Failure | None] = asyncio.get_running_loop().create_future()
-        self._connection = connection
-        self._address = address
-        self._let_in = let_in
+        self._connection, self._address, self._let_in = connection, address, let_in
+        self._sample_secret = sample_secret
         self._stream: Stream | None = None
-        self._probing = False
+        self._given_up = False
 
     @property
     def connects(self) -> bool:
@@ -93,24 +85,19 @@ class ConnectAttempt(StreamHandler):
         assert stream is not None
         events = self._connection.receive_data(data)
         stream.write(self._connection.data_to_send())
-        for index, event in enumerate(events):
-            match event:
-                # `silence` has given it up: the next attempt would end a link that came up now.
-                case Established() | Accepted() if self._probing:
-                    stream.abort("it answered too late")
-                    return
-                case Established() | Accepted():
-                    self._finish(None)
-                    stream.trust()
-                    self._let_in(stream, event, events[index + 1 :])
-                    return
-                case StreamRefused():
+        if not events:
+            return
+        match events[0]:
+            case Established() | Accepted() if self._given_up:  # the next attempt would end a link that came up now
+                stream.abort("it answered too late")
+            case Established() | Accepted() as event:
+                self._finish(None)
+                stream.trust()
+                self._let_in(stream, event, events[1:])
+            case event:
+                if isinstance(event, StreamRefused):
                     stream.close("refused")  # after the remaining bytes
-                    self._finish(_failure_of(event, self._address))
-                case Failed():
-                    self._finish(_failure_of(event, self._address))
-                case _:
-                    pass
+                self._finish(_failure_of(event, self._address))
 
     def closed(self, reason: Reason) -> None:
         text = f"{self._address}: {reason.text} before the handshake finished"
@@ -125,7 +112,7 @@ class ConnectAttempt(StreamHandler):
             probe: send an empty line first, because many programs answer only to a whole line. A bridge that hangs
                 would read it as a broken handshake, so do this only where no bridge has ever answered.
         """
-        self._probing = True
+        self._given_up = True
         if probe and self._stream is not None and not self._stream.over:
             self._stream.write(_EMPTY_LINE)
             with contextlib.suppress(TimeoutError):
@@ -197,24 +184,17 @@ def failure_of_search(transport: StreamTransport, hosts: list[str], failures: li
     return failure._replace(reason=text)
 
 
-class ProvenServer:
-    """A server that has proven the key, or refused this client with the key; it waits for `confirm` or `give_up`.
+class ProvenServer(NamedTuple):
+    """A server that has proven the key, or refused this client with the key; it waits for `confirm` or `give_up`."""
 
-    Attributes:
-        refusal: the server's, or None if it accepts the client.
-    """
-
-    def __init__(
-        self, stream: Stream, connection: ClientConnection, events: list[Event], refusal: Failure | None
-    ) -> None:
-        self.stream = stream
-        self.connection = connection
-        self.refusal = refusal
-        self._events = events
+    stream: Stream
+    connection: ClientConnection
+    events: list[Event]
+    refusal: Failure | None  # the server's, or None if it accepts the client
 
     def confirm(self) -> tuple[Established, list[Event]]:
         """Confirm the handshake; return its event, and what followed. The stream needs another handler at once."""
-        established, *more = self._events
+        established, *more = self.events
         assert isinstance(established, Established)
         self.stream.write(self.connection.data_to_send())
         self.stream.resume_reading()  # which delivers later
@@ -222,6 +202,18 @@ class ProvenServer:
 
     def give_up(self) -> None:
         self.stream.abort("not accepted")
+
+
+def _proven(stream: Stream, connection: ClientConnection, events: list[Event], address: str) -> ProvenServer:
+    stream.adopt()
+    stream.authenticate(connection.sample_secret, opener=True)
+    if isinstance(events[0], Established):
+        stream.trust()
+        stream.pause_reading()  # what follows is for the handler that the stream gets with `confirm`
+        return ProvenServer(stream, connection, events, None)
+    stream.write(connection.data_to_send())
+    stream.close("refused")
+    return ProvenServer(stream, connection, events, _failure_of(events[0], address))
 
 
 class _Try(StreamHandler):
@@ -247,28 +239,14 @@ class _Try(StreamHandler):
         connection = self._connection.fork()
         events = connection.receive_data(data)
         if connection.proven:
-            self._prove(self._stream, connection, events)
+            if connection.at in ("", self._search.host):  # else a stranger relays another server's answer
+                self._over = True
+                self._search.finish(_proven(self._stream, connection, events, self._search.address))
         elif not events and connection.suite is not self._connection.suite:
             self._search.ask(connection.suite)
         elif events and self._refusal is None:
             self._refusal = _failure_of(events[-1], self._search.address)
             asyncio.get_running_loop().call_later(_REFUSED_AFTER, self._end, self._refusal)
-
-    def _prove(self, stream: Stream, connection: ClientConnection, events: list[Event]) -> None:
-        refusal = None
-        if connection.at not in ("", self._search.host):
-            return  # a stranger relays another server's answer
-        stream.adopt()
-        stream.authenticate(connection.sample_secret, opener=True)
-        if isinstance(events[0], Established):
-            stream.trust()
-            stream.pause_reading()  # what follows is for the handler that the stream gets with `confirm`
-        else:
-            refusal = _failure_of(events[0], self._search.address)
-            stream.write(connection.data_to_send())
-            stream.close("refused")
-        self._over = True
-        self._search.finish(ProvenServer(stream, connection, events, refusal))
 
     def closed(self, reason: Reason) -> None:
         self._end(self._refusal or Failure(f"{self._search.address}: {reason.text} before the handshake finished"))
@@ -287,11 +265,7 @@ class _Try(StreamHandler):
 
 
 class _HostSearch:
-    """The search for the key behind one announced host, with a stream for each cipher suite.
-
-    Args:
-        begin: begins a handshake, with the suite that a server asks for.
-    """
+    """The search for the key behind one announced host, with a stream for each cipher suite that is asked for."""
 
     def __init__(
         self, transport: StreamTransport, host: str, begin: Callable[[CipherSuite | None], ClientConnection]
@@ -301,15 +275,23 @@ class _HostSearch:
         self._transport = transport
         self._begin = begin
         self._tries: list[_Try] = []
-        self._asked: asyncio.Queue[CipherSuite | None] = asyncio.Queue()
-        self._offered: set[CipherSuite | None] = set()
+        self._connecting: list[asyncio.Task[None]] = []
+        self._asked: set[CipherSuite | None] = set()
         self._outcome: asyncio.Future[ProvenServer] = asyncio.get_running_loop().create_future()
 
     def ask(self, suite: CipherSuite | None) -> None:
-        """Try once more with a suite that an answer asks for, forged or not."""
-        if suite not in self._offered:
-            self._offered.add(suite)
-            self._asked.put_nowait(suite)
+        """Try with a suite that an answer asks for, forged or not; None stands for the usual one."""
+        if suite not in self._asked:
+            self._asked.add(suite)
+            self._connecting.append(asyncio.create_task(self._connect(suite)))
+
+    async def _connect(self, suite: CipherSuite | None) -> None:
+        each = _Try(self, self._begin(suite))
+        self._tries.append(each)
+        try:
+            await self._transport.connect(self.host, 0, each)
+        except OSError as error:
+            self.finish(Failure(f"{self.address}: {os_error_message(error)}"))
 
     def finish(self, result: ProvenServer | Failure) -> None:
         """Take the first result of a stream."""
@@ -323,8 +305,7 @@ class _HostSearch:
 
     async def run(self) -> ProvenServer:
         """Return the server once it proves the key; raise UnprovenError if it does not."""
-        self._asked.put_nowait(None)
-        trying = asyncio.create_task(self._try_all())
+        self.ask(None)
         try:
             return await self._outcome
         except asyncio.CancelledError:
@@ -334,18 +315,10 @@ class _HostSearch:
                 outcome.result().give_up()
             raise
         finally:
-            trying.cancel()
+            for connecting in self._connecting:
+                connecting.cancel()
             for each in self._tries:
                 each.give_up()
-
-    async def _try_all(self) -> None:
-        while True:
-            each = _Try(self, self._begin(await self._asked.get()))
-            self._tries.append(each)
-            try:
-                await self._transport.connect(self.host, 0, each)
-            except OSError as error:
-                self.finish(Failure(f"{self.address}: {os_error_message(error)}"))
 
 
 class ServerSearch:
@@ -362,10 +335,9 @@ class ServerSearch:
     async def find(
         self, hosts: Collection[str], begin: Callable[[CipherSuite | None], ClientConnection]
     ) -> tuple[list[ProvenServer], list[Failure], int]:
-        """Find the servers that prove the key.
+        """Find the servers that prove the key, among all announced hosts.
 
         Args:
-            hosts: all that are announced.
             begin: begins a handshake, with the suite that a server asks for.
 
         Returns:

@@ -66,6 +66,7 @@ class Server:
 
     Attributes:
         links: by client name; a client in the session has one even before it first connects.
+        pending: the streams of clients that have not authenticated yet.
         datagrams: takes what sockets bring, as `rsb_bridge.transport.transport.Acceptor` has it.
         refused_clients: refused clients that no link shows.
     """
@@ -73,7 +74,8 @@ class Server:
     def __init__(self, context: Context, entries: list[ClientEntry], *, aes: bool) -> None:
         self.context = context
         self._aes = aes
-        self._pending = InboundStreams(context, self)
+        self.pending = InboundStreams(self)
+        self._turned_away = 0
         self.refused_clients = RefusedClients(context)
         self._transport = context.transports.of_link(context.session.server_ip)
         self.datagrams = UdpDemultiplexer(self).received
@@ -99,10 +101,15 @@ class Server:
     # --- as its transports' acceptor
 
     def make_handler(self) -> StreamHandler:
-        return _InboundStream(self._pending)
+        return _InboundStream(self)
 
     def shortage(self, message: str) -> None:
-        self._pending.shortage(message)
+        """Tell the operator that no connection can be accepted now, and reject the pending one of the lowest stage."""
+        if self.pending.refusals.is_new("", message):
+            text = f"new connections have to wait: {message}"
+            self.context.log(Level.ERROR, EventCode.ENGINE_SHORTAGE, text)
+        if self.pending.present:  # the next connection needs a descriptor
+            self.pending.reject_lowest("the server has no file descriptors left")
 
     async def prove(self, hosts: list[str]) -> list[str]:
         """Return which servers have a client's key, so that the client could not tell them from this one.
@@ -114,17 +121,16 @@ class Server:
             return hosts  # without encryption, a client cannot tell two servers apart
         # Of two keys, the client may still use the former one.
         keys = [(entry.client.name, key.secret) for entry in keyed for key in entry.keys]
-        found = await asyncio.gather(*(self._with_the_key_of(name, secret, hosts) for name, secret in keys))
+        found = await asyncio.gather(*(self._with_key_of(name, secret, hosts) for name, secret in keys))
         return sorted(set(chain.from_iterable(found)))
 
-    async def _with_the_key_of(self, name: str, secret: bytes, hosts: list[str]) -> list[str]:
+    async def _with_key_of(self, name: str, secret: bytes, hosts: list[str]) -> list[str]:
         hello = Hello(__version__, name, os.urandom(8).hex(), 0)
 
         def begin(suite: CipherSuite | None) -> ClientConnection:
             return ClientConnection(hello, secret, suite or CipherSuite.AESGCM)
 
-        search = ServerSearch(self._transport, self.context.now, _PROVES_WITHIN)
-        proven, _, _ = await search.find(hosts, begin)
+        proven, _, _ = await ServerSearch(self._transport, self.context.now, _PROVES_WITHIN).find(hosts, begin)
         for each in proven:
             each.give_up()
         return [str(each.stream.address[0]) for each in proven]
@@ -137,10 +143,15 @@ class Server:
     def stop(self) -> None:
         """Stop accepting connections, and reject the pending ones."""
         self._ports.close()
-        self._pending.close()
+        self.pending.close()
 
     def tick(self) -> None:
-        self._pending.tick()
+        refusals, turned_away = self.pending.refusals, self.pending.strangers.turned_away
+        refusals.tick()
+        if turned_away > self._turned_away and refusals.is_new("", EventCode.LINK_STRANGERS):
+            self._turned_away = turned_away
+            text = f"{turned_away:,} connections or samples of strangers dropped: block the flood with a firewall"
+            self.context.log(Level.WARNING, EventCode.LINK_STRANGERS, text)
         self.refused_clients.tick()
 
     # --- other clients than before
@@ -158,7 +169,7 @@ class Server:
         """Stop accepting a client, and end its link."""
         del self.entries[name]
         link = self.links.pop(name)
-        self._pending.expel(name, _SESSION_CHANGED)
+        self._expel(name, _SESSION_CHANGED)
         if link.control is not None:
             link.control.shut_down(f"the server no longer accepts {name}", retry_after=0.0)
         self.context.demands.unregister(link)
@@ -168,22 +179,23 @@ class Server:
         self.context.limited.forget(name)
 
     def change_client(self, entry: ClientEntry) -> None:
-        """Use another entry of a client."""
         name = entry.client.name
         self.entries[name] = entry
-        self._pending.expel(name, _SESSION_CHANGED)
+        self._expel(name, _SESSION_CHANGED)
         self.links[name].change_entry(entry)
+
+    def _expel(self, name: str, message: str) -> None:
+        """Reject the connections that authenticate as this client, whose key or right has changed."""
+        for pending in self.pending.present:
+            if pending.name == name:
+                pending.reject(message)
 
     # --- shut down by an operator
 
     def shut_down(self, who: str) -> None:
-        """End all links, and refuse the clients until they are let in.
-
-        Args:
-            who: shuts down, in words.
-        """
+        """End all links, and refuse the clients until they are let in; `who` is the operator, in words."""
         for name, link in self.links.items():
-            self._pending.expel(name, _SHUT_DOWN)  # a client with an earlier Welcome would link
+            self._expel(name, _SHUT_DOWN)  # a client with an earlier Welcome would link
             link.shut_down_for(who)
 
     # --- inbound connections
@@ -240,8 +252,7 @@ class Server:
     def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> str:
         """Show on the link of that name that a client was refused; one of another version says no name.
 
-        Returns:
-            The name of the link that shows it, or an empty string.
+        Return the name of the link that shows it, or an empty string.
         """
         link = self.links.get(name)
         if link is None and code is RefusalCode.WRONG_VERSION:
@@ -281,57 +292,28 @@ class Server:
 class InboundStreams(PendingConnections):
     """The streams of clients that have not authenticated yet."""
 
-    def __init__(self, context: Context, admission: Server) -> None:
-        super().__init__(context, context.transports.strangers, _LIMITS)
-        self.admission = admission
-        self._context = context
-        self._turned_away = 0
+    def __init__(self, server: Server) -> None:
+        super().__init__(server.context, server.context.transports.strangers, _LIMITS)
+        self._server = server
 
     def _expected(self, host: str) -> int:
         """Return how many streams linked clients have yet to open."""
-        controls = ((link, link.control) for link in self.admission.links.values())
-        return sum(
-            link.channels.streams_awaited
-            for link, control in controls
-            if control is not None and host in ("", control.stream.host)
-        )
-
-    def expel(self, name: str, message: str) -> None:
-        """Reject the connections that authenticate as this client, whose key or right has changed."""
-        for pending in self.present:
-            if pending.name == name:
-                pending.reject(message)
-
-    def shortage(self, message: str) -> None:
-        """Tell the operator that no connection can be accepted now, and reject the pending one of the lowest stage."""
-        if self.refusals.is_new("", message):
-            text = f"new connections have to wait: {message}"
-            self._context.log(Level.ERROR, EventCode.ENGINE_SHORTAGE, text)
-        if self._present:  # the next connection needs a descriptor
-            self._reject_lowest(self._present, "the server has no file descriptors left")
-
-    def tick(self) -> None:
-        """Once a second: forget old refusals, and tell the operator what strangers were refused for lack of room."""
-        self.refusals.tick()
-        turned_away = self.strangers.turned_away
-        if turned_away > self._turned_away and self.refusals.is_new("", EventCode.LINK_STRANGERS):
-            self._turned_away = turned_away
-            text = f"{turned_away:,} connections or samples of strangers dropped: block the flood with a firewall"
-            self._context.log(Level.WARNING, EventCode.LINK_STRANGERS, text)
+        linked = (link.channels for link in self._server.links.values() if link.linked)
+        return sum(each.streams_awaited for each in linked if host in ("", each.control.stream.host))
 
 
 class _InboundStream(PendingConnection, StreamHandler):
     rejected_code = EventCode.LINK_REJECTED
 
-    def __init__(self, streams: InboundStreams) -> None:
-        super().__init__(streams)
-        self._admission = streams.admission
-        self._connection: ServerConnection = streams.admission.connection()
+    def __init__(self, server: Server) -> None:
+        super().__init__(server.pending)
+        self._server = server
+        self._connection: ServerConnection = server.connection()
         self._stream: Stream  # from `connected` on, which comes first
 
     def connected(self, stream: Stream) -> None:
         self._stream = stream
-        if not self._arrive(stream.host):
+        if not self._arrive(stream.host, f"a client at {stream.peer}"):
             self.reject(Rejected.TOO_MANY())
 
     def closed(self, reason: Reason) -> None:
@@ -350,69 +332,58 @@ class _InboundStream(PendingConnection, StreamHandler):
         events = connection.receive_data(data)
         self.name = connection.name
         answer = connection.data_to_send()
-        for index, event in enumerate(events):
-            match event:
-                case Established():
-                    self._leave()
-                    self._established(stream, event, events[index + 1 :])
-                    return
-                case Attach():
-                    self._leave()
-                    self._attach(stream, event)
-                    return
-                case StreamRefused(code, message, None):
-                    message = self._for_operator(code, message)
-                    self.name = self._admission.refused(self.name, stream, code, message)
-                    cause = CAUSES.get(code, LinkCause.REFUSED)
-                    self._refuse(_CODES.get(code, EventCode.LINK_REJECTED), message, answer, cause)
-                    return
-                case StreamRefused(code, message, Hello() as peer):
-                    self._leave()
-                    self._refuse_proven(stream, Refusal(code, message), peer)
-                    return
-                case Failed(reason, foreign):
-                    if foreign is None:
-                        self._refuse(EventCode.LINK_REJECTED, reason, answer)
-                    else:
-                        text = f"{reason}: {_ONLY_BRIDGES}"
-                        self._refuse(EventCode.LINK_REJECTED, text, answer, LinkCause.NOT_A_BRIDGE)
-                    return
-                case _:
-                    pass
-        # The answer first, without a tag: before it the client has no key to check one (PROTOCOL.md, 12).
-        stream.write(answer)
-        if connection.accepted and self.stage < ConnectionStage.ACCEPTED:
-            stream.authenticate(connection.sample_secret, opener=False)
-            self._accept()
+        match events[0] if events else None:
+            case None:
+                # The answer first, without a tag: before it the client has no key to check one (PROTOCOL.md, 12).
+                stream.write(answer)
+                if connection.accepted and self.stage < ConnectionStage.ACCEPTED:
+                    stream.authenticate(connection.sample_secret, opener=False)
+                    self._accept()
+            case Established() as event:
+                self._leave()
+                self._established(event, events[1:])
+            case Attach() as event:
+                self._leave()
+                self._attach(event)
+            case StreamRefused(code, message, Hello() as peer):
+                self._leave()
+                self._refuse_proven(code, message, peer)
+            case StreamRefused(code, message):
+                message = self._for_operator(code, message)
+                self.name = self._server.refused(self.name, stream, code, message)
+                log_code, cause = _CODES.get(code, EventCode.LINK_REJECTED), CAUSES.get(code, LinkCause.REFUSED)
+                self._refuse(log_code, message, answer, cause, self.name)
+            case Failed(reason, None):
+                self._refuse(EventCode.LINK_REJECTED, reason, answer, link=self.name)
+            case Failed(reason):
+                text = f"{reason}: {_ONLY_BRIDGES}"
+                self._refuse(EventCode.LINK_REJECTED, text, answer, LinkCause.NOT_A_BRIDGE, self.name)
 
-    def _established(self, stream: Stream, event: Established, more: list[Event]) -> None:
+    def _established(self, event: Established, more: list[Event]) -> None:
         try:
-            control = self._admission.established(stream, self._connection, event)
+            control = self._server.established(self._stream, self._connection, event)
         except Refusal as refusal:
             assert isinstance(event.peer, Hello)
-            stream.write(self._connection.refuse(refusal.code, refusal.message))
-            self._refuse_proven(stream, refusal, event.peer)
+            self._stream.write(self._connection.refuse(refusal.code, refusal.message))
+            self._refuse_proven(refusal.code, refusal.message, event.peer)
         else:
-            stream.trust()
+            self._stream.trust()
             control.receive(more)
 
-    def _refuse_proven(self, stream: Stream, refusal: Refusal, peer: Hello) -> None:
+    def _refuse_proven(self, code: RefusalCode, message: str, peer: Hello) -> None:
         """Refuse a client that has the key: that is no failed authentication."""
-        self._admission.refused_proven(stream, refusal.code, peer)
-        self._pending.refusals.log(stream, _CODES[refusal.code], refusal.message, self.name)
-        stream.close(refusal.message)
+        self._server.refused_proven(self._stream, code, peer)
+        self._log(_CODES[code], message, link=self.name)
+        self._stream.close(message)
 
-    def _attach(self, stream: Stream, event: Attach) -> None:
+    def _attach(self, event: Attach) -> None:
         try:
-            self._admission.attach(stream, self._connection, event)
-            stream.trust()
+            self._server.attach(self._stream, self._connection, event)
+            self._stream.trust()
         except Refusal as refusal:  # no failure of its host: the route may have been closed meanwhile
-            self._pending.refusals.log(stream, EventCode.LINK_REJECTED, refusal.message, refusal.link)
-            stream.write(self._connection.refuse(refusal.code, refusal.message))
-            stream.close(refusal.message)
-
-    def _log(self, code: EventCode, message: str, cause: str = "", name: str = "") -> None:
-        self._pending.refusals.log(self._stream, code, message, name, cause)
+            self._log(EventCode.LINK_REJECTED, refusal.message, link=refusal.link)
+            self._stream.write(self._connection.refuse(refusal.code, refusal.message))
+            self._stream.close(refusal.message)
 
     def _busy(self, message: str) -> bytes:
         return self._connection.refuse(RefusalCode.BUSY, message)
@@ -425,12 +396,15 @@ class _InboundStream(PendingConnection, StreamHandler):
         self._stream.pause_reading()
 
     def _for_operator(self, code: RefusalCode, message: str) -> str:
-        if code is RefusalCode.WRONG_KEY:
-            return f"{message}: copy one side's key file to the other"
-        if code is RefusalCode.UNKNOWN_NAME:
-            return f"{message}: {self._admission.remedy_for_unknown(self.name)}"
-        if code is RefusalCode.ENCRYPTION_NOT_POSSIBLE:
-            return f"{message}: set use_encryption and its key_file here, or use_encryption: false there"
-        if code is RefusalCode.ENCRYPTION_REQUIRED:
-            return f"{message}: set use_encryption and key_file there, or use_encryption: false here"
-        return message
+        match code:
+            case RefusalCode.WRONG_KEY:
+                remedy = "copy one side's key file to the other"
+            case RefusalCode.UNKNOWN_NAME:
+                remedy = self._server.remedy_for_unknown(self.name)
+            case RefusalCode.ENCRYPTION_NOT_POSSIBLE:
+                remedy = "set use_encryption and its key_file here, or use_encryption: false there"
+            case RefusalCode.ENCRYPTION_REQUIRED:
+                remedy = "set use_encryption and key_file there, or use_encryption: false here"
+            case _:
+                return message
+        return f"{message}: {remedy}"

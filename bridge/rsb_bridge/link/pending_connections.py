@@ -47,19 +47,14 @@ class ConnectionStage(IntEnum):
 
 
 class Limits(NamedTuple):
-    """The number of connections that may wait.
-
-    Attributes:
-        of_one_host: of one host, where a host cannot choose its address.
-        accepted: in stage `ConnectionStage.ACCEPTED` under one name; more only come if somebody plays first messages
-            again.
-        when_scarce: in all while file descriptors are scarce, or None for `total`.
-    """
+    """The number of connections that may wait."""
 
     total: int
-    of_one_host: int
+    of_one_host: int  # where a host cannot choose its address
     accepted: int
+    """In stage `ConnectionStage.ACCEPTED` under one name; more only come if somebody plays first messages again."""
     when_scarce: int | None = None
+    """In all while file descriptors are scarce, or None for `total`."""
 
 
 class PendingConnections:
@@ -68,12 +63,11 @@ class PendingConnections:
     def __init__(self, recording: Recording, strangers: Strangers, limits: Limits) -> None:
         self.refusals = Refusals(recording)
         self.strangers = strangers
-        self._limits = limits
+        self.limits = limits
         self._present: dict[PendingConnection, None] = {}  # the longest waiting first
 
     @property
     def present(self) -> tuple[PendingConnection, ...]:
-        """The connections, the longest waiting first."""
         return tuple(self._present)
 
     def add(self, pending: PendingConnection) -> bool:
@@ -85,14 +79,14 @@ class PendingConnections:
             False if the strangers' budget is spent and none of it by connections that wait here.
         """
         of_host = [each for each in self._present if each.network == pending.network]
-        if self._full(len(of_host), self._limits.of_one_host, pending.host):
-            self._reject_lowest(of_host, Rejected.TOO_MANY())
-        elif self._full(len(self._present), self._limits.total) or self._uses_reserve():
-            self._reject_lowest(self._present, Rejected.TOO_MANY())
+        if self._full(len(of_host), self.limits.of_one_host, pending.host):
+            self.reject_lowest(Rejected.TOO_MANY(), of_host)
+        elif self._full(len(self._present), self.limits.total) or self._uses_reserve():
+            self.reject_lowest(Rejected.TOO_MANY())
         while not self.strangers.take(CONNECTION):
             if not self._present:
                 return False
-            self._reject_lowest(self._present, Rejected.TOO_MANY())
+            self.reject_lowest(Rejected.TOO_MANY())
         self._present[pending] = None
         return True
 
@@ -106,24 +100,20 @@ class PendingConnections:
 
     def _uses_reserve(self) -> bool:
         """Whether idle connections would take file descriptors from the others."""
-        limit = self._limits.when_scarce
+        limit = self.limits.when_scarce
         return limit is not None and len(self._present) >= limit and descriptors.scarce()  # last, as it opens a socket
 
-    def _reject_lowest(self, among: Iterable[PendingConnection], message: str) -> None:
-        min(among, key=lambda each: each.stage).reject(message)
-
-    def accepted(self, pending: PendingConnection) -> None:
-        """Reject older connections of a name if too many of its first messages open under its key."""
-        same = [each for each in self._present if each.name == pending.name and each.stage is ConnectionStage.ACCEPTED]
-        for oldest in same[: -self._limits.accepted]:
-            oldest.reject("replaced by newer connections under the same name")
+    def reject_lowest(self, message: str, among: Iterable[PendingConnection] = ()) -> None:
+        """Reject the connection of the lowest stage, of these or of all."""
+        min(among or self._present, key=lambda each: each.stage).reject(message)
 
     def remove(self, pending: PendingConnection) -> None:
-        """Remove a connection that has authenticated or is gone."""
-        self._present.pop(pending, None)
+        """Remove a connection that has authenticated or is gone, unless there was no room for it."""
+        if pending in self._present:
+            del self._present[pending]
+            self.strangers.give(CONNECTION)
 
     def close(self) -> None:
-        """Reject all."""
         for pending in self.present:
             pending.reject("the bridge stops")
 
@@ -132,6 +122,7 @@ class PendingConnection(ABC):
     """One connection until its peer has authenticated, or it is gone.
 
     Attributes:
+        who: the peer with its address, for the log.
         network: counts as one host with others (`rsb_bridge.link.refused_clients.network`).
         name: given by the peer, and not authenticated.
     """
@@ -140,19 +131,18 @@ class PendingConnection(ABC):
 
     def __init__(self, pending: PendingConnections) -> None:
         self.stage = ConnectionStage.WAITING
-        self.host = self.network = self.name = ""
+        self.who = self.host = self.network = self.name = ""
         self._pending = pending
         self._deadline: asyncio.TimerHandle | None = None
         self._refusal: tuple[bytes, str] = (b"", "")
-        self._counted = False
 
-    def _arrive(self, host: str) -> bool:
+    def _arrive(self, host: str, who: str) -> bool:
         """Begin to wait for the handshake; return False if there is no room."""
-        self.host, self.network = host, network(host)
-        self._counted = self._pending.add(self)
-        if self._counted:
-            self._deadline = asyncio.get_running_loop().call_later(_HANDSHAKE_WITHIN, self._give_up)
-        return self._counted
+        self.who, self.host, self.network = who, host, network(host)
+        if not self._pending.add(self):
+            return False
+        self._deadline = asyncio.get_running_loop().call_later(_HANDSHAKE_WITHIN, self._give_up)
+        return True
 
     def _give_up(self) -> None:
         """Reject a peer whose handshake takes too long."""
@@ -164,9 +154,11 @@ class PendingConnection(ABC):
         return Rejected.NO_HANDSHAKE, ""
 
     def _accept(self) -> None:
-        """Note that the peer's first message opens under its key."""
+        """Note that the peer's first message opens under its key; reject the oldest of its name beyond the limit."""
         self.stage = ConnectionStage.ACCEPTED
-        self._pending.accepted(self)
+        same = [each for each in self._pending.present if (each.name, each.stage) == (self.name, self.stage)]
+        for oldest in same[: -self._pending.limits.accepted]:
+            oldest.reject("replaced by newer connections under the same name")
 
     def reject(self, message: str, cause: str = "") -> None:
         """Refuse the connection and close it, unless it is over."""
@@ -177,11 +169,11 @@ class PendingConnection(ABC):
             self._refusal = self._busy(message), message
         self._tell()
 
-    def _refuse(self, code: EventCode, message: str, answer: bytes, cause: str = "") -> None:
+    def _refuse(self, code: EventCode, message: str, answer: bytes, cause: str = "", link: str = "") -> None:
         """Refuse a peer that failed to authenticate: later if many at its host have failed."""
         refusals = self._pending.refusals
         refusals.failed(self.host)
-        self._log(code, message, cause, self.name)
+        self._log(code, message, cause, link)
         self._stop_waiting()
         self.stage, self._refusal = ConnectionStage.REFUSED, (answer, message)
         if delay := refusals.delay(self.host):
@@ -200,18 +192,14 @@ class PendingConnection(ABC):
         self.stage = ConnectionStage.OVER
         self._pending.remove(self)
         self._stop_waiting()
-        if self._counted:  # else there was no room for it, or it has left before
-            self._counted = False
-            self._pending.strangers.give(CONNECTION)
 
     def _stop_waiting(self) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
 
-    @abstractmethod
-    def _log(self, code: EventCode, message: str, cause: str = "", name: str = "") -> None:
-        """Record a refusal."""
+    def _log(self, code: EventCode, message: str, cause: str = "", link: str = "") -> None:
+        self._pending.refusals.log(self.host, self.who, code, message, link, cause)
 
     @abstractmethod
     def _busy(self, message: str) -> bytes:
@@ -222,5 +210,4 @@ class PendingConnection(ABC):
         """Write the answer, then close for the reason given."""
 
     @abstractmethod
-    def _pause_reading(self) -> None:
-        """Read nothing more."""
+    def _pause_reading(self) -> None: ...

@@ -87,15 +87,10 @@ class SameName(Wording):
 
 @dataclass(frozen=True, slots=True)
 class LinkShutdown:
-    """A link's shutdown by an operator.
+    """A link's shutdown by an operator."""
 
-    Attributes:
-        by: name of the operator, such as ``anna on pts/3``.
-        since: time in s since the epoch.
-    """
-
-    by: str
-    since: float
+    by: str  # such as ``anna on pts/3``
+    since: float  # s since the epoch
 
     def refusal(self) -> str:
         """Return the refusal for the client, which does not change until the end of the shutdown."""
@@ -103,12 +98,7 @@ class LinkShutdown:
         return sanitize_text(f"shut down by {self.by}, since {since:%Y-%m-%d %H:%M} UTC")
 
     def reason(self, bridge: str, name: str) -> str:
-        """Return the reason for the server's operator.
-
-        Args:
-            bridge: the server's name.
-            name: of the link.
-        """
+        """Return the reason for the operator of the server `bridge`."""
         command = f"rsb-console retry {shlex.quote(bridge)} --link {shlex.quote(name)}"
         return f"{self.refusal()}; press r or run `{command}` to accept it again"
 
@@ -119,37 +109,22 @@ def server_refusal(refusal: str) -> str:
     return f"the server says: {refusal}; {asks}, until an operator there accepts it again"
 
 
+@dataclass(slots=True)
 class _Logged:
-    """A refusal that is in the log already.
+    """A refusal that is in the log already."""
 
-    Attributes:
-        tried_at: s, when it last happened.
-    """
-
-    def __init__(self, now: float) -> None:
-        self.tried_at = now
-        self._wait = _LOGGED_AFTER
-        self._due = now + self._wait
-
-    def due_again(self, now: float) -> bool:
-        """Record that it happened again at `now` (s), and return whether to log it."""
-        self.tried_at = now
-        if now < self._due:
-            return False
-        self._wait = min(2 * self._wait, _LOGGED_AFTER_AT_LAST)
-        self._due = now + self._wait
-        return True
+    tried_at: float  # when it last happened
+    due: float  # when it may be logged again
+    wait: float = _LOGGED_AFTER
 
 
 class Recording(Protocol):
     """Clock and event log for refusals."""
 
     @property
-    def events(self) -> EventLog:
-        """The engine's."""
+    def events(self) -> EventLog: ...
 
-    def now(self) -> float:
-        """Return the time (s) on a clock that nobody sets."""
+    def now(self) -> float: ...
 
 
 class Refusals:
@@ -171,21 +146,17 @@ class Refusals:
         """Return the seconds until a host receives its refusal: failures cost time, but lock nobody out."""
         return _DELAY if len(self._failures.get(network(host), ())) >= _FAILURES else 0.0
 
-    def log(self, stream: Stream, code: EventCode, message: str, name: str = "", cause: str = "") -> None:
-        """Log that a client was rejected, as `log_of` does.
+    def log(self, host: str, who: str, code: EventCode, message: str, link: str = "", cause: str = "") -> None:
+        """Log a rejection: repetitions for a host ever more rarely, and few different messages of one host.
 
-        The quota of the link of that name stays as it is: anybody can use the name.
+        The quota of the link stays as it is: anybody can use its name.
         """
-        self.log_of(stream.host, f"a client at {stream.peer}", code, message, name, cause)
-
-    def log_of(self, host: str, who: str, code: EventCode, message: str, name: str = "", cause: str = "") -> None:
-        """Log a rejection: repetitions for a host ever more rarely, and few different messages of one host."""
         host = network(host)
         if is_one_of_many := (host, "") in self._logged or self._has_many(host, message):
             message = ""
         if self.is_new(host, message):
             text = f"rejected {who}: {_MANY if is_one_of_many else message}"
-            self._context.events.add(Level.WARNING, code, text, link=name, cause=cause)
+            self._context.events.add(Level.WARNING, code, text, link=link, cause=cause)
 
     def _has_many(self, host: str, message: str) -> bool:
         return (host, message) not in self._logged and sum(1 for one, _ in self._logged if one == host) >= _OF_ONE_HOST
@@ -193,15 +164,20 @@ class Refusals:
     def is_new(self, host: str, message: str) -> bool:
         """Whether to log a message about a host, or about none, now."""
         now, logged = self._context.now(), self._logged.get((host, message))
-        if logged is not None:
-            return logged.due_again(now)
-        if len(self._logged) >= _LINES or not self._lines.take(1, now):
+        if logged is None:
+            if len(self._logged) >= _LINES or not self._lines.take(1, now):
+                return False
+            self._logged[host, message] = _Logged(now, now + _LOGGED_AFTER)
+            return True
+        logged.tried_at = now
+        if now < logged.due:
             return False
-        self._logged[host, message] = _Logged(now)
+        logged.wait = min(2 * logged.wait, _LOGGED_AFTER_AT_LAST)
+        logged.due = now + logged.wait
         return True
 
     def tick(self) -> None:
-        """Forget old failures and log entries. Called once a second."""
+        """Forget old failures and log entries."""
         now = self._context.now()
         for host, times in tuple(self._failures.items()):
             while times and now - times[0] > _FAILURES_WITHIN:
@@ -223,43 +199,28 @@ def network(host: str) -> str:
     return str(ipaddress.IPv6Network((int(address), 64), strict=False))
 
 
-@dataclass(slots=True)
-class _Entry:
-    shown: RefusedClient
-    tried_at: float
-
-
 class RefusedClients:
     """The refused clients that no link shows and that still try, each until 30 s after its last attempt.
 
-    Their name is unknown, or linked, and their key wrong.
-
-    A new client displaces no other: a flood of made-up names cannot hide a robot that is listed.
+    Their name is unknown, or linked, and their key wrong. A new client displaces no other: a flood of made-up names
+    cannot hide a robot that is listed.
     """
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._entries: dict[tuple[str, str], _Entry] = {}
+        self._entries: dict[tuple[str, str], tuple[RefusedClient, float]] = {}  # with the time of the last attempt
 
     def record_attempt(self, stream: Stream, name: str, cause: LinkCause, reason: str) -> None:
-        """Record an attempt, unless the table or the host's share of it is full.
-
-        Args:
-            name: that the client gave, or empty.
-            reason: the same in words, with the remedy.
-        """
-        host = network(stream.host)
-        entry = self._entries.get((host, name))
-        if entry is None:
-            of_host = sum(1 for each, _ in self._entries if each == host)
-            if len(self._entries) >= MOST or of_host >= MOST_OF_ONE_HOST:
-                return
-            shown = RefusedClient(name, stream.host, cause, reason, self._context.wall(), 1)
-        else:
-            old = entry.shown
-            since = old.since if old.cause == cause else self._context.wall()
-            shown = RefusedClient(name, stream.host, cause, reason, since, old.attempts + 1)
-        self._entries[host, name] = _Entry(shown, self._context.now())
+        """Record an attempt, unless the table or the host's share of it is full. The client may have given no name."""
+        host, wall, attempts = network(stream.host), self._context.wall(), 1
+        since = wall
+        if (host, name) in self._entries:
+            old, _ = self._entries[host, name]
+            since, attempts = old.since if old.cause == cause else wall, old.attempts + 1
+        elif len(self._entries) >= MOST or sum(each == host for each, _ in self._entries) >= MOST_OF_ONE_HOST:
+            return
+        shown = RefusedClient(name, stream.host, cause, reason, since, attempts)
+        self._entries[host, name] = shown, self._context.now()
 
     def forget(self, name: str) -> None:
         """Drop the entries of a name when its client is linked or added."""
@@ -267,14 +228,14 @@ class RefusedClients:
             del self._entries[key]
 
     def tick(self) -> None:
-        """Forget clients without a recent attempt; called once a second."""
+        """Forget clients without a recent attempt."""
         oldest = self._context.now() - FORGOTTEN_AFTER
-        for key in [key for key, entry in self._entries.items() if entry.tried_at < oldest]:
+        for key in [key for key, (_, tried_at) in self._entries.items() if tried_at < oldest]:
             del self._entries[key]
 
     def shown(self) -> tuple[RefusedClient, ...]:
         """Return the refused clients, the longest refused first."""
-        return tuple(entry.shown for entry in self._entries.values())
+        return tuple(shown for shown, _ in self._entries.values())
 
 
 NAME_TRIED_EVERY = 3.0
@@ -327,7 +288,6 @@ class DuplicateClients:
         return f"{what}: {remedy}" if what else ""
 
     def ended_text(self) -> str:
-        """Return the text for the log when the last one has gone."""
         return f"no second client calls itself {self.name!r} any more"
 
     def warning(self, now: float, wall: float) -> str:
