@@ -47,23 +47,14 @@ _E = TypeVar("_E", bound=Extension)
 
 @dataclass(slots=True)
 class LinkStatus:
-    """Whether a link is up, since when, and why not.
+    """Whether a link is up, since when, and why not."""
 
-    Attributes:
-        since: since when it is up or down, in s of the steady clock.
-        cause: cause of its being down, or `LinkCause.NONE`.
-        reason: the same in words, for an operator.
-        attempts: failed attempts to connect since it was last up.
-        retry_at: time of the next attempt in s, or None if none is planned.
-    """
-
-    since: float
-    cause: LinkCause = LinkCause.NOT_YET
+    since: float  # since when it is up or down, by the steady clock
+    cause: LinkCause = LinkCause.NOT_YET  # of its being down, or `LinkCause.NONE`
     reason: str = "not connected yet"
-    attempts: int = 0
-    retry_at: float | None = None
-    _lasting: tuple[LinkCause, str] | None = None
-    """Cause and reason that another one hides for now."""
+    attempts: int = 0  # failed ones since it was last up
+    retry_at: float | None = None  # time of the next attempt, or None if none is planned
+    _lasting: tuple[LinkCause, str] | None = None  # what another cause and reason hide for now
 
     def up(self, since: float) -> None:
         self.since, self.cause, self._lasting = since, LinkCause.NONE, None
@@ -101,50 +92,36 @@ _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCa
 class BaseLink(ABC):
     """The connection to a peer with the routes that use it, and the features that have registered.
 
-    Attributes:
-        transport: transport of the control connection.
-        name: name of the client, on both sides.
-        routes: the routes, by key.
-        peer: `Hello` or `Welcome` of the present or last peer, or None before the first connection.
-        instance: process of the present or last peer, or an empty string before the first connection.
-        clock: offset of the peer's clock, on the present or last connection.
-        stamps: offset of the clock by which the peer stamps messages.
-        connections: number of connections so far.
-        linked_at: time of the present or last connection, in s.
-        bridges: names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown.
-        budget: limits on what the peer may have this side hold and do.
-        report_soon: sends a route's counts before the next regular report. May be called for every batch.
-        compare_types: asks the peer how its versions of a route's types differ.
-        extensions: the link's parts.
-        route_fields: returns what features show of a route.
-        meter_of: returns what counts the bytes that arrive for a route, or None.
+    What is said of a peer or a connection holds of the present one, or of the last one while there is none.
     """
 
     path: LinkPath
     fullness: LinkRates
     report_soon: Callable[[Route], None]
+    """Sends a route's counts before the next regular report. May be called for every batch."""
     compare_types: CompareTypes
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         self.context = context
-        self.transport = context.transports.of_link(context.session.server_ip)
-        self.name = name
+        self.transport = context.transports.of_link(context.session.server_ip)  # of the control connection
+        self.name = name  # of the client, on both sides
         self.is_client = is_client
         self.role: Role = "client" if is_client else "server"
         self.peer_name = "the server" if is_client else name
         self._peer_role = "the server" if is_client else "the client"
-        self._channels: DataChannels | None = None
-        self.peer: Hello | Welcome | None = None
-        self.instance = ""
         self.encrypted = encrypted
-        self._is_silent = False
-        self.status = LinkStatus(context.clock.steady())
+        self._channels: DataChannels | None = None  # without a link
+        self.peer: Hello | Welcome | None = None  # before the first connection
+        self.instance = ""  # process of the peer
         self.connections = 0
         self.linked_at = 0.0
+        self._is_silent = False
+        self.status = LinkStatus(context.clock.steady())
         self.bridges: tuple[str, ...] = ()
-        self.routes: dict[str, Route] = {}
+        """Names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown."""
+        self.routes: dict[str, Route] = {}  # by key
         self.ids = RouteIds(is_client=is_client)
-        self.budget = PeerBudget(context.now())
+        self.budget = PeerBudget(context.now())  # of what the peer may have this side hold and do
         self.revisions = Revisions()
         self._tasks = Tasks(context.loop, self.fail)
         self.extensions = Extensions()
@@ -234,10 +211,6 @@ class BaseLink(ABC):
     @property
     def control(self) -> ControlChannel | None:
         return self._channels.control if self._channels is not None else None
-
-    @property
-    def keys(self) -> SessionKeys | None:
-        return self._channels.session_keys if self._channels is not None else None
 
     @property
     def linked(self) -> bool:
@@ -347,6 +320,11 @@ class BaseLink(ABC):
         except Exception as error:  # noqa: BLE001 -- any failure is this link's own
             self.context.loop.call_exception_handler({"message": f"link {self.name} failed", "exception": error})
             self.fail()
+
+    def end(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
+        """End the connection on purpose, and tell the peer; without one, nothing happens."""
+        if self._channels is not None:
+            self._channels.control.shut_down(reason, retry_after=retry_after, code=code)
 
     def fail(self) -> None:
         """End the connection after an internal error, so that both sides start from the beginning."""

@@ -253,10 +253,10 @@ class ClientLink(Link):
             return
         self._longest = _LONGEST_DELAY_UNREACHED
         self._backoff.reset()
-        if self._stays_down and self.control is not None:  # an operator did so during the handshake
-            self.control.shut_down("shut down", retry_after=None)
-        elif key is not self.key and self.control is not None:  # changed during the handshake
-            self.control.shut_down(_KEY_CHANGED, retry_after=0.0)
+        if self._stays_down:  # an operator did so during the handshake
+            self.end("shut down", retry_after=None)
+        elif key is not self.key:  # changed during the handshake
+            self.end(_KEY_CHANGED, retry_after=0.0)
         await self._ended.wait()
 
     async def _connect(self, key: Key | None) -> Failure | None:
@@ -398,8 +398,7 @@ class ClientLink(Link):
     def change_key(self, key: Key | None) -> None:
         """Use another key from now on: a link that is up connects again."""
         self.key, self.encrypted = key, key is not None
-        if self.control is not None:
-            self.control.shut_down(_KEY_CHANGED, retry_after=0.0)
+        self.end(_KEY_CHANGED, retry_after=0.0)
         self._retry.set()
 
     @property
@@ -411,8 +410,7 @@ class ClientLink(Link):
         """End the link, or the attempts at it, on purpose; then wait for `retry`."""
         self._stays_down = True
         self._retry.set()
-        if self.control is not None:
-            self.control.shut_down(reason, retry_after=None)
+        self.end(reason, retry_after=None)
         # After the link's end, which sets a reason of its own.
         command = f"rsb-console retry {shlex.quote(self.name)}"
         self.status.down(LinkCause.CLOSED, f"{reason}; press r or run `{command}` to connect again")

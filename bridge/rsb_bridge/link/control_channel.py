@@ -108,14 +108,13 @@ class ControlChannel(StreamHandler):
         self._handlers = handlers
         self._lost = lost
         self._connection = connection
-        self._goodbye = ""
-        self._code = EventCode.LINK_LOST
         self._events: deque[Event] = deque()
         self._unsent = bytearray()  # sealed; to measure the stream's own buffer for each message would cost more
         self._loop = asyncio.get_running_loop()
-        self._allowance = TokenBucket(_MESSAGES, _MESSAGES_A_SECOND, self._loop.time())
-        self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, self._loop.time())
-        self._entries = TokenBucket(_ENTRIES, _ENTRIES_A_SECOND, self._loop.time())
+        now = self._loop.time()
+        self._allowance = TokenBucket(_MESSAGES, _MESSAGES_A_SECOND, now)
+        self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, now)
+        self._entries = TokenBucket(_ENTRIES, _ENTRIES_A_SECOND, now)
         self._work: Slices | None = None  # the rest of the newest message
         self._owes = False  # more came than the volume allows
         stream.handler = self
@@ -139,15 +138,13 @@ class ControlChannel(StreamHandler):
         """Tell the peer that this ends on purpose, and end it."""
         self.send(Shutdown(reason=sanitize_text(reason), retry_after=retry_after))
         self._flush()  # `close` sends what waits in the stream, and knows nothing of what waits here
-        self._goodbye, self._code = reason, code
         self.stream.close(reason)
-        self._end(reason)
+        self._end(reason, code)
 
     def abort(self, reason: str, code: EventCode = EventCode.LINK_LOST) -> None:
         """End it without telling the peer."""
-        self._code = code
         self.stream.abort(reason)
-        self._end(reason)
+        self._end(reason, code)
 
     def received(self, data: bytes) -> None:
         self.receive(self._connection.receive_data(data))
@@ -263,10 +260,9 @@ class ControlChannel(StreamHandler):
 
     def closed(self, reason: Reason) -> None:
         # A killed process ends its streams in order, too.
-        left = reason.code is EndCode.LEFT and self._code is EventCode.LINK_LOST
-        self._end(self._goodbye or (_NO_GOODBYE if left else reason.text))
+        self._end(_NO_GOODBYE if reason.code is EndCode.LEFT else reason.text, EventCode.LINK_LOST)
 
-    def _end(self, reason: str) -> None:
+    def _end(self, reason: str, code: EventCode) -> None:
         if not self.over:  # the end of the stream follows each end that begins here
             self.over = True
-            self._lost(reason, self._code)
+            self._lost(reason, code)

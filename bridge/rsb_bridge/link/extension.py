@@ -88,7 +88,6 @@ class Extensions:
             self._of_features.append(extension)
 
     def find(self, kind: type[_E]) -> _E:
-        """Return the one of a type."""
         return next(each for each in self._all if isinstance(each, kind))
 
     def connected(self, features: Collection[str]) -> None:
@@ -107,7 +106,6 @@ class Extensions:
             each.tick()
 
     def removed(self, route: Route) -> None:
-        """End what a route was for: an operator of this side removes it."""
         for each in self._all:
             each.removed(route)
 
@@ -116,16 +114,13 @@ class Extensions:
         return next(each for each in self._all if each.purpose is purpose)
 
     def meter_of(self, route_id: int) -> Meter | None:
-        """Return what counts the bytes that arrive for a route, or None."""
         meters = (each.meter_of(route_id) for each in self._all)
         return next((each for each in meters if each is not None), None)
 
     def link_fields(self) -> dict[str, Any]:
-        """Return what features show of the link."""
         return {name: value for each in self._of_features for name, value in each.link_fields().items()}
 
     def route_fields(self, route: Route) -> dict[str, Any]:
-        """Return the features' values of a route."""
         return {name: value for each in self._of_features for name, value in each.route_fields(route).items()}
 
 

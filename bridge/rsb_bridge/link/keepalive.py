@@ -30,19 +30,16 @@ _ANSWERS, _ANSWERS_A_SECOND = 10, 4.0  # a peer pings once a second; after a pau
 
 
 class PingedLink(Protocol):
-    """The link whose connection is kept alive (`rsb_bridge.link.base_link.BaseLink`)."""
+    """The members of a link (`rsb_bridge.link.base_link.BaseLink`) whose connection is kept alive."""
 
     context: Context
 
     @property
-    def profile(self) -> LinkProfile:
-        """The profile of its network, which says how patient it is."""
+    def profile(self) -> LinkProfile: ...
 
-    def carriers(self) -> Collection[ChannelCarrier]:
-        """Return the present carriers of the connection's bytes."""
+    def carriers(self) -> Collection[ChannelCarrier]: ...
 
-    def silent(self) -> None:
-        """End the connection: nothing has come for as long as the patience lasts."""
+    def silent(self) -> None: ...
 
 
 class Keepalive:

@@ -46,18 +46,11 @@ _EARLY = 0.1
 
 
 class LinkTraffic(Extension):
-    """The bytes of a link, with all headers.
-
-    Attributes:
-        rx: bytes/s received.
-        tx: bytes/s sent.
-        rx_bytes: received over all connections, as of the last second.
-        tx_bytes: sent over all connections, as of the last second.
-    """
+    """The bytes of a link, with all headers: of all connections, and the rates of the present one."""
 
     def __init__(self, link: BaseLink) -> None:
         self._link = link
-        self.rx_bytes = self.tx_bytes = 0
+        self.rx_bytes = self.tx_bytes = 0  # received and sent, as of the last second
         self.connected()
 
     def connected(self) -> None:
@@ -67,8 +60,7 @@ class LinkTraffic(Extension):
 
     def tick(self) -> None:
         now, carriers = self._link.context.now(), self._link.carriers()
-        received = sum(each.received_bytes for each in carriers)
-        sent = sum(each.sent_bytes for each in carriers)
+        received, sent = sum(each.received_bytes for each in carriers), sum(each.sent_bytes for each in carriers)
         # The sums fall when a carrier closes.
         more_received, more_sent = max(0, received - self._received), max(0, sent - self._sent)
         self.rx.add(more_received, now)
@@ -170,11 +162,6 @@ class Link(BaseLink):
     """A peer, its routes and the link's features. It lives on while the peer is away.
 
     A part of it is an `Extension` that `__init__` registers; those of features come last.
-
-    Attributes:
-        proposed: the topics of this side's session, by name.
-        patterns: the same for patterns of names, and the names that the peer follows here.
-        topic_lists: questions of the two sides about their graphs.
     """
 
     path: PathWatch
@@ -250,8 +237,8 @@ class Link(BaseLink):
 
     def snapshot(self) -> LinkSnapshot:
         now = self.context.now()
-        traffic, keys, peer = self.traffic, self.keys, self.peer
-        clock = self.clock if self.linked else ClockOffset()  # figures of a dead connection are out of date
+        linked, traffic, peer = self.linked, self.traffic, self.peer
+        clock = self.clock if linked else ClockOffset()  # figures of a dead connection are out of date
         current_key, next_key = self.fingerprints
         fault = self.fault.now()
         return LinkSnapshot(
@@ -263,14 +250,14 @@ class Link(BaseLink):
             retry_in=self.status.retry_in(now),
             attempts=self.status.attempts,
             encrypted=self.encrypted,
-            cipher=keys.suite.name if keys and self.encrypted else "",
+            cipher=self.channels.session_keys.suite.name if linked and self.encrypted else "",
             fingerprint=current_key,
             next_fingerprint=next_key,
             rtt=clock.rtt,
             clock_offset=clock.offset,
             clock_uncertainty=clock.uncertainty,
-            rx_bytes_per_second=traffic.rx.rate if self.linked else 0.0,
-            tx_bytes_per_second=traffic.tx.rate if self.linked else 0.0,
+            rx_bytes_per_second=traffic.rx.rate if linked else 0.0,
+            tx_bytes_per_second=traffic.tx.rate if linked else 0.0,
             rx_bytes_total=traffic.rx_bytes,
             tx_bytes_total=traffic.tx_bytes,
             peer_version=peer.version if peer else "",
@@ -281,7 +268,7 @@ class Link(BaseLink):
             warning_since=fault.warning_since,
             capacity_out=self.fullness.sending.capacity,
             capacity_in=self.fullness.receiving.capacity,
-            loss_out=self.path.loss.share if self.linked else None,
+            loss_out=self.path.loss.share if linked else None,
             loss_in=self.path.into.lost,
             full_out=self.fullness.out,
             full_in=self.fullness.into,

@@ -16,17 +16,9 @@ if TYPE_CHECKING:
 
 
 class PresentFault(NamedTuple):
-    """A link's fault.
-
-    Attributes:
-        cause: of a link that is up or down.
-        warning: what is wrong with one that is up, for an operator, or an empty string.
-        warning_since: s since the epoch, or None without a warning.
-    """
-
-    cause: LinkCause
-    warning: str
-    warning_since: float | None
+    cause: LinkCause  # of a link that is up or down
+    warning: str  # what is wrong with one that is up, for an operator, or an empty string
+    warning_since: float | None  # s since the epoch, or None without a warning
 
 
 class LinkFault(Extension):

@@ -80,10 +80,13 @@ class Server:
         self._transport = context.transports.of_link(context.session.server_ip)
         self.datagrams = UdpDemultiplexer(self).received
         self._ports = Ports(context.session, context.transports, self)
-        self.entries = {entry.client.name: entry for entry in entries}
         self.links: dict[str, ServerLink] = {}
         for entry in entries:
-            self._add_link(entry)
+            self.add_client(entry)
+
+    @property
+    def entries(self) -> dict[str, ClientEntry]:
+        return {name: link.entry for name, link in self.links.items()}
 
     async def start(self) -> None:
         """Bind the shared port: its streams last, since clients link as soon as these are accepted.
@@ -157,21 +160,15 @@ class Server:
     # --- other clients than before
 
     def add_client(self, entry: ClientEntry) -> None:
-        self.entries[entry.client.name] = entry
-        self.refused_clients.forget(entry.client.name)
-        self._add_link(entry)
-
-    def _add_link(self, entry: ClientEntry) -> None:
         name = entry.client.name
+        self.refused_clients.forget(name)
         self.links[name] = ServerLink(self.context, entry, self._ports, DescriptorShare(name, self.links))
 
     def remove_client(self, name: str) -> None:
         """Stop accepting a client, and end its link."""
-        del self.entries[name]
         link = self.links.pop(name)
         self._expel(name, _SESSION_CHANGED)
-        if link.control is not None:
-            link.control.shut_down(f"the server no longer accepts {name}", retry_after=0.0)
+        link.end(f"the server no longer accepts {name}", retry_after=0.0)
         self.context.demands.unregister(link)
         link.destroy()
         for ends in self.context.internal.values():
@@ -180,7 +177,6 @@ class Server:
 
     def change_client(self, entry: ClientEntry) -> None:
         name = entry.client.name
-        self.entries[name] = entry
         self._expel(name, _SESSION_CHANGED)
         self.links[name].change_entry(entry)
 
@@ -205,10 +201,10 @@ class Server:
 
     def credential(self, name: str) -> Credential:
         """Return what a client by that name has to prove; raise Refusal if the name is unknown."""
-        entry = self.entries.get(name)
-        if entry is None:
+        link = self.links.get(name)
+        if link is None:
             raise Refusal(RefusalCode.UNKNOWN_NAME, f"unknown client name {name!r}")
-        return Credential(tuple(key.secret for key in entry.keys), self.links[name].replays)
+        return Credential(tuple(key.secret for key in link.entry.keys), link.replays)
 
     def _welcome(self, hello: Hello) -> Welcome:
         link = self.links[hello.name]
@@ -235,12 +231,8 @@ class Server:
         self.refused_clients.forget(link.name)
         if link.keeps_name_from(event.peer):  # since the handshake began
             raise Refusal(RefusalCode.NAME_TAKEN, link.name_taken())
-        if link.control is not None:
-            link.control.shut_down(
-                f"replaced: {link.name} at {link.address} by a newer connection from {stream.peer}",
-                retry_after=_REPLACED_PAUSE,
-                code=EventCode.LINK_REPLACED,
-            )
+        text = f"replaced: {link.name} at {link.address} by a newer connection from {stream.peer}"
+        link.end(text, retry_after=_REPLACED_PAUSE, code=EventCode.LINK_REPLACED)
         return link.accept(stream, connection, event)
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
@@ -256,7 +248,9 @@ class Server:
         """
         link = self.links.get(name)
         if link is None and code is RefusalCode.WRONG_VERSION:
-            at_host = [each for each in self.links.values() if each.was_at(stream.host)] or list(self.links.values())
+            at_host = [each for each in self.links.values() if each.seen_host == stream.host] or list(
+                self.links.values()
+            )
             link = at_host[0] if len(at_host) == 1 else None
         cause = CAUSES.get(code, LinkCause.REFUSED)
         if link is None or link.linked:
@@ -280,9 +274,8 @@ class Server:
         return f"rsb-console client add {shlex.quote(name)}, or {correct} in the robot's session"
 
     def _link_of(self, link_id: bytes) -> ServerLink | None:
-        return next(
-            (link for link in self.links.values() if link.keys is not None and link.keys.link_id == link_id), None
-        )
+        linked = (link for link in self.links.values() if link.linked)
+        return next((link for link in linked if link.channels.session_keys.link_id == link_id), None)
 
     def new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
         link = self._link_of(link_id)

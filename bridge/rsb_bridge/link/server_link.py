@@ -88,16 +88,11 @@ class PortDenied(Wording):
 
 @dataclass(frozen=True, slots=True)
 class ClientEntry:
-    """A client that the server accepts.
-
-    Attributes:
-        keys: valid keys, the next one last; empty without encryption.
-        use_name: whether the server prefixes its topics with its name.
-    """
+    """A client that the server accepts."""
 
     client: Client
-    keys: tuple[Key, ...]
-    use_name: bool
+    keys: tuple[Key, ...]  # valid ones, the next one last; empty without encryption
+    use_name: bool  # whether the server prefixes its topics with its name
     rights: Rights
 
     @property
@@ -135,13 +130,7 @@ class TopicPorts:
         self._users: dict[tuple[str, int], int] = {}
 
     def reserve(self, session: Session, transport: TransportTraits, port: int) -> Callable[[], None]:
-        """Count a port that the client asks for.
-
-        Args:
-            port: its number, or channel.
-
-        Returns:
-            A function to call once when the topic releases it.
+        """Count a port or channel that the client asks for, and return a function that a topic calls to release it.
 
         Raises:
             ListenError: the client may not have it, or has too many; the message names a remedy.
@@ -156,20 +145,17 @@ class TopicPorts:
         if key not in self._users and len(self._users) >= PORTS_PER_CLIENT:
             raise ListenError(PortDenied.TOO_MANY(client=self._client, limit=PORTS_PER_CLIENT))
         self._users[key] = self._users.get(key, 0) + 1
-        return lambda: self._release(key)
 
-    def _release(self, key: tuple[str, int]) -> None:
-        self._users[key] -= 1
-        if not self._users[key]:
-            del self._users[key]
+        def release() -> None:
+            self._users[key] -= 1
+            if not self._users[key]:
+                del self._users[key]
+
+        return release
 
 
 def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None:
-    """Check that a topic of any client may have this port.
-
-    Args:
-        domain: ROS domain of this side.
-        port: number of the port, or channel.
+    """Check that topics may have this port or channel; `domain` is this side's.
 
     Raises:
         ListenError: no topic may; the message names a remedy.
@@ -212,11 +198,7 @@ class DescriptorShare:
         return PortDenied.TOO_MANY_DESCRIPTORS(client=self._client, limit=limit, remedy=descriptors.MORE_DESCRIPTORS)
 
     def take(self) -> Callable[[], None]:
-        """Count one more.
-
-        Returns:
-            A function to call once when it is closed.
-        """
+        """Count one more, and return a function to call once when it is closed."""
         self.held += 1
         return self._give
 
@@ -308,10 +290,9 @@ class ServerLink(Link):
         self.descriptors = descriptors
         self._ports = ports
         self._topic_ports = TopicPorts(self.name)
-        self._seen_at = ""
-        self._seen_host = ""
-        self._seen_key = ""
-        self._refused_at: float | None = None  # s
+        self._seen_at = self.seen_host = ""  # where the client last was
+        self._seen_key = ""  # on the present connection
+        self._refused_at: float | None = None
         self._told = Duplicate()  # on the present connection
         self.shut_down_by: LinkShutdown | None = None
         self.handlers |= {Duplicate: self._on_duplicate, Shutdown: self._on_shutdown}
@@ -329,13 +310,9 @@ class ServerLink(Link):
         current, *following = self.entry.fingerprints
         return self._seen_key if self.linked else current, "".join(following)
 
-    def was_at(self, host: str) -> bool:
-        """Whether the client was last seen at that host."""
-        return host == self._seen_host
-
     def accept(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
         """Link with the client; see `up`."""
-        self._seen_at, self._seen_host = stream.peer, stream.host
+        self._seen_at, self.seen_host = stream.peer, stream.host
         self._seen_key = format_fingerprint(connection.fingerprint)
         self._told = Duplicate()
         control = self.up(stream, connection, event)
@@ -359,8 +336,8 @@ class ServerLink(Link):
     def shut_down_for(self, who: str) -> None:
         """End the link, and refuse the client until `readmit`."""
         self.shut_down_by = LinkShutdown(who, self.context.wall())
-        if self.control is not None:
-            self.control.shut_down(self.shut_down_by.refusal(), retry_after=None, code=EventCode.LINK_SHUT_DOWN)
+        if self.linked:
+            self.end(self.shut_down_by.refusal(), retry_after=None, code=EventCode.LINK_SHUT_DOWN)
             self._awaits_question()
         # After the link's end, which sets a reason of its own.
         self.status.down(LinkCause.SHUT_DOWN, self.shut_down_by.reason(self.context.session.name, self.name))
@@ -368,7 +345,7 @@ class ServerLink(Link):
 
     def asked(self, stream: Stream) -> None:
         """Record that the client has asked for a link, and was refused."""
-        self._seen_at, self._seen_host = stream.peer, stream.host
+        self._seen_at, self.seen_host = stream.peer, stream.host
         self.status.attempts += 1
         self._awaits_question()
 
@@ -385,7 +362,7 @@ class ServerLink(Link):
 
     def keeps_name_from(self, hello: Hello) -> bool:
         """Whether a client must not take the name over: another process has it, and is not silent."""
-        if self.control is None or not isinstance(self.peer, Hello) or hello.instance == self.peer.instance:
+        if not self.linked or not isinstance(self.peer, Hello) or hello.instance == self.peer.instance:
             return False
         return self.keepalive.quiet < _SILENT
 
@@ -399,7 +376,24 @@ class ServerLink(Link):
         if self.linked:
             self.fault.duplicates.tried(address, host, self.context.now(), self.context.wall())
 
-    def _look_at_network(self) -> None:
+    def tick(self) -> None:
+        super().tick()
+        now = self.context.now()
+        if not self.linked:
+            self._watch_router()
+            if self._refused_at is not None and now - self._refused_at > FORGOTTEN_AFTER:
+                self._refused_at = None
+                self.status.recall()
+        if self.status.retry_at is not None and now > self.status.retry_at + ASKED_EVERY:
+            self.status.retry_at = None  # it does not ask any more
+        news = self.fault.duplicates.news(now)
+        if self.linked and news != self._told:
+            if not news.address:
+                self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.fault.duplicates.ended_text(), link_status=True)
+            self._told = news
+            self.send(news)
+
+    def _watch_router(self) -> None:
         """Show the link as down while its network's router is lost."""
         problem, cause = self.transport.problem, self.status.cause
         if problem and cause is not LinkCause.SHUT_DOWN:
@@ -408,22 +402,6 @@ class ServerLink(Link):
             self.status.recall()
             if self.status.cause is LinkCause.ROUTER_LOST:  # it was the router that the link was lost with
                 self.status.down(LinkCause.LOST, "the router is back; waiting for the client")
-
-    def tick(self) -> None:
-        super().tick()
-        if not self.linked:
-            self._look_at_network()
-            if self._refused_at is not None and self.context.now() - self._refused_at > FORGOTTEN_AFTER:
-                self._refused_at = None
-                self.status.recall()
-        if self.status.retry_at is not None and self.context.now() > self.status.retry_at + ASKED_EVERY:
-            self.status.retry_at = None  # it does not ask any more
-        news = self.fault.duplicates.news(self.context.now())
-        if self.linked and news != self._told:
-            if not news.address:
-                self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.fault.duplicates.ended_text(), link_status=True)
-            self._told = news
-            self.send(news)
 
     def shared_port(self) -> int:
         return self.context.session.server_port
@@ -475,26 +453,21 @@ class ServerLink(Link):
         old, self.entry = self.entry, entry
         self.context.demands.changed()
         self.encrypted = bool(entry.keys)
-        if self.control is not None and not self.stays_valid(entry):
-            self.control.shut_down(f"the server has another key for {self.name} now", retry_after=0.0)
-        if old.use_name != entry.use_name:
-            self._rename_topics()
+        if not self.stays_valid(entry):
+            self.end(f"the server has another key for {self.name} now", retry_after=0.0)
+        if old.use_name != entry.use_name:  # all routes have other names on this side
+            self.end("use_name was changed on the server", retry_after=0.0)
+            own = self.listed_topics()
+            self.destroy_routes()
+            for topic in own:
+                if not topic.is_pattern:
+                    self.proposed.add(topic)
         self.table.rights_changed()
         self.patterns.renew()
 
     def stays_valid(self, entry: ClientEntry) -> bool:
         """Whether the key that the linked client has is valid with another entry of it."""
         return self._seen_key in entry.fingerprints
-
-    def _rename_topics(self) -> None:
-        """Reopen all routes under other names on this side."""
-        if self.control is not None:
-            self.control.shut_down("use_name was changed on the server", retry_after=0.0)
-        own = self.listed_topics()
-        self.destroy_routes()
-        for topic in own:
-            if not topic.is_pattern:
-                self.proposed.add(topic)
 
     async def prepare_port(self, route: Route) -> None:
         port, route_id, transport = route.proposal.port, route.id, route.transport
