@@ -13,14 +13,14 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.by_hand import ASKED_FOR
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
-from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, print_error, print_line
+from rsb_console.command.shell import FAILURE, print_error
 from rsb_console.command.target import (
     ANSWERED_WITHIN,
     all_chosen,
     attached,
     carried_out,
     chosen_route,
+    done,
     done_with,
     failed,
     result,
@@ -46,18 +46,14 @@ class ArmingNote(Wording):
     ASKED_FOR = "{who} asks for {topic}: Enter keeps it; without an answer it goes over in {seconds:g} s"
 
 
-def _standard_input() -> int:
-    """Return the descriptor of standard input, or one that is at its end if it is closed."""
-    try:
-        return sys.stdin.fileno()
-    except (AttributeError, OSError):  # a closed one, as of some services
-        return os.open(os.devnull, os.O_RDONLY)
-
-
 def arm_topic(arguments: Namespace) -> int:
-    """Arm a topic until this process ends in any way; then the bridge disarms it. Return the exit code."""
+    """Arm a topic until this process ends in any way; then the bridge disarms it."""
+    try:
+        typed = sys.stdin.fileno()
+    except (AttributeError, OSError):  # it is closed, as of some services
+        typed = os.open(os.devnull, os.O_RDONLY)
     # The console detaches first, which disarms: the terminal's last answer may take its time.
-    with TypedKeys(_standard_input(), os.environ) as keys, attached(arguments, expires=True) as engine:
+    with TypedKeys(typed, os.environ) as keys, attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
         arm = engine.take_arming if arguments.take else engine.ask_holder if arguments.ask else engine.arm
         _wait_alive(engine, arm(route.key, shared=True))  # shared with `rsb-console pub` in another shell
@@ -68,12 +64,7 @@ def arm_topic(arguments: Namespace) -> int:
 
 
 def _wait_alive(engine: RemoteEngine, arming: Future[None]) -> None:
-    """Wait for the end of an arming, and give signs of life: the question of a silent console ends.
-
-    Raises:
-        EngineError: it is not armed.
-        TimeoutError: the bridge does not answer.
-    """
+    """Wait for an arming as `result` does, and give signs of life: the question of a silent console ends."""
     deadline = time.monotonic() + ANSWERED_WITHIN
     while time.monotonic() < deadline:
         with contextlib.suppress(TimeoutError):
@@ -83,12 +74,10 @@ def _wait_alive(engine: RemoteEngine, arming: Future[None]) -> None:
 
 
 def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
-    if arguments.json:
-        print_line(json_line({"ok": True, "armed": True, "topic": route.topic, "link": route.link}))
-    else:
-        deadman = route.arming.deadman if route.arming is not None else 0.0
-        keys = f"press Enter within {deadman:g} s, again and again; " if deadman else ""
-        print_line(f"{route.topic} of {route.link} is ARMED: {keys}Ctrl-C disarms it")
+    deadman = route.arming.deadman if route.arming is not None else 0.0
+    keys = f"press Enter within {deadman:g} s, again and again; " if deadman else ""
+    text = f"{route.topic} of {route.link} is ARMED: {keys}Ctrl-C disarms it"
+    done(arguments, text, armed=True, topic=route.topic, link=route.link)
     sys.stdout.flush()
 
 
@@ -128,7 +117,6 @@ def _why_disarmed(engine: RemoteEngine, route: RouteSnapshot | None) -> tuple[st
 
 
 def disarm_topic(arguments: Namespace) -> int:
-    """Disarm all routes of a name. Return the exit code."""
     with attached(arguments) as engine:
         routes = all_chosen(engine, arguments)
         carried_out([engine.disarm(route.key) for route in routes])

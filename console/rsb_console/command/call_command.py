@@ -56,18 +56,16 @@ def call_service(arguments: Namespace) -> int:
         lane, began = _lane(route, arguments.lane), Clock.steady()
         text = response(engine, route, request, lane, arguments.timeout)
         report = answer_report(route, Clock.steady() - began)
-    if arguments.json:
-        goal = {"goal_id": text.splitlines()[0].removeprefix(_NEW_GOAL)} if text.startswith(_NEW_GOAL) else {}
-        landed = [{"ok": True, "report": report}]
-        answer = {**goal, "response": json_value(data_of(text)), "landed": landed}
-        if cut := _cut(route, text):
-            print_line(json_line({"ok": False, "error": cut, **answer}))
-            return FAILURE
-        print_line(json_line({"ok": True, **answer}))
-    else:
+    if not arguments.json:
         print_lines(text.removesuffix("\n"))
         print_error(escape_text(report))
-    return OK
+        return OK
+    goal = {"goal_id": text.splitlines()[0].removeprefix(_NEW_GOAL)} if text.startswith(_NEW_GOAL) else {}
+    answer = {**goal, "response": json_value(data_of(text)), "landed": [{"ok": True, "report": report}]}
+    if cut := _cut(route, text):
+        print_line(json_line({"ok": False, "error": cut, **answer}))
+        return FAILURE
+    return done(arguments, **answer)
 
 
 def _cut(route: RouteSnapshot, text: str) -> str:
@@ -78,21 +76,15 @@ def _cut(route: RouteSnapshot, text: str) -> str:
 
 
 def _lane(route: RouteSnapshot, lane: str) -> str:
-    """Return the name of the service of a route to call.
-
-    Raises:
-        UsageError: it has none of that name.
-    """
-    # A plain service has one lane, without a name.
+    """Return the name of the service of a route to call. A plain service has one lane, without a name."""
     if lane in (route.lanes or ("",)):
         return lane
     lanes = [each for each in route.lanes if each]
+    problem = CallProblem.LANE_UNKNOWN if lane else CallProblem.LANE_MISSING
     if not lanes:
-        raise UsageError(CallProblem.NO_LANES(topic=route.topic))
-    known = ", ".join(lanes)
-    if not lane:
-        raise UsageError(CallProblem.LANE_MISSING(topic=route.topic, lanes=known))
-    raise UsageError(CallProblem.LANE_UNKNOWN(topic=route.topic, lane=lane, hint=suggestion(lane, lanes), lanes=known))
+        problem = CallProblem.NO_LANES
+    hint = suggestion(lane, lanes)
+    raise UsageError(problem(topic=route.topic, lane=lane, hint=hint, lanes=", ".join(lanes)))
 
 
 def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str, timeout: float | None = None) -> str:
@@ -138,8 +130,10 @@ def _awaited(engine: RemoteEngine, route: RouteSnapshot, future: Future[str], ti
 
 def _state(engine: RemoteEngine, key: str, goal: str) -> str:
     """Return a goal's state as the bridge knows it."""
-    goals = [each for route in engine.snapshot().routes if route.key == key for each in route.goals]
-    return next((each.state for each in goals if each.id == goal), "unknown here") if goal else ""
+    if not goal:
+        return ""
+    goals = (each for route in engine.snapshot().routes if route.key == key for each in route.goals)
+    return next((each.state for each in goals if each.id == goal), "unknown here")
 
 
 def data_of(text: str) -> Any:
@@ -154,11 +148,7 @@ def data_of(text: str) -> Any:
 def list_parameters(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         names = names_of(engine, chosen_route(engine, arguments), whole=arguments.json)
-    if arguments.json:
-        return done(arguments, names=names)
-    for name in names:
-        print_line(name)
-    return OK
+    return done(arguments, *names, names=names)
 
 
 def get_parameter(arguments: Namespace) -> int:
@@ -166,13 +156,9 @@ def get_parameter(arguments: Namespace) -> int:
         route = chosen_route(engine, arguments)
         value = _values(engine, route, [arguments.parameter], whole=arguments.json)[0]
     if value is None:
-        return failed(
-            arguments, CallProblem.PARAMETER_MISSING(node=route.topic, parameter=arguments.parameter), FAILURE
-        )
-    if arguments.json:
-        return done(arguments, value=json_value(value))
-    print_line(inline(value))
-    return OK
+        problem = CallProblem.PARAMETER_MISSING(node=route.topic, parameter=arguments.parameter)
+        return failed(arguments, problem, FAILURE)
+    return done(arguments, inline(value), value=json_value(value))
 
 
 def set_parameter(arguments: Namespace) -> int:
@@ -187,11 +173,8 @@ def set_parameter(arguments: Namespace) -> int:
         route = chosen_route(engine, arguments)
         answer = response(engine, route, request.text, "set_parameters")
     if (why := refusal(answer)) is not None:
-        return failed(
-            arguments,
-            CallProblem.PARAMETER_REFUSED(node=route.topic, parameter=arguments.parameter, reason=why),
-            FAILURE,
-        )
+        problem = CallProblem.PARAMETER_REFUSED(node=route.topic, parameter=arguments.parameter, reason=why)
+        return failed(arguments, problem, FAILURE)
     said = f"set {escape_text(arguments.parameter)} of {escape_text(route.topic)}: {escape_text(request.meaning)}"
     made = {"parameter": arguments.parameter, "type": request.kind, "value": json_value(request.value)}
     return done(arguments, said, node=route.topic, **made)
@@ -215,14 +198,14 @@ def dump_parameters(arguments: Namespace) -> int:
 def describe_parameter(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
-        answer = _ask(engine, route, "describe_parameters", {"names": [arguments.parameter]})
+        request = dump_yaml({"names": [arguments.parameter]})
+        answer = _fields(route, response(engine, route, request, "describe_parameters"))
     # For an unknown name, a node in C++ answers with no descriptor, one in Python with an empty one.
     found = answer.get("descriptors") or [{"type": 0}]
     number = found[0]["type"]
     if not 1 <= number <= len(KINDS):
-        return failed(
-            arguments, CallProblem.PARAMETER_MISSING(node=route.topic, parameter=arguments.parameter), FAILURE
-        )
+        problem = CallProblem.PARAMETER_MISSING(node=route.topic, parameter=arguments.parameter)
+        return failed(arguments, problem, FAILURE)
     described = {**found[0], "type": KINDS[number - 1].name}
     if arguments.json:
         return done(arguments, descriptor=json_value(described))
@@ -239,16 +222,11 @@ def names_of(engine: RemoteEngine, route: RouteSnapshot, *, whole: bool = False)
 
 
 def _report_cut(route: RouteSnapshot, text: str, *, whole: bool) -> None:
-    """Print what an answer lacks.
-
-    Raises:
-        EngineError: it lacks something, and has to be `whole`.
-    """
-    if not (cut := _cut(route, text)):
-        return
-    if whole:
-        raise EngineError(cut)
-    print_error(cut)
+    """Report the parts of an answer that the bridge left out: as an error, or on standard error."""
+    if cut := _cut(route, text):
+        if whole:
+            raise EngineError(cut)
+        print_error(cut)
 
 
 def _values(engine: RemoteEngine, route: RouteSnapshot, names: list[str], *, whole: bool = False) -> list[Any]:
@@ -258,10 +236,6 @@ def _values(engine: RemoteEngine, route: RouteSnapshot, names: list[str], *, who
     values = _fields(route, text).get("values") or []
     # If one name is unknown, a node in C++ answers with no values at all.
     return [value_of(each) for each in values] + [None] * (len(names) - len(values))
-
-
-def _ask(engine: RemoteEngine, route: RouteSnapshot, lane: str, request: dict[str, Any]) -> dict[str, Any]:
-    return _fields(route, response(engine, route, dump_yaml(request) if request else "", lane))
 
 
 def _fields(route: RouteSnapshot, text: str) -> dict[str, Any]:

@@ -16,21 +16,21 @@ from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.feature import installed
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import AddClient, ChangeClient, RemoveClient
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
-from rsb_console.command.formatting import clock, json_line
-from rsb_console.command.shell import OK, print_error, print_line, print_lines
-from rsb_console.command.target import ANSWERED_WITHIN, Asking, NoBridgeError, UsageError, agreed, chosen_bridge
+from rsb_console.command.formatting import clock
+from rsb_console.command.shell import OK, print_error, print_lines
+from rsb_console.command.target import Asking, NoBridgeError, UsageError, agreed, chosen_bridge, done, result
 from rsb_console.session import client_files
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable, Sequence
-    from concurrent.futures import Future
+    from collections.abc import Sequence
 
-    from rsb_bridge.api import EngineApi
     from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.model.commands import Command
     from rsb_bridge.model.snapshot import Event, LinkSnapshot
     from rsb_console.session.client_files import ChangedFile
 
@@ -85,12 +85,12 @@ def add_client(arguments: Namespace) -> int:
         deny=_grants(arguments.deny),
     )
     changed = client_files.add_client(path, client)
-    told = _tell(arguments, path, lambda engine: engine.add_client(changed.client), lambda linked: ClientEffect.ADDED())
+    added = ClientEffect.ADDED()
+    told = _tell(arguments, path, AddClient(changed.client), added, added)
     return _handed_out(arguments, changed, told)
 
 
 def _grants(entries: list[str]) -> tuple[str | Grant, ...]:
-    """Parse the entries of `--allow` or `--deny`, which may be repeated."""
     try:
         return tuple(grant for entry in entries for grant in typed_grants(entry))
     except GrantError as error:
@@ -108,29 +108,20 @@ def rekey_client(arguments: Namespace) -> int:
         return _finish_rotation(arguments, path)
     client_files.check_address(arguments.name, arguments.address)
     changed = client_files.rekey_client(path, arguments.name)
-    told = _tell(
-        arguments,
-        path,
-        lambda engine: engine.change_client(changed.client),
-        lambda linked: (ClientEffect.REKEYED_LINK_CLOSED if linked else ClientEffect.REKEYED)(),
-    )
+    effects = ClientEffect.REKEYED(), ClientEffect.REKEYED_LINK_CLOSED()
+    told = _tell(arguments, path, ChangeClient(changed.client), *effects)
     return _handed_out(arguments, changed, told)
 
 
 def _begin_rotation(arguments: Namespace, path: Path) -> int:
     changed = client_files.begin_rotation(path, arguments.name)
-    told = _tell(
-        arguments,
-        path,
-        lambda engine: engine.change_client(changed.client),
-        lambda linked: (ClientEffect.BOTH_KEYS_LINK_STAYS if linked else ClientEffect.BOTH_KEYS)(),
-    )
+    effects = ClientEffect.BOTH_KEYS(), ClientEffect.BOTH_KEYS_LINK_STAYS()
+    told = _tell(arguments, path, ChangeClient(changed.client), *effects)
     key_file = changed.client.key_file or changed.file.session.key_file or ""
-    name = arguments.name
     steps = (
         f"copy the new key over the robot's: `scp -p {changed.key_path} USER@ROBOT:{Path(key_file).name}`",
         "on the robot: `rsb-console reload` (its link comes back at once)",
-        ClientEffect.STEP_FINISH(name=name),
+        ClientEffect.STEP_FINISH(name=arguments.name),
     )
     return _rotated(arguments, changed, told, "the next key", steps)
 
@@ -138,29 +129,20 @@ def _begin_rotation(arguments: Namespace, path: Path) -> int:
 def _finish_rotation(arguments: Namespace, path: Path) -> int:
     name = arguments.name
     link = _links(path, arguments.control).get(name)
-    # --yes does not help here: the robot that is linked now would be shut out.
-    if link is not None and link.state is State.OK and link.fingerprint != link.next_fingerprint:
-        raise EngineError(ClientCommandProblem.OLD_KEY_IN_USE(name=name, fingerprint=link.fingerprint))
-    linked = link is not None and link.state is State.OK
-    if not linked and not arguments.yes:
+    if link is not None and link.state is State.OK:
+        # --yes does not help here: the robot that is linked now would be shut out.
+        if link.fingerprint != link.next_fingerprint:
+            raise EngineError(ClientCommandProblem.OLD_KEY_IN_USE(name=name, fingerprint=link.fingerprint))
+    elif not arguments.yes:
         _ask_to_finish(arguments, path, name)
     changed = client_files.finish_rotation(path, name)
-    told = _tell(
-        arguments,
-        path,
-        lambda engine: engine.change_client(changed.client),
-        lambda linked: f"only the new key counts now, and {'the link stays' if linked else f'{name} needs it'}",
-    )
+    effects = f"{ClientEffect.REKEYED()}, and {name} needs it", f"{ClientEffect.REKEYED()}, and the link stays"
+    told = _tell(arguments, path, ChangeClient(changed.client), *effects)
     return _rotated(arguments, changed, told, "the key")
 
 
 def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
-    """Ask whether to end a rotation, unless the client used its new key when it was linked last.
-
-    Raises:
-        UsageError: nobody is there to ask.
-        EngineError: the operator does not want it.
-    """
+    """Ask whether to end a rotation, unless the client used its new key when it was linked last."""
     file = client_files.open_server(path)
     client = client_named(file.session, name)
     if client.next_key_file is None:
@@ -194,13 +176,10 @@ def _rotated(arguments: Namespace, changed: ChangedFile, told: str, what: str, s
     file, client, key_at, key = changed
     assert key is not None
     if arguments.json:
-        print_line(
-            json_line(
-                {"ok": True, "name": client.name, "session": str(file.path), "key_file": str(key_at),
-                 "fingerprint": fingerprint(key), "running": told or None}
-            )
+        return done(
+            arguments, name=client.name, session=str(file.path), key_file=str(key_at), fingerprint=fingerprint(key),
+            running=told or None,
         )  # fmt: skip
-        return OK
     print_error(f"{client.name}: {what} is in {key_at}, fingerprint {fingerprint(key)}")
     print_error(ClientEffect.SAVED(path=file.path, effect=told or ClientEffect.NOT_RUNNING()))
     for number, step in enumerate(steps, 1):
@@ -222,15 +201,10 @@ def show_client(arguments: Namespace) -> int:
 def remove_client(arguments: Namespace) -> int:
     path = _session_path(arguments)
     changed = client_files.remove_client(path, arguments.name)
-    told = _tell(
-        arguments,
-        path,
-        lambda engine: engine.remove_client(arguments.name),
-        lambda linked: (ClientEffect.REMOVED_LINK_CLOSED if linked else ClientEffect.REMOVED)(name=arguments.name),
-    )
+    effects = (each(name=arguments.name) for each in (ClientEffect.REMOVED, ClientEffect.REMOVED_LINK_CLOSED))
+    told = _tell(arguments, path, RemoveClient(arguments.name), *effects)
     if arguments.json:
-        print_line(json_line({"ok": True, "name": arguments.name, "running": told or None}))
-        return OK
+        return done(arguments, name=arguments.name, running=told or None)
     key_at = changed.key_path
     kept = f"; its key file {key_at} stays: remove it if nothing needs it" if key_at and is_there(key_at) else ""
     print_error(f"{path}: {arguments.name} is removed{kept}; {told or ClientEffect.NOT_RUNNING()}")
@@ -240,56 +214,51 @@ def remove_client(arguments: Namespace) -> int:
 def list_clients(arguments: Namespace) -> int:
     file = client_files.open_server(_session_path(arguments))
     links = _links(file.path, arguments.control)
-    rows = []
+    rows, lines = [], []
     for client in file.session.accepted_clients:
         key_at = client_files.key_path_of(file, client)
         key, problem = client_files.fingerprint_or_problem(key_at)
         places = client_files.key_places(file, client)
         following, of_following = client_files.fingerprint_or_problem(places[1] if places[1:] else None)
-        use_name = client.is_prefixed(file.session)
+        mark, next_mark = ("" if each is None else fingerprint(each) for each in (key, following))
+        state = links[client.name].state if client.name in links else ""
         rows.append(
             {
                 "name": client.name,
                 "key_file": None if key_at is None else str(key_at),
-                "fingerprint": "" if key is None else fingerprint(key),
+                "fingerprint": mark,
                 "next_key_file": None if len(places) < 2 else str(places[1]),
-                "next_fingerprint": "" if following is None else fingerprint(following),
+                "next_fingerprint": next_mark,
                 "problem": problem or (of_following if places[1:] else ""),
-                "use_name": use_name,
+                "use_name": client.is_prefixed(file.session),
                 "allow": msgspec.to_builtins(client.allow),
                 "deny": msgspec.to_builtins(client.deny),
                 "topics": [topic.topic for topic in client.topics],
-                "state": link.state if (link := links.get(client.name)) is not None else "",
+                "state": state,
             }
         )
-    if arguments.json:
-        print_line(json_line({"ok": True, "session": str(file.path), "clients": rows}))
-        return OK
-    for row in rows:
-        next_key = f", next {row['next_fingerprint']}" if row["next_fingerprint"] else ""
-        key_text = f"{row['fingerprint']}{next_key}" if row["fingerprint"] else row["problem"]
-        name = Path(str(row["key_file"])).name if row["key_file"] else "-"
-        state = str(row["state"]).upper() or "-"
-        print_line(f"{row['name']:<16} {state:<8} {name:<20} {key_text}")
-    return OK
+        keys = f"{mark}{f', next {next_mark}' if next_mark else ''}" if mark else problem
+        key_name = "-" if key_at is None else key_at.name
+        lines.append(f"{client.name:<16} {state.upper() or '-':<8} {key_name:<20} {keys}")
+    return done(arguments, *lines, session=str(file.path), clients=rows)
 
 
 # --- what they share
 
 
 def _session_path(arguments: Namespace) -> Path:
-    """Return the session file by its path, by the name of its bridge, or of the only server that runs here.
-
-    Raises:
-        UsageError: several files are possible.
-        NoBridgeError: no file is named, and no bridge runs.
-    """
+    """Return the session file by its path, by the name of its bridge, or of the only server that runs here."""
     if arguments.session is not None:
         path: Path = arguments.session
-        # A missing file is returned, too: opening it gives the reason.
-        return path if is_there(path) else _file_of(str(path)) or path
+        for each in () if is_there(path) else running_bridges():
+            if each.name == str(path) and each.info is not None and each.info.file:
+                return Path(each.info.file)
+        return path  # opening it gives the reason if it is missing
+    servers = []
+    if arguments.bridge is None and arguments.control is None:
+        servers = [each for each in running_bridges() if each.info is not None and each.info.role == "server"]
     try:
-        bridge = _only_server(arguments) or chosen_bridge(arguments)
+        bridge = servers[0] if len(servers) == 1 else chosen_bridge(arguments)
     except NoBridgeError as error:
         raise NoBridgeError(ClientCommandProblem.SESSION_UNKNOWN(problem=error)) from None
     if bridge.info is None or bridge.info.file is None:
@@ -297,50 +266,19 @@ def _session_path(arguments: Namespace) -> Path:
     return Path(bridge.info.file)
 
 
-def _file_of(name: str) -> Path | None:
-    """Return the session file of a running bridge, or None if no bridge of that name runs here."""
-    named = (each for each in running_bridges() if each.name == name and each.info is not None and each.info.file)
-    bridge = next(named, None)
-    return Path(bridge.info.file) if bridge is not None and bridge.info is not None and bridge.info.file else None
-
-
-def _only_server(arguments: Namespace) -> RunningBridge | None:
-    """Return the only server that runs here if the arguments name no bridge, or None."""
-    if arguments.bridge is not None or arguments.control is not None:
-        return None
-    servers = [each for each in running_bridges() if each.info is not None and each.info.role == "server"]
-    return servers[0] if len(servers) == 1 else None
-
-
 def _server_of(path: Path, control: Path | None) -> RunningBridge | None:
-    """Return the bridge on this machine that runs a session file, or None.
-
-    Raises:
-        ControlError: no bridge serves the given control socket.
-    """
+    """Return the bridge on this machine that runs a session file, or None."""
     if control is not None:
         return ask(control)
     files = ((each, each.info.file) for each in running_bridges() if each.info is not None)
     return next((each for each, file in files if file is not None and Path(file).resolve() == path.resolve()), None)
 
 
-def _tell(
-    arguments: Namespace,
-    path: Path,
-    command: Callable[[EngineApi], Future[None]],
-    done: Callable[[bool], str],
-) -> str:
+def _tell(arguments: Namespace, path: Path, command: Command[None], effect: str, effect_if_linked: str) -> str:
     """Apply a change that is saved already to the bridge that runs the session file.
 
-    Args:
-        arguments: command line with the client's name and perhaps the control socket.
-        done: describes the effect, given whether the client was linked.
-
     Returns:
-        The effect in words, or an empty string if no bridge runs the file.
-
-    Raises:
-        EngineError: the bridge refuses the command.
+        The effect in words, by whether the client was linked, or an empty string if no bridge runs the file.
     """
     bridge = _server_of(path, arguments.control)
     if bridge is None:
@@ -349,10 +287,10 @@ def _tell(
         with attach(bridge.path, read_only=False) as engine:
             links = engine.snapshot().links
             linked = any(link.name == arguments.name and link.state is State.OK for link in links)
-            command(engine).result(ANSWERED_WITHIN)
+            result(engine.do(command))
     except EngineError as error:
         raise EngineError(ClientCommandProblem.BRIDGE_REFUSES(path=path, reason=error, name=bridge.name)) from None
-    return f"{bridge.name} runs (pid {bridge.pid}): {done(linked)}"
+    return f"{bridge.name} runs (pid {bridge.pid}): {effect_if_linked if linked else effect}"
 
 
 def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
@@ -380,14 +318,10 @@ def _handed_out(arguments: Namespace, changed: ChangedFile, told: str) -> int:
     advice = client_files.copy_advice(client, key_at, output)
     mark = "" if key is None else fingerprint(key)
     if arguments.json:
-        print_line(
-            json_line(
-                {"ok": True, "name": client.name, "session": str(file.path),
-                 "key_file": None if key_at is None else str(key_at), "fingerprint": mark, "client_session": text,
-                 "output": None if output is None else str(output), "running": told or None}
-            )
+        return done(
+            arguments, name=client.name, session=str(file.path), key_file=None if key_at is None else str(key_at),
+            fingerprint=mark, client_session=text, output=None if output is None else str(output), running=told or None,
         )  # fmt: skip
-        return OK
     if output is None:
         print_lines(text.removesuffix("\n"))
     if key is not None:

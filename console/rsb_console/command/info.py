@@ -8,9 +8,8 @@ import msgspec
 
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.command.figures import measured
-from rsb_console.command.formatting import clock, json_line, link_word, links_of, route_of, without_peer
-from rsb_console.command.shell import OK, print_line
-from rsb_console.command.target import attached, chosen_route, other_side
+from rsb_console.command.formatting import clock, link_word, links_of, route_of, without_peer
+from rsb_console.command.target import attached, chosen_route, done, other_side
 from rsb_console.notation import formats
 
 if TYPE_CHECKING:
@@ -26,28 +25,22 @@ _MEASURED = 3.0
 
 
 def print_info(arguments: Namespace) -> int:
-    """Print the details of the route that the arguments name. Return the exit code."""
     with attached(arguments, read_only=True) as engine:
         route = chosen_route(engine, arguments)
         now = engine.snapshot()
-        link = next((each for each in now.links if each.name == route.link), None)
         if arguments.json:
-            of_links = links_of(now)
-            values = _values(route, now.time)
-            print_line(json_line({"ok": True, **values, "link_status": of_links.get(route.link)}))
-        else:
-            figures = measured(engine, route, _MEASURED) if _loses(route) else None
-            for line in _lines(route, link, other_side(engine, route.link), figures, now.time):
-                print_line(line)
-    return OK
-
-
-def _loses(route: RouteSnapshot) -> bool:
-    """Whether fewer messages arrive than are sent, so that the rate alone would mislead."""
-    return route.calls is None and route.outgoing and route.rate > 0 and route.ledger.dropped_total > 0
+            return done(arguments, **_values(route, now.time), link_status=links_of(now).get(route.link))
+        link = next((each for each in now.links if each.name == route.link), None)
+        # Where fewer messages arrive than are sent, the rate alone would mislead.
+        loses = route.calls is None and route.outgoing and route.rate > 0 and route.ledger.dropped_total > 0
+        figures = measured(engine, route, _MEASURED) if loses else None
+        return done(arguments, *_lines(route, link, other_side(engine, route.link), figures, now.time))
 
 
 def _values(route: RouteSnapshot, now: float) -> dict[str, object]:
+    limits = None
+    if route.limits is not None:
+        limits = {"linear": route.limits.linear, "angular": route.limits.angular, "limited_by": route.limited_by}
     return route_of(route) | {
         "type": route.type_name,
         "type_hash": route.type_hash,
@@ -57,7 +50,7 @@ def _values(route: RouteSnapshot, now: float) -> dict[str, object]:
         "port": route.port,
         "priority": route.spec.priority,
         "max_age": route.max_age or None,
-        "limits": _limits_values(route),
+        "limits": limits,
         "qos": _qos_values(route.qos),
         "publisher_qos": _qos_values(route.publisher_qos),
         "subscriber_qos": _qos_values(route.subscriber_qos),
@@ -72,12 +65,6 @@ def _values(route: RouteSnapshot, now: float) -> dict[str, object]:
         "last_error_at": round(route.last_error_at, 3) if route.last_error else None,
         "stages": [{"name": stage.name, "done": stage.done, "detail": stage.detail} for stage in route.stages],
     }
-
-
-def _limits_values(route: RouteSnapshot) -> object:
-    if route.limits is None:
-        return None
-    return {"linear": route.limits.linear, "angular": route.limits.angular, "limited_by": route.limited_by}
 
 
 def _qos_values(qos: Qos | None) -> object:
@@ -109,14 +96,12 @@ def _lines(
     yield f"Carried by: {', '.join(_carriers(route))}"
     if link is not None:
         yield f"Link: {', '.join(_link_parts(link))}"
-    yield from _ends(route) if is_topic else _provider(route)
+    yield from _ends(route)
     yield f"Rate: {_rate(route, figures, now)}"
     yield f"Bytes: {formats.byte_rate(route.bytes_per_second)}, {formats.byte_count(route.bytes_total)} in all"
-    if (latency := _latency(route)) is not None:
-        yield latency
+    yield from _latency(route)
     yield from _ledger(route)
-    missing = [stage for stage in route.stages if not stage.done]
-    if missing:
+    if missing := [stage for stage in route.stages if not stage.done]:
         detail = f": {missing[0].detail}" if missing[0].detail else ""
         yield f"Waits for: {missing[0].name}{detail}"
     if route.last_error:
@@ -149,24 +134,20 @@ def _link_parts(link: LinkSnapshot) -> Iterator[str]:
 
 def _ends(route: RouteSnapshot) -> Iterator[str]:
     here, there = "on this side", "on the other side"
-    ends = (
-        ("Publishers", here if route.outgoing else there, route.publishers, route.publisher_qos),
-        ("Subscribers", there if route.outgoing else here, route.subscribers, route.subscriber_qos),
-    )
-    for name, where, nodes, qos in ends:
-        yield f"{name} {where}: {', '.join(nodes) or ('none known' if qos is None else 'nodes not known')}"
+    source, sink = (here, there) if route.outgoing else (there, here)
+    if route.calls is not None:
+        yield f"Callers {source}: {', '.join(route.publishers) or 'none known'}"
+        yield f"Provider {sink} (the {route.spec.provider}'s): {', '.join(route.subscribers) or 'none known'}"
+        return
+    for name, nodes, verb, qos in (
+        (f"Publishers {source}", route.publishers, "offer", route.publisher_qos),
+        (f"Subscribers {sink}", route.subscribers, "ask for", route.subscriber_qos),
+    ):
+        yield f"{name}: {', '.join(nodes) or ('none known' if qos is None else 'nodes not known')}"
         if qos is not None:
-            verb = "offer" if name == "Publishers" else "ask for"
             yield f"  {verb} together: {' '.join(formats.qos_parts(qos, depth_known=False))}"
     if route.qos is not None:
         yield f"QoS of the bridge: {' '.join(formats.qos_parts(route.qos))}"
-
-
-def _provider(route: RouteSnapshot) -> Iterator[str]:
-    here, there = "on this side", "on the other side"
-    yield f"Callers {here if route.outgoing else there}: {', '.join(route.publishers) or 'none known'}"
-    provider = f"Provider {there if route.outgoing else here} (the {route.spec.provider}'s)"
-    yield f"{provider}: {', '.join(route.subscribers) or 'none known'}"
 
 
 def _rate(route: RouteSnapshot, figures: Figures | None, now: float) -> str:
@@ -181,16 +162,15 @@ def _rate(route: RouteSnapshot, figures: Figures | None, now: float) -> str:
     return text if (age := route.age(now)) is None else f"{text}, the last message {formats.age(age)} ago"
 
 
-def _latency(route: RouteSnapshot) -> str | None:
+def _latency(route: RouteSnapshot) -> Iterator[str]:
     if (calls := route.calls) is not None:
-        if calls.way_p50 is None or calls.node_p50 is None:
-            return None
-        return f"Latency: p50 {formats.span(calls.way_p50)} there and back, {formats.span(calls.node_p50)} in the node"
-    if route.latency_p50 is None or route.latency_p99 is None:
-        return None
-    p50, p99 = (formats.latency(each, route.latency_uncertainty) for each in (route.latency_p50, route.latency_p99))
-    error = "" if route.latency_uncertainty is None else f" ± {formats.span(route.latency_uncertainty)}"
-    return f"Latency: p50 {p50}, p99 {p99}{error}, one way, from bridge to bridge"
+        if calls.way_p50 is not None and calls.node_p50 is not None:
+            way, node = formats.span(calls.way_p50), formats.span(calls.node_p50)
+            yield f"Latency: p50 {way} there and back, {node} in the node"
+    elif route.latency_p50 is not None and route.latency_p99 is not None:
+        p50, p99 = (formats.latency(each, route.latency_uncertainty) for each in (route.latency_p50, route.latency_p99))
+        error = "" if route.latency_uncertainty is None else f" ± {formats.span(route.latency_uncertainty)}"
+        yield f"Latency: p50 {p50}, p99 {p99}{error}, one way, from bridge to bridge"
 
 
 def _ledger(route: RouteSnapshot) -> Iterator[str]:

@@ -8,8 +8,7 @@ from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
-from rsb_console.command.formatting import json_line, links_of, made_by, pattern_text, patterns_of, rate_text, route_of
-from rsb_console.command.shell import OK, print_line
+from rsb_console.command.formatting import links_of, made_by, pattern_text, patterns_of, rate_text, route_of
 from rsb_console.command.target import (
     UsageError,
     all_chosen,
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.model.snapshot import PatternSnapshot, RouteSnapshot, TopicInfo
 
-_DIRECTIONS = ("transmit", "receive")
-"""As the client sees it."""
+_DIRECTIONS = ("transmit", "receive")  # as the client sees it
+_NOT_SAVED = "; not saved (rsb-console save)"
 
 
 class TopicCommandProblem(Wording):
@@ -71,16 +70,11 @@ def print_topics(arguments: Namespace) -> int:
         if arguments.available:
             return _available(engine, arguments)
         now = engine.snapshot()
-        if arguments.json:
-            topics = [route_of(route) for route in now.routes]
-            print_line(json_line({"ok": True, "links": links_of(now), "topics": topics}))
-        for route in () if arguments.json else now.routes:
-            link = f"{route.link}: " if engine.bridge.role == "server" else ""
-            print_line(f"{link}{rate_text(route)}{made_by(route)}")
-        for pattern in () if arguments.json else patterns_of(now):
-            link = f"{pattern.link}: " if engine.bridge.role == "server" else ""
-            print_line(f"{link}{pattern_text(pattern)}")
-        return OK
+        found = [(route.link, f"{rate_text(route)}{made_by(route)}") for route in now.routes]
+        found += [(pattern.link, pattern_text(pattern)) for pattern in patterns_of(now)]
+        several = engine.bridge.role == "server"
+        lines = [f"{link}: {text}" if several else text for link, text in found]
+        return done(arguments, *lines, links=links_of(now), topics=[route_of(route) for route in now.routes])
 
 
 def _available(engine: RemoteEngine, arguments: Namespace) -> int:
@@ -88,20 +82,18 @@ def _available(engine: RemoteEngine, arguments: Namespace) -> int:
     for link in engine.snapshot().links:
         if link.state is State.OK:
             sides[other_side(engine, link.name)] = result(engine.topics(link.name))
-    found = [
-        {"side": side, "kind": info.kind, "topic": info.topic, "type": info.type_name,
-         "publishers": info.publishers, "subscriptions": info.subscriptions}
-        for side, infos in sides.items() for info in infos
-    ]  # fmt: skip
-    if arguments.json:
-        print_line(json_line({"ok": True, "available": found}))
-    for info in () if arguments.json else found:
-        ends = "publishers: {publishers}, subscriptions: {subscriptions}"
-        if info["kind"] != "topic":
-            ends = "providers: {publishers}, callers: {subscriptions}"
-        type_name = " {type}" if info["type"] else ""  # a node with parameters has none
-        print_line(f"{{side}}: {{kind}} {{topic}}{type_name}, {ends}".format(**info))
-    return OK
+    lines, available = [], []
+    for side, infos in sides.items():
+        for info in infos:
+            ends = ("publishers", "subscriptions") if info.kind == "topic" else ("providers", "callers")
+            type_name = f" {info.type_name}" if info.type_name else ""  # a node with parameters has none
+            counts = f"{ends[0]}: {info.publishers}, {ends[1]}: {info.subscriptions}"
+            lines.append(f"{side}: {info.kind} {info.topic}{type_name}, {counts}")
+            available.append(
+                {"side": side, "kind": info.kind, "topic": info.topic, "type": info.type_name,
+                 "publishers": info.publishers, "subscriptions": info.subscriptions}
+            )  # fmt: skip
+    return done(arguments, *lines, available=available)
 
 
 def remove_topic(arguments: Namespace) -> int:
@@ -116,19 +108,14 @@ def _changed(
     engine: RemoteEngine,
     arguments: Namespace,
     found: Sequence[RouteSnapshot | PatternSnapshot],
-    what: str,
+    effect: str,
     note: str = "",
     **results: object,
 ) -> int:
     """Report a change of the session as `done_with` does, and whether the session is saved."""
-    unsaved = engine.snapshot().unsaved
-    return done_with(arguments, found, what, note=f"{note}{_not_saved(engine)}", unsaved=unsaved, **results)
-
-
-def _not_saved(engine: RemoteEngine) -> str:
-    """Return the note on a session that differs from its file, or an empty string."""
-    # The state of after a change comes before its answer.
-    return "; not saved (rsb-console save)" if engine.snapshot().unsaved else ""
+    unsaved = engine.snapshot().unsaved  # a bridge sends its new state before its answer
+    note += _NOT_SAVED if unsaved else ""
+    return done_with(arguments, found, effect, note=note, unsaved=unsaved, **results)
 
 
 def pause_topic(arguments: Namespace, *, paused: bool = True) -> int:
@@ -156,13 +143,14 @@ def acknowledge(arguments: Namespace) -> int:
 
 
 def add_topic(arguments: Namespace) -> int:
-    """Bridge one more topic or service. Return the exit code."""
     kind: Kind = arguments.kind or "topic"
+    # The words may come in any order: a direction, and keys with values.
+    words = [*([] if arguments.direction is None else [arguments.direction]), *arguments.keys]
     values = {"topic": arguments.topic, "kind": kind}
     if kind == "topic":
-        values["direction"], keys = _direction_and_keys(arguments)
+        values["direction"], keys = _direction_and_keys(arguments, words)
     else:
-        keys = _provider_and_keys(arguments, kind)
+        keys = _provider_and_keys(arguments, kind, words)
     if (arguments.rate or arguments.size) and not arguments.dry_run:
         raise UsageError(TopicCommandProblem.RATE_WITHOUT_DRY_RUN(topic=arguments.topic))
     with attached(arguments) as engine:
@@ -176,13 +164,13 @@ def add_topic(arguments: Namespace) -> int:
         if arguments.dry_run:
             return _say_cost(arguments, topic, engine, arguments.link or links[0])
         key = result(engine.add_topic(topic, arguments.link))
+        unsaved = engine.snapshot().unsaved
         side = other_side(engine, arguments.link or links[0])
-        text = f"added: {described(topic)}, with {side}{_not_saved(engine)}"
-        return done(arguments, text, key=key, unsaved=engine.snapshot().unsaved)
+        text = f"added: {described(topic)}, with {side}{_NOT_SAVED if unsaved else ''}"
+        return done(arguments, text, key=key, unsaved=unsaved)
 
 
 def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: str) -> int:
-    """Print the cost of a topic. Return the exit code."""
     if topic.kind != "topic":
         raise UsageError(f"add {topic.topic}: --dry-run is for topics only; calls go first and have no budget")
     now = engine.snapshot()
@@ -192,15 +180,10 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
     found = result(engine.topics(None if sends_here else link))
     type_name = next((info.type_name for info in found if info.topic in names), "")
     cost = cost_of(now, link, topic, type_name=type_name, rate=arguments.rate, size=arguments.size)
-    if arguments.json:
-        return done(arguments, cost=as_report(cost))
-    for line in describe_cost(cost, now.time):
-        print_line(line)
-    return OK
+    return done(arguments, *describe_cost(cost, now.time), cost=as_report(cost))
 
 
 def edit_topic(arguments: Namespace) -> int:
-    """Change a bridged topic or service. Return the exit code."""
     with attached(arguments, expires=True) as engine:
         route = chosen(engine, arguments)
         if not arguments.keys:
@@ -211,13 +194,7 @@ def edit_topic(arguments: Namespace) -> int:
         return _changed(engine, arguments, [route], what, key=key)
 
 
-def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
-    """Return the direction of a topic to be added, and its keys and values, given in any order.
-
-    Raises:
-        UsageError: the direction is missing, or is none.
-    """
-    words = _words(arguments)
+def _direction_and_keys(arguments: Namespace, words: list[str]) -> tuple[str, list[str]]:
     given = next((word for word in words if "=" not in word), None)
     if given in _DIRECTIONS and arguments.provider is None:
         words.remove(given)
@@ -230,13 +207,7 @@ def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
     raise UsageError(TopicCommandProblem.DIRECTION_UNKNOWN(topic=arguments.topic, word=given, hint=hint))
 
 
-def _provider_and_keys(arguments: Namespace, kind: Kind) -> list[str]:
-    """Return the keys and values of a service, an action or parameters, with the provider.
-
-    Raises:
-        UsageError: there is a direction instead, or no provider.
-    """
-    words = _words(arguments)
+def _provider_and_keys(arguments: Namespace, kind: Kind, words: list[str]) -> list[str]:
     if arguments.provider is not None:
         words = [f"provider={arguments.provider}", *words]
     given = next((word for word in words if "=" not in word), None)
@@ -247,16 +218,7 @@ def _provider_and_keys(arguments: Namespace, kind: Kind) -> list[str]:
     raise UsageError(TopicCommandProblem.KEY_WITHOUT_VALUE(topic=arguments.topic, word=given, kind=kind))
 
 
-def _words(arguments: Namespace) -> list[str]:
-    return [*([] if arguments.direction is None else [arguments.direction]), *arguments.keys]
-
-
 def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replaced: Topic | None) -> Topic:
-    """Build a topic from given values and the keys of the command line.
-
-    Raises:
-        UsageError: the topic is invalid.
-    """
     try:
         return typed_topic(values, keys, engine.session, replaced)
     except TypedError as error:

@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import PatternSnapshot
 
 ANSWERED_WITHIN = 60.0
@@ -131,13 +130,7 @@ def failed(arguments: Namespace, message: str, code: int, **more: str) -> int:
 
 
 def chosen_bridge(arguments: Namespace) -> RunningBridge:
-    """Return the bridge that the arguments name.
-
-    Raises:
-        NoBridgeError: none does.
-        UsageError: several do.
-        ControlError: the socket that they name has none.
-    """
+    """Return the bridge that the arguments name; raises as `what_to_attach`."""
     name, path = arguments.bridge, arguments.control
     if path is not None:
         return _answering(ask(path))
@@ -187,7 +180,7 @@ def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = F
 
 
 def fields_from(text: str) -> str:
-    """Return fields in YAML that an argument gives, or standard input, whose end this awaits."""
+    """Return the fields in YAML that an argument gives, read from standard input if it is ``-``."""
     if text != "-":
         return text
     # This reads one character too many: the bridge refuses a text that is too long, but a cut one could be valid.
@@ -198,30 +191,19 @@ def fields_from(text: str) -> str:
 
 
 def result(future: Future[T]) -> T:
-    """Wait for the result of a command.
-
-    Raises:
-        EngineError: the bridge refuses it.
-        TimeoutError: the bridge does not answer.
-    """
+    """Wait for the result of a command. Raise EngineError if the bridge refuses it, TimeoutError if it is silent."""
     return future.result(ANSWERED_WITHIN)
 
 
-def done(arguments: Namespace, said: str = "", **results: object) -> int:
-    """Report success: `said` to people, unless it is empty, and the results to programs."""
-    if arguments.json:
-        print_line(json_line({"ok": True, **results}))
-    elif said:
-        print_line(said)
+def done(arguments: Namespace, *lines: str, **results: object) -> int:
+    """Report success: the lines to people, the results to programs. Return the exit code."""
+    for line in [json_line({"ok": True, **results})] if arguments.json else lines:
+        print_line(line)
     return OK
 
 
 def agreed(question: str) -> bool:
-    """Whether an operator answers yes.
-
-    Raises:
-        UsageError: nobody is there to ask.
-    """
+    """Return whether an operator answers yes. Raise UsageError if nobody is there to ask."""
     if not sys.stdin.isatty():
         raise UsageError(Asking.NOBODY())
     # Lines that were typed ahead are for something else. Not every input that calls itself a terminal can be flushed.
@@ -241,16 +223,11 @@ def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
     routes = _routes_meant(engine, arguments)
     if len(routes) == 1:
         return routes[0]
-    which = "; ".join(_which(route, routes) for route in routes)
-    raise UsageError(RouteChoice.SEVERAL(topic=arguments.topic, count=len(routes), options=which))
+    options = "; ".join(_which(route, routes) for route in routes)
+    raise UsageError(RouteChoice.SEVERAL(topic=arguments.topic, count=len(routes), options=options))
 
 
 def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnapshot]:
-    """Return the routes that the arguments name, on all links, at least one.
-
-    Raises:
-        UsageError: none does.
-    """
     check_link(engine, arguments.link)
     kinds = arguments.kinds if arguments.kind is None else (arguments.kind,)
     now = engine.snapshot()
@@ -261,18 +238,17 @@ def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnaps
         and arguments.direction in (None, route.spec.direction)
         and arguments.remote in (None, route.remote_topic)
     ]
-    routes = named([route for route in meant if route.spec.kind in kinds], arguments.topic)
-    if routes:
+    if routes := named([route for route in meant if route.spec.kind in kinds], arguments.topic):
         return routes
     if others := named(meant, arguments.topic):
-        only = join_first(sorted({A_KIND[route.spec.kind] for route in others}), len(A_KIND))
-        raise UsageError(RouteChoice.OF_ANOTHER_KIND(topic=arguments.topic, actual=only, wanted=_either(kinds)))
+        actual = join_first(sorted({A_KIND[route.spec.kind] for route in others}), len(A_KIND))
+        wanted = " or ".join(A_KIND[kind] for kind in kinds)
+        raise UsageError(RouteChoice.OF_ANOTHER_KIND(topic=arguments.topic, actual=actual, wanted=wanted))
     known = [route.topic for route in now.routes if route.spec.kind in kinds]
     raise UsageError(RouteChoice.NOT_BRIDGED(topic=arguments.topic, hint=suggestion(arguments.topic, known)))
 
 
 def other_side(engine: RemoteEngine, link: str) -> str:
-    """Return the name of a link's other side."""
     return other_side_of(engine.bridge.role, link)
 
 
@@ -292,22 +268,16 @@ def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | Patter
 
 
 def all_chosen(engine: RemoteEngine, arguments: Namespace) -> Sequence[RouteSnapshot | PatternSnapshot]:
-    """Return every route of the name that the arguments give, of all links, or every such pattern.
+    """Return every route of the name that the arguments give, of all links, or every such pattern: at least one.
 
     Raises:
         UsageError: no route or pattern has the name.
     """
-    meant = _patterns_meant if is_pattern(arguments.topic) else _routes_meant
-    return meant(engine, arguments)
+    return (_patterns_meant if is_pattern(arguments.topic) else _routes_meant)(engine, arguments)
 
 
 def carried_out(commands: Iterable[Future[None]]) -> None:
-    """Wait for the results of several commands.
-
-    Raises:
-        EngineError: one of them is refused.
-        TimeoutError: one of them is not answered.
-    """
+    """Wait for the results of several commands, as `result` does for one."""
     failures: list[Exception] = []
     for command in commands:
         try:
@@ -315,26 +285,19 @@ def carried_out(commands: Iterable[Future[None]]) -> None:
         except (EngineError, TimeoutError) as error:
             failures.append(error)
     # An error raised earlier would detach from the bridge before the other commands are answered.
-    for failure in failures:
-        raise failure
+    if failures:
+        raise failures[0]
 
 
 def done_with(
     arguments: Namespace,
     found: Sequence[RouteSnapshot | PatternSnapshot],
-    what: str,
+    effect: str,
     *,
     note: str = "",
     **results: object,
 ) -> int:
-    """Report a command on all routes of a name.
-
-    Args:
-        what: the command's effect, in words.
-        note: comes after it, on each line.
-        results: of the command, for programs.
-    """
-    several = len(found) > 1
+    """Report a command on all routes of a name: to people a line each, of its effect and a note."""
     routes = [
         {
             "link": each.link,
@@ -344,18 +307,14 @@ def done_with(
         }
         for each in found
     ]
-    for each in () if arguments.json else routes:
+    lines = []
+    for each in routes:
         there = f", {each['remote_topic']} there" if each["remote_topic"] else ""
-        print_line(f"{what}: {arguments.topic} of {each['link']} ({each['direction']}{there}){note}")
-    return done(arguments, "", **results | ({"routes": routes} if several else {}))
+        lines.append(f"{effect}: {arguments.topic} of {each['link']} ({each['direction']}{there}){note}")
+    return done(arguments, *lines, **results | ({"routes": routes} if len(routes) > 1 else {}))
 
 
 def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternSnapshot]:
-    """Return the patterns that the arguments name, at least one.
-
-    Raises:
-        UsageError: none does.
-    """
     check_link(engine, arguments.link)
     kinds = arguments.kinds if arguments.kind is None else (arguments.kind,)
     known = [
@@ -365,8 +324,7 @@ def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternS
         if pattern.spec.kind in kinds and arguments.link in ("", link.name)
     ]
     meant = [each for each in known if each.spec.topic == arguments.topic]
-    found = [each for each in meant if arguments.direction in (None, each.spec.direction)]
-    if found:
+    if found := [each for each in meant if arguments.direction in (None, each.spec.direction)]:
         return found
     names = [each.spec.topic for each in known]
     raise UsageError(f"there is no pattern {arguments.topic}{suggestion(arguments.topic, names)}")
@@ -383,10 +341,6 @@ def _which(route: RouteSnapshot, others: Sequence[RouteSnapshot]) -> str:
     return f"--link {shlex.quote(route.link)} --direction {route.spec.direction}{kind}{there}"
 
 
-def _either(kinds: Iterable[Kind]) -> str:
-    return " or ".join(A_KIND[kind] for kind in kinds)
-
-
 def named(routes: Iterable[RouteSnapshot], topic: str) -> list[RouteSnapshot]:
     """Return the routes of a topic, by its name on the bridge's own side, otherwise by the client's name for it."""
     found = list(routes)
@@ -394,11 +348,7 @@ def named(routes: Iterable[RouteSnapshot], topic: str) -> list[RouteSnapshot]:
 
 
 def check_link(engine: RemoteEngine, name: str) -> None:
-    """Check that the bridge has a link of a name; an empty one names none.
-
-    Raises:
-        UsageError: it has not.
-    """
+    """Raise UsageError if the bridge has no link of that name; an empty name is none."""
     known = [link.name for link in engine.snapshot().links]
     if name and name not in known:
         raise UsageError(RouteChoice.UNKNOWN_LINK(bridge=engine.name, name=name, known=", ".join(known) or "none"))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot
 
 _LOOK_EVERY = 0.1  # s. A round figure: a command takes so much longer at most
 _EVENTS_WITHIN = 10.0
@@ -54,33 +54,26 @@ def print_messages(arguments: Namespace) -> int:
         route = chosen_route(engine, arguments)
         if echo(engine, route, arguments):
             return OK
-        why = f": {route.reason}" if (route := chosen_route(engine, arguments)).reason else ""
-    return failed(
-        arguments,
-        WatchingProblem.NO_MORE_MESSAGES(topic=arguments.topic, seconds=arguments.timeout, reason=why),
-        FAILURE,
-    )
+        reason = chosen_route(engine, arguments).reason
+    why = f": {reason}" if reason else ""
+    problem = WatchingProblem.NO_MORE_MESSAGES(topic=arguments.topic, seconds=arguments.timeout, reason=why)
+    return failed(arguments, problem, FAILURE)
 
 
 def wait_until(arguments: Namespace) -> int:
-    """Wait, and print the result. Return the exit code."""
     holds = _condition(arguments.wanted)
     began = time.monotonic()
     deadline = float("inf") if arguments.timeout is None else began + arguments.timeout
     with attached(arguments, read_only=True) as engine:
         _refuse_what_cannot_be(engine, arguments.wanted)
-        while not (held := holds(engine)):
-            if time.monotonic() >= deadline:
-                break
+        while not (held := holds(engine)) and time.monotonic() < deadline:
             time.sleep(_LOOK_EVERY)
         reason = "" if held else _why_not(engine, arguments.wanted)
     if held:
         return done(arguments, seconds=round(time.monotonic() - began, 3))
-    return failed(
-        arguments,
-        WatchingProblem.NOT_REACHED(condition=" ".join(arguments.wanted), seconds=arguments.timeout, reason=reason),
-        FAILURE,
-    )
+    condition = " ".join(arguments.wanted)
+    problem = WatchingProblem.NOT_REACHED(condition=condition, seconds=arguments.timeout, reason=reason)
+    return failed(arguments, problem, FAILURE)
 
 
 def _condition(wanted: list[str]) -> Callable[[RemoteEngine], bool]:
@@ -97,13 +90,10 @@ def _condition(wanted: list[str]) -> Callable[[RemoteEngine], bool]:
 
 
 def _refuse_what_cannot_be(engine: RemoteEngine, wanted: list[str]) -> None:
-    """Refuse a name that this bridge does not know and that no client can add.
+    """Raise UsageError for a name that this bridge does not know and that no client can add.
 
     A client knows its topics from the start, and a server its clients; but a server learns a client's topics when they
     link, so there a topic may yet come.
-
-    Raises:
-        UsageError: the wait could never end.
     """
     now = engine.snapshot()
     match wanted:
@@ -122,14 +112,11 @@ def _flows(engine: RemoteEngine, topic: str) -> bool:
 
 
 def _carries(route: RouteSnapshot) -> bool:
+    passed = {stage.name for stage in route.stages if stage.done}
     if route.spec.kind == "topic":
         # An earlier process may have delivered the messages that the far side keeps of a latched topic.
-        return route.state.flows and (route.ledger.delivered > 0 or _has_passed(route, "published"))
-    return _has_passed(route, "offered")
-
-
-def _has_passed(route: RouteSnapshot, name: str) -> bool:
-    return any(stage.name == name and stage.done for stage in route.stages)
+        return route.state.flows and (route.ledger.delivered > 0 or "published" in passed)
+    return "offered" in passed
 
 
 def _why_not(engine: RemoteEngine, wanted: list[str]) -> str:
@@ -137,15 +124,11 @@ def _why_not(engine: RemoteEngine, wanted: list[str]) -> str:
     reasons = [engine.unreachable]
     if wanted[0] == "flowing":
         routes = named(now.routes, wanted[1])
-        reasons += [rate_text(route) for route in routes] or [_not_bridged(now, wanted[1])]
+        hint = suggestion(wanted[1], [route.topic for route in now.routes])
+        problem = WatchingProblem.NOT_BROUGHT if now.role == "server" else RouteChoice.NOT_BRIDGED
+        reasons += [rate_text(route) for route in routes] or [problem(topic=wanted[1], hint=hint)]
     if wanted[0] == "linked":
         meant = [link for link in now.links if link.name in wanted[1:] or not wanted[1:]]
         reasons += [f"{link.name}: {link.reason}" for link in meant if link.state is not State.OK]
-    found = [reason for reason in reasons if reason]
-    return f": {'; '.join(found)}" if found else ""
-
-
-def _not_bridged(now: Snapshot, topic: str) -> str:
-    hint = suggestion(topic, [route.topic for route in now.routes])
-    problem = WatchingProblem.NOT_BROUGHT if now.role == "server" else RouteChoice.NOT_BRIDGED
-    return problem(topic=topic, hint=hint)
+    found = "; ".join(filter(None, reasons))
+    return f": {found}" if found else ""
