@@ -1,4 +1,4 @@
-"""Parsers for the values of options. argparse prints the option's name before their messages."""
+"""Parsers for the values of options. They raise argparse.ArgumentTypeError; argparse prints the option's name first."""
 
 from __future__ import annotations
 
@@ -20,20 +20,11 @@ class ValueProblem(Wording):
 
 
 def seconds(text: str) -> float:
-    """Parse a time.
-
-    Raises:
-        argparse.ArgumentTypeError: it is not a number above 0.
-    """
     return above_0(text, "number of seconds")
 
 
 def above_0(text: str, noun: str = "number") -> float:
-    """Parse a figure, whose `noun` is for the message.
-
-    Raises:
-        argparse.ArgumentTypeError: it is not a number above 0.
-    """
+    """Parse a number above 0, whose `noun` is for the message."""
     parsed = _number(text)
     if not 0 < parsed < float("inf"):
         raise argparse.ArgumentTypeError(ValueProblem.NOT_ABOVE_0(text=text, noun=noun))
@@ -53,11 +44,7 @@ def within(least: float, most: float) -> Callable[[str], float]:
 
 
 def timeout(text: str) -> float:
-    """Parse a timeout; 0 means a single check.
-
-    Raises:
-        argparse.ArgumentTypeError: it is not a number from 0 on.
-    """
+    """Parse a timeout (s); 0 means a single check."""
     parsed = _number(text)
     # `Future.result` raises an OverflowError for infinity.
     if not 0 <= parsed < float("inf"):
@@ -66,11 +53,7 @@ def timeout(text: str) -> float:
 
 
 def count(text: str) -> int:
-    """Parse a number of messages.
-
-    Raises:
-        argparse.ArgumentTypeError: it is not a whole number above 0.
-    """
+    """Parse a number of messages, at least one."""
     try:
         parsed = int(text)
     except ValueError:
@@ -81,11 +64,7 @@ def count(text: str) -> int:
 
 
 def window_seconds(text: str) -> int:
-    """Parse a time span for which the engine keeps counts of each second.
-
-    Raises:
-        argparse.ArgumentTypeError: it is not a whole number from 1 to 120.
-    """
+    """Parse a time span (s) for which the engine keeps counts of each second: 1 to 120."""
     # `isdigit` takes ², too, which `int` refuses, as it refuses more than 4,300 digits.
     if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:4]) <= _REMEMBERED:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of seconds from 1 to {_REMEMBERED}")

@@ -49,23 +49,14 @@ def add_bridge_commands(command: AddCommand, complete: Complete) -> None:
     console_options(attach, complete)
     remote = partial(bridge_command, command, complete)
     remote("status", "status:print_status", "show how a running bridge, its links and its topics are", _EXIT_STATUS)
-    retry = remote(
-        "retry", "bridge_commands:retry_links", "connect now instead of later, and open refused topics again"
-    )
+    summary = "connect now instead of later, and open refused topics again"
+    retry = remote("retry", "bridge_commands:retry_links", summary)
     complete(retry.add_argument("--link", default="", metavar="CLIENT", help="the link with this client only"), "links")
     remote("restart", "bridge_commands:restart_links", "close the links on both sides and open them again")
-    reload = remote(
-        "reload",
-        "bridge_commands:reload_session",
-        "read the session file again, and change only what differs",
-        _EXIT_RELOAD,
-    )
+    summary = "read the session file again, and change only what differs"
+    reload = remote("reload", "bridge_commands:reload_session", summary, _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
     drop_arm_option(reload, "also drop the demands to arm that the file does not make any more; otherwise they stay")
-    remote(
-        "save",
-        "bridge_commands:save_session",
-        "save the running session to its file, with the file's comments",
-        _EXIT_SAVE,
-    )
+    summary = "save the running session to its file, with the file's comments"
+    remote("save", "bridge_commands:save_session", summary, _EXIT_SAVE)
     remote("stop", "bridge_commands:stop_bridge", "end a running bridge, and wait until it has ended")

@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_console.command.argument_values import seconds
-from rsb_console.command.remote_arguments import KINDS, NO_BRIDGE, bridge_options, route_arguments, subcommand
+from rsb_console.command.remote_arguments import (
+    KINDS,
+    NO_BRIDGE,
+    bridge_options,
+    route_arguments,
+    route_command,
+    subcommand,
+)
 
 if TYPE_CHECKING:
     from rsb_console.command.remote_arguments import AddCommand, Complete
@@ -38,27 +45,16 @@ exit codes:
 
 def add_call_commands(command: AddCommand, complete: Complete) -> None:
     """Add `call`, and `param` with its own commands."""
-    call = command(
-        "call",
-        subcommand("call_command:call_service"),
-        "call a bridged service once, and print its response as YAML",
-        _CALL,
-    )
-    bridge_options(call, complete)
-    route_arguments(call, complete, kinds=KINDS[1:])
-    call.add_argument(
-        "request", metavar="YAML", nargs="?", default="", help="the request's fields; -: read them from standard input"
-    )
+    summary = "call a bridged service once, and print its response as YAML"
+    call = route_command(command, complete, "call", "call_command:call_service", summary, _CALL, kinds=KINDS[1:])
+    fields = "the request's fields; -: read them from standard input"
+    call.add_argument("request", metavar="YAML", nargs="?", default="", help=fields)
     lanes = "for an action: send_goal, cancel_goal, get_result; for parameters: set_parameters, ..."
     complete(call.add_argument("--lane", default="", metavar="SERVICE", help=lanes), "lanes")
     limit = "give up after this time; default: the route's timeout; for get_result, until the goal is over"
     call.add_argument("--timeout", type=seconds, metavar="SECONDS", help=limit)
-    parent = command(
-        "param",
-        subcommand("call_command:list_parameters"),
-        "read and set the parameters of a bridged node",
-        _PARAM,
-    )
+    summary = "read and set the parameters of a bridged node"
+    parent = command("param", subcommand("call_command:list_parameters"), summary, _PARAM)
     commands = parent.add_subparsers(metavar="COMMAND", required=True)
     words: tuple[str, ...]
     for name, function, summary, words in (

@@ -85,16 +85,19 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     Args:
         places: places in its file that demand arming, by the keys of the lines.
     """
-    demands = Demands(sources_of(session))
+    demands, places = Demands(sources_of(session)), places or {}
     place = of_link(session.server_ip).place(session)
     yield f"{session.role} {session.name} {place}, {_domain(session)}"
-    yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
+    prefix = _prefix_of(session.name if session.clients is None else "<name>", use_name=session.use_name)
+    if session.role == "client" and not session.use_name:
+        prefix = SessionCheckText.PREFIX_IF_USED(name=session.name)
+    yield f"encryption {'on' if session.use_encryption else 'OFF'}, {prefix}"
     if session.profile is not None:
         yield f"profile {session.profile}: {profile_text(PROFILES[session.profile])}"
     for feature in installed():
         yield from feature.effects(session)
     for topic in session.topics:
-        demanded = _demands_on(topic, session, None, demands, places or {})
+        demanded = _demands_on(topic, session, None, demands, places)
         yield f"  {_route(topic, session, profile_of(session.profile))}{demanded}"
     for client in session.listed_clients:
         allowed, denied = _grants(client.allow) or "everything", _grants(client.deny)
@@ -103,20 +106,20 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
         if client.profile is not None:
             yield f"    profile {client.profile}: {profile_text(PROFILES[client.profile])}"
         for topic in client.topics:
-            demanded = _demands_on(topic, session, client, demands, places or {})
+            demanded = _demands_on(topic, session, client, demands, places)
             yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}{demanded}"
     if session.role == "server" and session.clients is None:
         yield f"  accepts {session.name}: everything"
     if session.clients == ():
         yield "  accepts nobody yet: `rsb-console client add NAME` adds a client"
     for source in filter(lambda each: each.arm, demands.sources):
-        yield f"  requires arming on all its routes: {_demanded(source, places or {})}"
+        yield f"  requires arming on all its routes: {_demanded(source, places)}"
 
 
 def _demands_on(
     topic: Topic, session: Session, client: Client | None, demands: Demands, places: Mapping[SourceKey, str]
 ) -> str:
-    """Return the demands on the name of an entry that the entry itself does not show, or an empty string."""
+    """Describe the demands on the name of an entry that the entry itself does not show."""
     if topic.is_pattern:
         return ""
     demand = demand_on_entry(demands, session, client, topic)
@@ -133,7 +136,7 @@ def _demands_on(
 
 
 def _end_of(demand: Demand, topic: Topic, client: Client | None, places: Mapping[SourceKey, str]) -> str:
-    """Return what follows once the arming ends, with the line that wants it, or an empty string."""
+    """Describe the end of an arming for the robot, with the line that demands it, or return an empty string."""
     if topic.kind not in ("topic", "action"):
         return ""
     type_name = full_type(topic.type)
@@ -207,19 +210,13 @@ def _domain(session: Session) -> str:
     return f"ROS domain {domain}{' (ROS_DOMAIN_ID, else 0)' if session.domain_id is None else ''}"
 
 
-def _prefix(session: Session) -> str:
-    if session.role == "client" and not session.use_name:
-        return SessionCheckText.PREFIX_IF_USED(name=session.name)
-    return _prefix_of(session.name if session.clients is None else "<name>", use_name=session.use_name)
-
-
 def _prefix_of(name: str, *, use_name: bool) -> str:
     return f"prefix /{name}" if use_name else "no prefix"
 
 
 def _route(topic: Topic, session: Session, profile: LinkProfile) -> str:
-    compression = compression_of(topic.compression, profile, transport_of(topic, session).compression)
     transport = transport_of(topic, session)
+    compression = compression_of(topic.compression, profile, transport.compression)
     details = list(_details(topic, compression))
     if topic.kind == "topic":
         what = f"{topic.direction} {'each that matches ' if topic.is_pattern else ''}{topic.topic}"
@@ -269,8 +266,8 @@ def check_session(arguments: Namespace) -> int:
     keys = dict(session_keys(session, path.parent))
     effects = [*summary(session, demand_places(path)), *rights(session), *hints(session), *_key_lines(session, keys)]
     warnings = [*_warnings(session, keys, path)]
-    problem = _shared_keys(session, keys)
-    problem = problem and f"the bridge does not start: {problem}"
+    if problem := _shared_keys(session, keys):
+        problem = f"the bridge does not start: {problem}"
     missing = any(isinstance(key, KeyFileError) for key in keys.values())
     code = USAGE if problem else NO_KEY if missing else OK
     if arguments.json:

@@ -42,7 +42,7 @@ _NOT_TYPED = ("direction", *NAME_KEYS.values())
 
 
 def script(arguments: Namespace) -> int:
-    """Print the script that a shell sources to complete the command. Return the exit code."""
+    """Print the script that a shell sources to complete the command."""
     for line in argcomplete.shellcode(["rsb-console"], shell=arguments.shell).strip("\n").splitlines():
         print_lines(line)
     return OK
@@ -68,7 +68,6 @@ def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
 
 
 def _insert(word: str, number: int) -> None:
-    """Insert a word before another one of the line to complete."""
     line = os.environ["COMP_LINE"]
     at = [found.start() for found in re.finditer(r"\S+", line)][number]
     os.environ["COMP_LINE"] = f"{line[:at]}{word} {line[at:]}"
@@ -97,17 +96,15 @@ def _files_where_a_path_is_due(prefix: str, action: Action, **_: object) -> list
 
 def yaml_files(prefix: str, **_: object) -> list[str]:
     """Return the YAML files that complete a path, and folders to look further."""
-    begun = prefix.rpartition("/")
-    folder = typed_path(begun[0] + begun[1])
+    folder, slash, start = prefix.rpartition("/")
     try:
-        found = sorted(path for path in folder.iterdir() if path.name.startswith(begun[2]))
+        found = sorted(path for path in typed_path(folder + slash).iterdir() if path.name.startswith(start))
     except OSError:
         return []
-    shown = [path for path in found if begun[2] or not path.name.startswith(".")]
     return [
-        f"{begun[0]}{begun[1]}{path.name}{'/' if path.is_dir() else ''}"
-        for path in shown
-        if path.is_dir() or path.suffix in (".yaml", ".yml")
+        f"{folder}{slash}{path.name}{'/' if path.is_dir() else ''}"
+        for path in found
+        if (start or not path.name.startswith(".")) and (path.is_dir() or path.suffix in (".yaml", ".yml"))
     ]
 
 
@@ -163,10 +160,10 @@ def far_names(parsed_args: Namespace, **_: object) -> list[str]:
     """Return the names on the other side for the typed name."""
     arguments = _filled(parsed_args)
 
-    def names(engine: RemoteEngine) -> list[str]:
-        return [route.remote_topic for route in engine.snapshot().routes if route.topic == arguments.topic]
-
-    return _asked(arguments, names)
+    return _asked(
+        arguments,
+        lambda engine: [route.remote_topic for route in engine.snapshot().routes if route.topic == arguments.topic],
+    )
 
 
 def available(parsed_args: Namespace, **_: object) -> list[str]:
@@ -216,9 +213,8 @@ def lanes(**_: object) -> list[str]:
 
 def direction_or_keys(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
     """Return directions or keys for a topic, and only keys for other kinds."""
-    arguments = _filled(parsed_args)
-    directions = _DIRECTIONS if arguments.kind in (None, "topic") else []
-    return [*directions, *keys(prefix, arguments)]
+    directions = _DIRECTIONS if _filled(parsed_args).kind in (None, "topic") else []
+    return [*directions, *keys(prefix, parsed_args)]
 
 
 def keys(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:

@@ -91,11 +91,7 @@ def run_app(app: TerminalApp[T], *, mouse: bool) -> T | None:
 def _serve(
     control: Path | None, engine: EngineApi, session: Session, path: Path | None
 ) -> tuple[ControlServer | None, RunningBridge | None]:
-    """Serve an engine that is about to start, or find the bridge that runs its session.
-
-    Raises:
-        ControlError: there can be no socket.
-    """
+    """Serve an engine that is about to start, or find the bridge that runs its session."""
     from rsb_bridge.control.bridges import AlreadyRunningError, serve  # noqa: PLC0415 -- keeps the start short
 
     try:
@@ -107,10 +103,10 @@ def _serve(
 def _finish(app: ConsoleApp, on_hangup: str) -> int:
     """Stop the engine, or bridge on without the app. Return the exit code."""
     crashed = app.shutdown_reason is ShutdownReason.CRASH
-    hung_up = app.shutdown_reason is ShutdownReason.HANGUP
+    goes_on = crashed or (app.shutdown_reason is ShutdownReason.HANGUP and on_hangup == "continue")
     # This reports the crash, before `bridge_on` prints hours of log.
     code = exit_code(app)
-    if app.engine is not None and not app.attached_to and (crashed or (hung_up and on_hangup == "continue")):
+    if app.engine is not None and not app.attached_to and goes_on:
         from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
 
         # Nobody presses keys any more, so that nothing may stay armed for this console.

@@ -20,11 +20,7 @@ HOW_TO_END = "Ctrl-C ends them all"
 
 
 def run_demo(*, ui: bool, seconds: float | None) -> int:
-    """Run the demo.
-
-    Args:
-        ui: run in the console instead of headless.
-        seconds: s to run headless, or None to run until a signal.
+    """Run the demo in the console, or headless for some seconds or until a signal.
 
     Returns:
         The exit code; headless, 0 only if every topic crossed.
@@ -35,18 +31,14 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
             if signals.caught:
                 return INTERRUPTED
             if ui:
-                return _in_console(demo, resources)
+                from rsb_console.command.console_command import run_console  # noqa: PLC0415 -- needs Textual
+
+                return run_console(demo.path, temporary=True, resources=resources)
             code = _headless(demo, signals, seconds)
     except EngineError as error:
         print_error(str(error))
         return FAILURE
     return code or _print_counts(demo)
-
-
-def _in_console(demo: Demo, resources: contextlib.ExitStack) -> int:
-    from rsb_console.command.console_command import run_console  # noqa: PLC0415 -- needs Textual
-
-    return run_console(demo.path, temporary=True, resources=resources)
 
 
 def _headless(demo: Demo, signals: Signals, seconds: float | None) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import sys
 import time
@@ -26,12 +27,9 @@ if TYPE_CHECKING:
 
 _EVERY = 1.0  # as `ros2 topic hz`
 _LOOK_EVERY = 0.05  # a bridge renews its snapshot each 0.25 s while somebody looks (`telemetry.snapshot_publisher`)
-_SHORTEST = 0.9
-"""Least time in seconds for figures; a snapshot may be a little early."""
-_LEDGER_FROM = 1.9
-"""Least time in seconds for the ledger's rates: the other side reports its counts once a second."""
-_RENEWED_WITHIN = 10.0
-"""Seconds within which a working bridge has a newer snapshot."""
+_SHORTEST = 0.9  # s: the least time for figures; a snapshot may be a little early
+_LEDGER_FROM = 1.9  # s: the least time for the ledger's rates, as the other side reports its counts once a second
+_RENEWED_WITHIN = 10.0  # s within which a working bridge has a newer snapshot
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +59,11 @@ class Figures:
 
     @property
     def rate(self) -> float:
-        """Hz."""
         return self.messages / self.seconds
 
     @property
     def crossing(self) -> str:
-        """The rates at which messages were delivered and dropped, or an empty string if they are not known yet.
-
-        The other side reports its counts once a second, so that a shorter time would say nothing.
-        """
+        """The rates at which messages were delivered and dropped, or an empty string if they are not known yet."""
         if self.seconds < _LEDGER_FROM:
             return ""
         text = f"delivered: {formats.hertz(self.delivered / self.seconds)} Hz"
@@ -77,21 +71,14 @@ class Figures:
 
 
 class SnapshotWindow:
-    """The last snapshots of one topic.
-
-    Args:
-        seconds: span of the figures.
-    """
+    """The last snapshots of one topic, from which figures over so many seconds are taken."""
 
     def __init__(self, seconds: int) -> None:
         self._seconds = seconds
         self._looks: deque[tuple[float, RouteSnapshot]] = deque()
 
     def add(self, moment: float, route: RouteSnapshot) -> Figures | None:
-        """Take a snapshot.
-
-        Args:
-            moment: s since the epoch, when it was made.
+        """Take a snapshot of a moment (s since the epoch).
 
         Returns:
             The figures since the oldest snapshot of the window, or None if that is too new.
@@ -134,28 +121,21 @@ def _began_again(before: RouteSnapshot, now: RouteSnapshot) -> bool:
 def _print_figures(
     lines: Callable[[Figures], Iterator[str]], values: Callable[[Figures], dict[str, object]], arguments: Namespace
 ) -> int:
-    """Print figures once a second for the count or time in the arguments. Return the exit code.
-
-    Args:
-        lines: the figures for people.
-        values: the figures for programs.
-
-    Raises:
-        UsageError: the arguments fit no topic, or several.
-        EngineError: the bridge has ended, or no longer bridges the topic.
-    """
+    """Print figures once a second, as lines for people or as values for programs."""
     with attached(arguments, read_only=True) as engine:
         route = chosen_route(engine, arguments)
         if not arguments.json:
             print_line(_where(route, other_side(engine, route.link)))
             sys.stdout.flush()
-        ends = None if arguments.lasts is None else time.monotonic() + arguments.lasts
+        count = math.inf if arguments.count is None else arguments.count
+        moment, due = 0.0, time.monotonic()
+        ends = math.inf if arguments.lasts is None else due + arguments.lasts
         window, printed, messages = SnapshotWindow(arguments.window), 0, 0
-        moment = 0.0
-        due = time.monotonic()
-        while (arguments.count is None or printed < arguments.count) and (ends is None or due <= ends):
+        while printed < count and due <= ends:
             now = _newer(engine, moment, due)
-            moment, route = now.time, _find(engine, now, route)
+            if (newer := _same_route(now, route)) is None:
+                raise EngineError(f"{engine.name} no longer bridges {route.topic}")
+            moment, route = now.time, newer
             figures = window.add(moment, route)
             # Lines that a stall has delayed are not made up for.
             due = max(due + _EVERY, time.monotonic())
@@ -201,12 +181,6 @@ def _newer(engine: RemoteEngine, moment: float, due: float) -> Snapshot:
     return now
 
 
-def _find(engine: RemoteEngine, now: Snapshot, before: RouteSnapshot) -> RouteSnapshot:
-    if (route := _same_route(now, before)) is None:
-        raise EngineError(f"{engine.name} no longer bridges {before.topic}")
-    return route
-
-
 def _same_route(now: Snapshot, before: RouteSnapshot) -> RouteSnapshot | None:
     """Return a route as it is in a newer snapshot, or None if it was removed."""
     return next((route for route in now.routes if (route.link, route.key) == (before.link, before.key)), None)
@@ -219,7 +193,6 @@ def _where(route: RouteSnapshot, other: str) -> str:
 
 
 def _about(figures: Figures) -> dict[str, object]:
-    """Name the topic, its state, and the place where it is counted."""
     route = figures.route
     return {
         "topic": route.topic,
@@ -250,8 +223,7 @@ def _hz_lines(figures: Figures) -> Iterator[str]:
         yield f"average rate: {figures.rate:.3f} Hz over {figures.seconds:.0f} s{crossing}"
     else:
         age = route.age(figures.time)
-        last = "yet" if age is None else f"for {formats.age(age)}"
-        yield f"no message {last}"
+        yield f"no message {'yet' if age is None else f'for {formats.age(age)}'}"
     if counts := figures.each_second:
         spread = f"min {min(counts)}, max {max(counts)}, std dev {statistics.pstdev(counts):.2f}"
         yield f"\tin each of the last {len(counts)} s: {spread}"
@@ -284,34 +256,28 @@ def _hz_values(figures: Figures) -> dict[str, object]:
 # --- bw
 
 
-def _mean_size(route: RouteSnapshot) -> float | None:
-    """Return the mean size (bytes) since the route was made, or None before the first message."""
-    return route.bytes_total / route.messages_total if route.messages_total else None
-
-
 def _bw_lines(figures: Figures) -> Iterator[str]:
-    rate = formats.byte_rate(figures.size / figures.seconds)
+    route, rate = figures.route, formats.byte_rate(figures.size / figures.seconds)
     crossing = f"; {figures.crossing}" if figures.crossing else ""
     yield f"{rate} from {figures.messages} messages over {figures.seconds:.0f} s, before compression{crossing}"
     if figures.messages:
         mean = formats.byte_count(round(figures.size / figures.messages))
-        overall = _mean_size(figures.route)
-        since = "" if overall is None else f"; since the start {formats.byte_count(round(overall))}"
-        yield f"\tmessage size mean: {mean}{since}"
-    yield from _state(figures.route)
+        overall = formats.byte_count(round(route.bytes_total / route.messages_total))
+        yield f"\tmessage size mean: {mean}; since the start {overall}"
+    yield from _state(route)
 
 
 def _bw_values(figures: Figures) -> dict[str, object]:
-    overall = _mean_size(figures.route)
+    route = figures.route
     return {
         "bytes_per_second": round(figures.size / figures.seconds, 1),
         "delivered_rate": round(figures.delivered / figures.seconds, 3),
         "dropped_rate": round(figures.dropped / figures.seconds, 3),
         "bytes": figures.size,
         "mean_size": round(figures.size / figures.messages, 1) if figures.messages else None,
-        "mean_size_overall": None if overall is None else round(overall, 1),
-        "bytes_total": figures.route.bytes_total,
-        "messages_total": figures.route.messages_total,
+        "mean_size_overall": round(route.bytes_total / route.messages_total, 1) if route.messages_total else None,
+        "bytes_total": route.bytes_total,
+        "messages_total": route.messages_total,
     }
 
 

@@ -19,8 +19,6 @@ from rsb_bridge.model.verdict import LinkCause
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.model.calls import CallsSnapshot
-    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.figure_table import Figure
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RefusedClient, RouteSnapshot, Snapshot
@@ -32,6 +30,8 @@ _REPEATED_AFTER = 60.0
 _Subject: TypeAlias = tuple[str, ...]
 _Item: TypeAlias = tuple[_Subject, str, str, str]
 """Subject, state and cause, text, and text without the cause (left out if empty)."""
+_Printed: TypeAlias = dict[_Subject, tuple[str, float]]
+"""States and causes as they were printed last, and when (s since the epoch), by subject."""
 _COUNTED: dict[Kind, str] = {
     "topic": "{} topic",
     "service": "{} service",
@@ -56,7 +56,6 @@ def clock(moment: float) -> str:
 
 
 def text_event(event: Event) -> str:
-    """Return an event as one line."""
     link = f"{event.link}: " if event.link else ""
     return f"{clock(event.time)} {event.level:<7} {event.source:<8} {link}{event.text}"
 
@@ -65,57 +64,46 @@ class StatusLines:
     """Successive status lines for people: they give a cause when it begins or changes, and then once a minute."""
 
     def __init__(self) -> None:
-        self._printed: dict[_Subject, tuple[str, float]] = {}
+        self._printed: _Printed = {}
 
     def text(self, snapshot: Snapshot) -> str:
         """Return the next line: linked peers, flowing topics, the traffic, and the first faults and topics."""
         received = sum(link.rx_bytes_per_second for link in snapshot.links) / 1000
         sent = sum(link.tx_bytes_per_second for link in snapshot.links) / 1000
-        parts = [
-            *_counts(snapshot),
-            f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
-            *self._new_texts(
-                snapshot.time,
-                [
-                    (("link", link.name), f"{link.state} {link.cause}", f"{link.name} {link_fault(link)}",
-                     f"{link.name} {link_word(link)}")
-                    for link in snapshot.links if link.reason or link.warning
-                ],
-                [
-                    (("refused", client.name, client.host), client.cause, refused_text(client), "")
-                    for client in snapshot.refused
-                ],
-                [
-                    (("route", route.key), f"{route.state} {route.cause} {route.from_peer}", rate_text(route),
-                     rate_text(route, why=False))
-                    for route in faults_first(of_links_that_are_up(snapshot))
-                ],
-            ),
+        links = [
+            (("link", link.name), f"{link.state} {link.cause}", f"{link.name} {link_fault(link)}",
+             f"{link.name} {link_word(link)}")
+            for link in snapshot.links if link.reason or link.warning
         ]  # fmt: skip
+        refused = [
+            (("refused", client.name, client.host), client.cause, refused_text(client), "")
+            for client in snapshot.refused
+        ]
+        routes = [
+            (("route", route.key), f"{route.state} {route.cause} {route.from_peer}", rate_text(route),
+             rate_text(route, why=False))
+            for route in faults_first(of_links_that_are_up(snapshot))
+        ]  # fmt: skip
+        # A cause that is gone is forgotten: when it comes back, it is new.
+        before, self._printed = self._printed, {}
+        parts = [*_counts(snapshot), f"RX {received:.1f} kB/s TX {sent:.1f} kB/s"]
+        for group in (links, refused, routes):
+            texts = self._new_texts(snapshot.time, before, group)
+            more = len(texts) - _SHOWN_IN_STATUS
+            parts += [*texts[:_SHOWN_IN_STATUS], f"and {more} more"] if more > 0 else texts
         return f"{clock(snapshot.time)} status  {' | '.join(parts)}"
 
-    def _new_texts(self, now: float, *groups: list[_Item]) -> list[str]:
+    def _new_texts(self, now: float, printed: _Printed, group: Sequence[_Item]) -> list[str]:
         """Return the texts to print: with the cause where it is new or was printed a minute ago, else without."""
-        # A cause that is gone is forgotten: when it comes back, it is new.
-        printed, self._printed = self._printed, {}
-        parts: list[str] = []
-        for group in groups:
-            texts = []
-            for number, (key, how, text, brief) in enumerate(group):
-                before, at = printed.get(key, ("", 0.0))
-                # Below 0, the clock was set back: the cause is repeated, and not left out until the clock catches up.
-                is_known = before == how and 0 <= now - at < _REPEATED_AFTER
-                if number < _SHOWN_IN_STATUS or is_known:  # otherwise the line had no room for it
-                    self._printed[key] = (how, at if is_known else now)
-                texts.append(brief if is_known else text)
-            parts += _some([text for text in texts if text])
-        return parts
-
-
-def _some(parts: list[str]) -> list[str]:
-    """As many as there is room for in a line."""
-    more = len(parts) - _SHOWN_IN_STATUS
-    return [*parts[:_SHOWN_IN_STATUS], f"and {more} more"] if more > 0 else parts
+        texts = []
+        for number, (key, how, text, brief) in enumerate(group):
+            before, at = printed.get(key, ("", 0.0))
+            # Below 0, the clock was set back: the cause is repeated, and not left out until the clock catches up.
+            is_known = before == how and 0 <= now - at < _REPEATED_AFTER
+            if number < _SHOWN_IN_STATUS or is_known:  # otherwise the line had no room for it
+                self._printed[key] = (how, at if is_known else now)
+            texts.append(brief if is_known else text)
+        return [text for text in texts if text]
 
 
 def link_word(link: LinkSnapshot) -> str:
@@ -127,9 +115,7 @@ def link_word(link: LinkSnapshot) -> str:
 
 def link_fault(link: LinkSnapshot) -> str:
     """Return the faults of a link, which may be up."""
-    if link.state is State.OK:
-        return link.warning
-    return f"{link.state.upper()}: {why_down(link)}"
+    return link.warning if link.state is State.OK else f"{link.state.upper()}: {why_down(link)}"
 
 
 def why_down(link: LinkSnapshot) -> str:
@@ -169,7 +155,6 @@ def topics_of_link_that_is_down(snapshot: Snapshot, link: LinkSnapshot) -> str:
 
 
 def summary(snapshot: Snapshot) -> str:
-    """Return how many peers are linked, and how many topics flow."""
     return ", ".join(_counts(snapshot))
 
 
@@ -183,20 +168,19 @@ def _counts(snapshot: Snapshot) -> tuple[str, str]:
 
 
 def _of_kinds(routes: Sequence[RouteSnapshot]) -> str:
-    """Return how many there are of each kind: ``3 topics, 1 action, parameters of 2 nodes``."""
+    """Count the routes of each kind: ``3 topics, 1 action, parameters of 2 nodes``."""
     counts = Counter(route.spec.kind for route in routes)
     parts = (plural(counts[kind], text.format(counts[kind])) for kind, text in _COUNTED.items() if counts[kind])
     return ", ".join(parts) or "0 topics"
 
 
 def faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
-    """Sort the faults first: the line has room for only some topics."""
-    return sorted(routes, key=lambda route: (_comes_last(route), route.state.rank))
+    """Sort the faults that nobody has acknowledged first: a line has room for only some topics."""
 
+    def rank(route: RouteSnapshot) -> tuple[bool, int]:
+        return route.acknowledged is not None or route.state.severity == 0, route.state.rank
 
-def _comes_last(route: RouteSnapshot) -> bool:
-    """Whether a route is listed after all faults: it has none, or an acknowledged one."""
-    return route.acknowledged is not None or route.state.severity == 0
+    return sorted(routes, key=rank)
 
 
 def acknowledged_by(of: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
@@ -205,29 +189,17 @@ def acknowledged_by(of: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
 
 
 def rate_text(route: RouteSnapshot, *, why: bool = True) -> str:
-    """Format a topic's rate, or the reason why it has none, or a service's calls.
-
-    Args:
-        why: whether to give the reason besides the state.
-    """
+    """Format a topic's rate or a service's calls, or its state with or without the reason."""
     arrow = "→" if route.outgoing else "←"
     armed = f" ARMED ({route.arming.by}):" if route.arming is not None and route.arming.armed else ""
-    failed = _failed_calls(route.calls) if route.calls is not None else _dropped(route)
+    counts = {"dropped": route.ledger.dropped_total, "unknown": route.ledger.unknown}
+    if (calls := route.calls) is not None:
+        counts = {"expired": calls.expired, "refused": sum(calls.refused.values()), "lost": calls.lost}
+    failed = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     kind = "" if route.spec.kind == "topic" else f"{route.spec.kind} "
     lines = () if route.arming is None or not why else route.arming.demanded_by
     demanded = f" [has to be armed: {', '.join(lines)}]" if lines else ""
     return f"{arrow} {kind}{route.topic}{armed} {_how(route, why=why)}{failed and f' ({failed})'}{demanded}"
-
-
-def _dropped(route: RouteSnapshot) -> str:
-    counts = {"dropped": route.ledger.dropped_total, "unknown": route.ledger.unknown}
-    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-
-
-def _failed_calls(calls: CallsSnapshot) -> str:
-    """Count the calls without a reply by their outcome."""
-    counts = {"expired": calls.expired, "refused": sum(calls.refused.values()), "lost": calls.lost}
-    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
 def _how(route: RouteSnapshot, *, why: bool) -> str:
@@ -244,12 +216,11 @@ def _how(route: RouteSnapshot, *, why: bool) -> str:
 
 
 def json_line(content: dict[str, object]) -> str:
-    """Format an object as one line of JSON."""
     return escape_json(json.dumps(content, ensure_ascii=False))
 
 
 def json_value(value: Any) -> Any:
-    """Plain data for JSON. What that has no number for stands as a string: NaN, Infinity, -Infinity."""
+    """Return plain data for JSON, where NaN, Infinity and -Infinity are strings."""
     if isinstance(value, dict):
         return {name: json_value(each) for name, each in value.items()}
     if isinstance(value, list):
@@ -260,7 +231,6 @@ def json_value(value: Any) -> Any:
 
 
 def json_event(event: Event) -> str:
-    """Return an event as one JSON object."""
     since = None if event.since is None else round(event.since, 3)
     content = asdict(event) | {"source": event.source, "since": since}
     del content["number"]  # counts the events that are not printed, too
@@ -293,7 +263,9 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
         link.name: {
             **_values(_OF_LINK, link),
             "full": {
-                way: _full(each) for way, each in (("out", link.full_out), ("in", link.full_in)) if each is not None
+                way: {"carried": round(full.carried), "asked": round(full.asked), "topics": full.topics}
+                for way, full in (("out", link.full_out), ("in", link.full_in))
+                if full is not None
             },
             **_values(_MORE_OF_LINK, link),
             "patterns": [pattern_of(pattern) for pattern in link.patterns],
@@ -316,13 +288,7 @@ def _values(chosen: tuple[Figure, ...], subject: LinkSnapshot | RouteSnapshot) -
     return found
 
 
-def _full(full: Fullness) -> dict[str, object]:
-    """Return the rates of a full link in one direction as data."""
-    return {"carried": round(full.carried), "asked": round(full.asked), "topics": full.topics}
-
-
 def pattern_of(pattern: PatternSnapshot) -> dict[str, object]:
-    """Return a pattern as plain data."""
     return {
         "pattern": pattern.spec.topic,
         "kind": pattern.spec.kind,
@@ -356,7 +322,6 @@ def patterns_of(snapshot: Snapshot) -> list[PatternSnapshot]:
 
 
 def route_of(route: RouteSnapshot) -> dict[str, object]:
-    """Return a route as plain data."""
     if route.calls is None:
         figures = asdict(route.ledger)
     else:

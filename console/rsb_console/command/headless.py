@@ -36,22 +36,23 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Reloaded, Snapshot
 
 STATUS_EVERY = 5.0  # s, as the help of --status-every says. A round figure
-_WAIT = 0.1
-"""Seconds after which a signal is noticed, at the latest: until then, a robot that is driven goes on."""
-_LOOK_EVERY = 1.0
-"""Seconds between checks of an idle engine: no more often than it renews its snapshot."""
-# These two and `_WAIT` are less than the 5 s that docs/headless.md promises.
+_WAIT = 0.1  # s after which a signal is noticed, at the latest: until then, a robot that is driven goes on
+_LOOK_EVERY = 1.0  # s between checks of an idle engine: no more often than it renews its snapshot
+# These two and `_WAIT` are less than the 5 s that docs/headless.md promises, even if a peer or a reader hangs.
 _STOPS_WITHIN = 4.0
-_WRITTEN_WITHIN = 0.5  # s, of the 5 s in which the program must end even if its peer or its reader hangs
+_WRITTEN_WITHIN = 0.5
 WAITING_LIMIT = 1 << 20
 """Bytes of lines that wait for a slow reader; a status line of 500 topics has 200 kB as JSON."""
 TOO_SLOW = "standard output was read too slowly"
 
 
 class HeadlessText(Wording):
-    """Reports of a bridge without a console, before its log begins."""
+    """Reports of a bridge that has no console, before its log begins."""
 
     RUNS_ALREADY = "{problem}. To attach to it: {command}"
+    CONSOLE_CRASHED = (
+        "the console has crashed; the bridge goes on without it until a signal stops it (Ctrl-C or SIGTERM)"
+    )
 
 
 def run_headless(
@@ -72,10 +73,9 @@ def run_headless(
     keep_output_clean()
     engine = Engine(session, base=path.parent, state=state_folder(os.environ))
     engine.use_file(path)
-    ignore_hangup = on_hangup == "continue"
     # The signals are caught before the start, so that a signal meanwhile ends the bridge in order.
     with (
-        Signals(ignore_hangup=ignore_hangup, has_terminal=_has_terminal()) as signals,
+        Signals(ignore_hangup=on_hangup == "continue", has_terminal=_has_terminal()) as signals,
         contextlib.ExitStack() as resources,
     ):
         try:
@@ -99,15 +99,9 @@ def run_headless(
 
 
 def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
-    """Run the engine of a console that has ended, as `bridge_until_told`; a hangup does not stop it.
-
-    Args:
-        crashed: the console has crashed, which is reported and makes the exit code non-zero.
-    """
+    """Run the engine of a console that has ended or crashed, as `bridge_until_told`; a hangup does not stop it."""
     if crashed:
-        print_error(
-            "the console has crashed; the bridge goes on without it until a signal stops it (Ctrl-C or SIGTERM)"
-        )
+        print_error(HeadlessText.CONSOLE_CRASHED())
     with Signals(ignore_hangup=True, has_terminal=True) as signals:
         code = bridge_until_told(engine, signals)
     return FAILURE if crashed else code
@@ -134,7 +128,15 @@ def bridge_until_told(
     supervisor = supervisor or Supervisor({})  # which tells nobody
     format_event = json_event if log_format == "json" else text_event
     status = json_status if log_format == "json" else StatusLines().text
-    writer = LogWriter(sys.stdout.fileno(), lambda lost, reason: format_event(_lines_lost(lost, reason)))
+
+    def report(level: Level, code: EventCode, text: str) -> str:
+        return format_event(Event(0, time.time(), level, code, text))
+
+    def lines_lost(lost: int, reason: str) -> str:
+        text = f"{lost:,} log {plural(lost, 'line')} lost: {reason}"
+        return report(Level.WARNING, EventCode.LOG_LINES_LOST, text)
+
+    writer = LogWriter(sys.stdout.fileno(), lines_lost)
 
     def log(events: Iterable[Event]) -> None:
         for event in events:
@@ -144,25 +146,35 @@ def bridge_until_told(
     ends = None if seconds is None else time.monotonic() + seconds
     next_status = time.monotonic() + status_every
     next_look = 0.0
-    reloading = Reloading(engine, supervisor)
+    reload: Future[Reloaded] | None = None  # one at a time; the engine logs its outcome
     seen, reason = 0, ""
     while not reason:
         if events := engine.wait_for_events(seen, _WAIT):
             seen = events[-1].number
             log(events)
-        reloading.go_on(wanted=signals.takes_reload())
+        if reload is not None and reload.done():
+            reload = None
+            supervisor.ready()
+        if reload is None and signals.wants_reload:
+            signals.wants_reload = False
+            supervisor.reloading(time.monotonic_ns())
+            with acting(signal.SIGHUP.name):
+                reload = engine.reload()
         now = time.monotonic()
         reason = signals.caught or ("time is up" if ends and now >= ends else "")
         # A monitor may want a status line more often than an idle engine is looked at.
         if events or now >= min(next_look, next_status):
             next_look = now + _LOOK_EVERY
             snapshot = engine.snapshot()
-            reason = reason or _over(engine, snapshot)
+            if not snapshot.running:
+                reason = reason or "the engine has ended by itself"
+            elif engine.waits_for_operator:
+                reason = reason or "the link was shut down on purpose"
             supervisor.show(snapshot)
             if now >= next_status:
                 next_status = now + status_every
                 writer.write(status(snapshot))
-    writer.write(format_event(Event(0, time.time(), Level.INFO, EventCode.ENGINE_STOPPING, f"stopping: {reason}")))
+    writer.write(report(Level.INFO, EventCode.ENGINE_STOPPING, f"stopping: {reason}"))
     supervisor.stopping()
     # After the stop, no engine runs.
     failed = not engine.snapshot().running
@@ -182,34 +194,6 @@ def _has_terminal() -> bool:
     return True
 
 
-def _over(engine: EngineApi, snapshot: Snapshot) -> str:
-    if not snapshot.running:
-        return "the engine has ended by itself"
-    return "the link was shut down on purpose" if engine.waits_for_operator else ""
-
-
-class Reloading:
-    """Reloads an engine on SIGHUP, one reload at a time, and informs systemd. The engine logs the outcome."""
-
-    def __init__(self, engine: EngineApi, supervisor: Supervisor) -> None:
-        self._engine = engine
-        self._supervisor = supervisor
-        self._wanted = False
-        self._done: Future[Reloaded] | None = None
-
-    def go_on(self, *, wanted: bool) -> None:
-        """Begin a reload, or note that one has ended."""
-        self._wanted = self._wanted or wanted
-        if self._done is not None and self._done.done():
-            self._done = None
-            self._supervisor.ready()
-        if self._wanted and self._done is None:
-            self._wanted = False
-            self._supervisor.reloading(time.monotonic_ns())
-            with acting(signal.SIGHUP.name):
-                self._done = self._engine.reload()
-
-
 class Signals:
     """Catches the signals to a bridge, for as long as it is entered.
 
@@ -222,18 +206,21 @@ class Signals:
 
     Attributes:
         caught: the name of the first signal that ends the bridge, or empty.
+        wants_reload: a reload was requested; cleared when it begins.
     """
 
     def __init__(self, *, ignore_hangup: bool, has_terminal: bool) -> None:
         self.caught = ""
-        self._reload = False
+        self.wants_reload = False
         self._hangup_reloads = not has_terminal
         self._ignore_hangup = ignore_hangup
         self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
 
     def __enter__(self) -> Self:
+        was_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # by nohup(1)
+        ignores_hangup = not self._hangup_reloads and (self._ignore_hangup or was_ignored)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            ignored = number == signal.SIGHUP and not self._hangup_reloads and self._ignores_hangup()
+            ignored = number == signal.SIGHUP and ignores_hangup
             self._before[number] = signal.signal(number, signal.SIG_IGN if ignored else self._catch)
         return self
 
@@ -244,27 +231,13 @@ class Signals:
 
     @property
     def hung_up(self) -> bool:
-        """Whether the bridge ends because its terminal has gone."""
         return self.caught == signal.SIGHUP.name
-
-    def _ignores_hangup(self) -> bool:
-        return self._ignore_hangup or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # nohup(1) has it ignored
-
-    def takes_reload(self) -> bool:
-        """Whether a reload was requested since the last call."""
-        wanted, self._reload = self._reload, False
-        return wanted
 
     def _catch(self, number: int, _: FrameType | None) -> None:
         if number == signal.SIGHUP and self._hangup_reloads:
-            self._reload = True
-            return
-        self.caught = self.caught or signal.Signals(number).name
-
-
-def _lines_lost(lost: int, reason: str) -> Event:
-    text = f"{lost:,} log {plural(lost, 'line')} lost: {reason}"
-    return Event(0, time.time(), Level.WARNING, EventCode.LOG_LINES_LOST, text)
+            self.wants_reload = True
+        else:
+            self.caught = self.caught or signal.Signals(number).name
 
 
 class LogWriter:
@@ -346,11 +319,7 @@ class LogWriter:
 
 
 class Supervisor:
-    """Reports the bridge's state to systemd, if it runs under systemd.
-
-    Args:
-        environ: has the address that systemd listens on.
-    """
+    """Reports the bridge's state to systemd, if the environment has the address that systemd listens on."""
 
     def __init__(self, environ: Mapping[str, str]) -> None:
         address = environ.get("NOTIFY_SOCKET", "")
@@ -359,15 +328,11 @@ class Supervisor:
         self._status = ""
 
     def ready(self) -> None:
-        """Report that the bridge has started or has reloaded."""
+        """Report that the bridge has started, or has reloaded."""
         self._tell("READY=1")
 
     def reloading(self, monotonic_ns: int) -> None:
-        """Report that the session file is about to be read again; `ready` follows.
-
-        Args:
-            monotonic_ns: now, on the clock CLOCK_MONOTONIC.
-        """
+        """Report that the session file is about to be read again; `ready` follows. The time is CLOCK_MONOTONIC's."""
         self._tell(f"RELOADING=1\nMONOTONIC_USEC={monotonic_ns // 1000}")
 
     def show(self, now: Snapshot) -> None:
@@ -381,7 +346,6 @@ class Supervisor:
         self._status = status
 
     def stopping(self) -> None:
-        """Report that the bridge is about to end."""
         self._tell("STOPPING=1")
 
     def _tell(self, state: str) -> None:

@@ -32,23 +32,15 @@ def add_local_commands(command: AddCommand, complete: Complete) -> None:
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="key file (%(default)s)"
     )
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
-    imports = command(
-        "import",
-        subcommand("local_commands:import_sessions"),
-        "convert another bridge's file to a session",
-    )
-    _import_arguments(imports, complete)
-    scan = command(
-        "bt-scan", subcommand("bt_scan:scan_bluetooth"), "list Bluetooth adapters and their busy RFCOMM channels"
-    )
+    summary = "convert another bridge's file to a session"
+    _import_arguments(command("import", subcommand("local_commands:import_sessions"), summary), complete)
+    summary = "list Bluetooth adapters and their busy RFCOMM channels"
+    scan = command("bt-scan", subcommand("bt_scan:scan_bluetooth"), summary)
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
     complete(only, "adapters")
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
-    demo = command(
-        "demo",
-        subcommand("local_commands:demo"),
-        "bridge two ROS domains on this machine, with a simulated robot",
-    )
+    summary = "bridge two ROS domains on this machine, with a simulated robot"
+    demo = command("demo", subcommand("local_commands:demo"), summary)
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
     service = command("service", subcommand("service:show_unit"), "run a session as a service of systemd")

@@ -10,26 +10,14 @@ import errno
 import os
 import sys
 import termios
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import is_there
-from rsb_bridge.config.keys import (
-    KeyFileError,
-    fingerprint,
-    write_key,
-)
+from rsb_bridge.config.keys import KeyFileError, fingerprint, write_key
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.check import print_mistakes
-from rsb_console.command.shell import (
-    FAILURE,
-    OK,
-    USAGE,
-    allow_many_descriptors,
-    print_error,
-    print_line,
-    print_lines,
-)
+from rsb_console.command.shell import FAILURE, OK, USAGE, allow_many_descriptors, print_error, print_line, print_lines
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -64,7 +52,6 @@ class LocalText(Wording):
 
 
 def run(arguments: Namespace) -> int:
-    """Bridge a session, with the console or without."""
     allow_many_descriptors()
     path: Path | None = arguments.session
     if path is None and arguments.no_ui:
@@ -101,7 +88,6 @@ def run(arguments: Namespace) -> int:
 
 
 def attach(arguments: Namespace) -> int:
-    """Open the console on a bridge that runs already."""
     from rsb_console.command.target import what_to_attach  # noqa: PLC0415 (not needed elsewhere)
 
     if not can_draw("rsb-console status"):
@@ -120,7 +106,6 @@ def attach(arguments: Namespace) -> int:
 
 
 def keygen(arguments: Namespace) -> int:
-    """Create a key file and print its fingerprint, never the key."""
     path: Path = arguments.path
     try:
         key = write_key(path, force=arguments.force)
@@ -132,14 +117,12 @@ def keygen(arguments: Namespace) -> int:
 
 
 def completion(arguments: Namespace) -> int:
-    """Print the completion script for a shell."""
     from rsb_console.command.completion import script  # noqa: PLC0415 (not needed elsewhere)
 
     return script(arguments)
 
 
 def demo(arguments: Namespace) -> int:
-    """Bridge two domains of this machine."""
     allow_many_descriptors()
     if not arguments.no_ui and not can_draw("rsb-console demo --no-ui"):
         return USAGE
@@ -180,8 +163,10 @@ def import_sessions(arguments: Namespace) -> int:
         print_error(str(error))
         return FAILURE
     if output is None:
-        texts = [dump(each, [*([f"{stem}.yaml"] if stem else []), *imported.notes])
-                 for stem, each in imported.sessions.items()]  # fmt: skip
+        texts = [
+            dump(session, [*([f"{stem}.yaml"] if stem else []), *imported.notes])
+            for stem, session in imported.sessions.items()
+        ]
         print_lines("---\n".join(texts).removesuffix("\n"))
     for note in imported.notes:
         print_error(note)
@@ -191,13 +176,7 @@ def import_sessions(arguments: Namespace) -> int:
 
 
 def _write_imported(imported: Imported, output: Path, *, force: bool) -> list[Path]:
-    """Write the sessions and their new keys; return the sessions' paths.
-
-    Raises:
-        FileExistsError: one of them exists already; nothing is written.
-        NotADirectoryError: there are several, and the output is a file.
-        SessionError, KeyFileError: one cannot be written.
-    """
+    """Write the sessions and their new keys, or nothing if one exists already; return the sessions' paths."""
     if several := len(imported.sessions) > 1:
         if is_there(output) and not output.is_dir():
             raise NotADirectoryError(f"{output}: {LocalText.NEEDS_FOLDER(count=len(imported.sessions))}")
@@ -206,32 +185,28 @@ def _write_imported(imported: Imported, output: Path, *, force: bool) -> list[Pa
     keys = [path for key in imported.new_keys if not is_there(path := output / key)]
     if not force and (there := [path for path in paths.values() if is_there(path)]):
         raise FileExistsError(LocalText.EXISTS(path=there[0]))
-    for key in keys:
-        write_key(key)
+    for path in keys:
+        write_key(path)
     for stem, session in imported.sessions.items():
         save(session, paths[stem], notes=imported.notes)
     return list(paths.values())
 
 
-def _has_hung_up(stream: TextIO | None) -> bool:
-    try:
-        termios.tcgetattr(stream)  # type: ignore[arg-type]
-    except termios.error as error:
-        # A terminal that has gone answers with EIO, a file or a pipe with ENOTTY.
-        return bool(error.args[0] == errno.EIO)
-    except (OSError, TypeError):  # it has no descriptor, or is closed, as for some services
-        pass
-    return False
-
-
 def can_draw(instead: str) -> bool:
     """Whether the console has a terminal to draw on; print an error if not."""
-    reason = None
     if not all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout)):
-        gone = _has_hung_up(sys.stdin)
-        reason = (LocalText.TERMINAL_GONE if gone else LocalText.NO_TERMINAL)(instead=instead)
+        problem = LocalText.NO_TERMINAL
+        try:
+            termios.tcgetattr(sys.stdin)
+        except termios.error as error:
+            # A terminal that has gone answers with EIO, a file or a pipe with ENOTTY.
+            if error.args[0] == errno.EIO:
+                problem = LocalText.TERMINAL_GONE
+        except (OSError, TypeError):  # it has no descriptor, or is closed, as for some services
+            pass
     elif os.environ.get("TERM", "") in ("", "dumb"):
-        reason = LocalText.PLAIN_TERMINAL(instead=instead)
-    if reason:
-        print_error(reason)
-    return reason is None
+        problem = LocalText.PLAIN_TERMINAL
+    else:
+        return True
+    print_error(problem(instead=instead))
+    return False

@@ -68,16 +68,29 @@ def bridge_command(
     more: str = EXIT,
     *,
     after: str = "",
-    about_topic: bool = False,
 ) -> argparse.ArgumentParser:
-    """Add a command for a running bridge, named by ``--bridge`` or, if it takes no other name, by a plain word.
-
-    Args:
-        place: of its function, as for `subcommand`.
-    """
+    """Add a command for a running bridge, named by ``--bridge`` or a plain word, and run by the function at `place`."""
     parser = command(name, subcommand(place), summary, more, after)
-    options = bridge_options if about_topic else named_bridge_options
-    options(parser, complete)
+    named_bridge_options(parser, complete)
+    return parser
+
+
+def route_command(
+    command: AddCommand,
+    complete: Complete,
+    name: str,
+    place: str,
+    summary: str,
+    more: str = EXIT,
+    *,
+    after: str = "",
+    kinds: tuple[str, ...] = KINDS,
+    metavar: str = "NAME",
+) -> argparse.ArgumentParser:
+    """Add a command for one bridged topic, service, action or node of these kinds, named by a plain word."""
+    parser = command(name, subcommand(place), summary, more, after)
+    bridge_options(parser, complete)
+    route_arguments(parser, complete, kinds, metavar)
     return parser
 
 
@@ -117,7 +130,7 @@ def named_bridge_options(parser: argparse.ArgumentParser, complete: Complete, *,
 def route_arguments(
     parser: argparse.ArgumentParser, complete: Complete, kinds: tuple[str, ...] = KINDS, metavar: str = "NAME"
 ) -> None:
-    """Add the arguments that name one bridged topic, service, action or node of these kinds."""
+    """Add the arguments of `route_command`."""
     name = "the name on this bridge's side, or on the client"
     complete(parser.add_argument("topic", metavar=metavar, help=name), "bridged")
     which = "the client, if several have it"
@@ -139,7 +152,6 @@ def drop_arm_option(parser: argparse.ArgumentParser, about: str) -> None:
 
 
 def console_options(parser: argparse.ArgumentParser, complete: Complete) -> None:
-    """Add the options of the console."""
     parser.add_argument("--readonly", action="store_true", help="read-only: nothing can be changed")
     parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
     parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal (m takes it back)")

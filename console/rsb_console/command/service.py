@@ -98,16 +98,13 @@ class Service:
         return unit_name(self.session)
 
     def text(self) -> str:
-        return "\n".join((MARK, *self._unit(), "", *self._service(), "", *self._install(), ""))
-
-    def _unit(self) -> list[str]:
-        lines = ["[Unit]", f"Description=ROS 2 topic bridge, session {_plain(self.session.stem)}"]
-        if self.system:
-            lines += ["Wants=network-online.target", "After=network-online.target bluetooth.service"]
-        return lines
-
-    def _service(self) -> list[str]:
+        network = ["Wants=network-online.target", "After=network-online.target bluetooth.service"]
         lines = [
+            MARK,
+            "[Unit]",
+            f"Description=ROS 2 topic bridge, session {self.session.stem.replace('%', '%%')}",
+            *(network if self.system else []),
+            "",
             "[Service]",
             "Type=notify",
             "# The bridge reports that it works; systemd restarts one that hangs.",
@@ -124,8 +121,13 @@ class Service:
             "LimitNOFILE=65536",
             "UMask=0077",
             "NoNewPrivileges=true",
+            *(self._confined() if self.system else []),
+            "",
+            "[Install]",
+            f"WantedBy={'multi-user' if self.system else 'default'}.target",
+            "",
         ]
-        return lines + self._confined() if self.system else lines
+        return "\n".join(lines)
 
     def _confined(self) -> list[str]:
         home = "read-only" if str(self.session).startswith(_HOMES) else "true"  # else the session could not be read
@@ -146,9 +148,6 @@ class Service:
         run = [*self.program, "run", "--no-ui", "--log-format", "json", str(self.session)]
         return run if self.setup is None else ["/bin/bash", "-c", _SOURCING, str(self.setup), *run]
 
-    def _install(self) -> list[str]:
-        return ["[Install]", f"WantedBy={'multi-user' if self.system else 'default'}.target"]
-
 
 def unit_name(session: Path) -> str:
     """Return the name of a session's unit, after its file."""
@@ -161,10 +160,6 @@ def _quoted(word: str, *, command: bool = False) -> str:
     text = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     text = text.replace("$", "$$") if command else text
     return f'"{text}"'
-
-
-def _plain(text: str) -> str:
-    return text.replace("%", "%%")
 
 
 def install_unit(arguments: Namespace) -> int:
@@ -191,14 +186,11 @@ def install_unit(arguments: Namespace) -> int:
         return FAILURE
     print_line(f"{path}: {'written' if old is None else 'unchanged' if old == text else 'replaced'}. Run next:")
     control = _systemctl(arguments.system)
-    for command, why in (
-        (f"{control} daemon-reload", ""),
-        (f"{control} enable --now {service.name}", "starts it now, and whenever the machine starts"),
-        ("" if arguments.system else "loginctl enable-linger", "so that it runs while you are not logged in, too"),
-        (f"{control} reload {service.name}", "later: reads the session file again, and changes what differs"),
-    ):
-        if command:
-            print_line(f"  {command}" + (f"  # {why}" if why else ""))
+    print_line(f"  {control} daemon-reload")
+    print_line(f"  {control} enable --now {service.name}  # starts it now, and whenever the machine starts")
+    if not arguments.system:
+        print_line("  loginctl enable-linger  # so that it runs while you are not logged in, too")
+    print_line(f"  {control} reload {service.name}  # later: reads the session file again, and changes what differs")
     return OK
 
 
@@ -233,7 +225,10 @@ def uninstall_unit(arguments: Namespace) -> int:
 
 def _service(arguments: Namespace) -> Service:
     session = Path(os.path.abspath(arguments.session))  # noqa: PTH100 -- symbolic links stay as they were named
-    setup = arguments.setup or _own_setup(os.environ)
+    setup: Path | None = arguments.setup
+    if setup is None and (distribution := os.environ.get("ROS_DISTRO")):  # this shell has sourced it
+        of_ros = Path("/opt/ros") / distribution / "setup.bash"
+        setup = of_ros if of_ros.is_file() else None
     return Service(
         session=session,
         program=_program(),
@@ -251,12 +246,6 @@ def _program() -> tuple[str, ...]:
         return (os.path.abspath(found),)  # noqa: PTH100
     # With -P, a module of the same name in the working folder does not run.
     return sys.executable, "-P", "-m", "rsb_console"
-
-
-def _own_setup(environ: Mapping[str, str]) -> Path | None:
-    """Return the setup.bash of the distribution's ROS, if this shell has sourced it."""
-    path = Path("/opt/ros") / environ.get("ROS_DISTRO", "") / "setup.bash"
-    return path if environ.get("ROS_DISTRO") and path.is_file() else None
 
 
 def _owner(session: Path) -> str:

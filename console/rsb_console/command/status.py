@@ -8,12 +8,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.remote_engine import attach
-from rsb_bridge.model.faults import (
-    is_wrong,
-    needs_attention,
-    route_waits,
-    state_counts,
-)
+from rsb_bridge.model.faults import is_wrong, route_waits, state_counts
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.command.formatting import (
@@ -41,60 +36,36 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, RouteSnapshot, Snapshot
 
 
-def wrong(now: Snapshot) -> list[str]:
-    """List the faults that nobody has acknowledged, a sentence each: links first, and a lost link once.
+def _faults(now: Snapshot) -> tuple[list[str], list[str]]:
+    """Return the faults that nobody has acknowledged, and the others: a sentence each, links first, a lost link once.
 
     Some states are not faults: a link or a topic that waits for its first connection or message, a topic without a
     subscriber, and the wishes of operators: a pause, a limit, a disarmed topic.
     """
     if not now.running:
-        return ["the bridge is stopped"]
-    links = [f"link {link.name} {link_fault(link)}" for link in now.links if needs_attention(link)]
-    patterns = [pattern_text(each) for each in patterns_of(now) if needs_attention(each)]
-    return links + patterns + [rate_text(route) for route in of_links_that_are_up(now) if needs_attention(route)]
-
-
-def acknowledged(now: Snapshot) -> list[str]:
-    """List the acknowledged faults, a sentence each."""
-    if not now.running:
-        return []
-    links = [f"link {each.name} {link_fault(each)}" for each in now.links if each.acknowledged and is_wrong(each)]
-    patterns = [pattern_text(each) for each in patterns_of(now) if each.acknowledged and is_wrong(each)]
-    routes = [route for route in of_links_that_are_up(now) if route.acknowledged and is_wrong(route)]
-    return links + patterns + [rate_text(route) for route in routes]
-
-
-def waiting(now: Snapshot) -> list[str]:
-    """Describe links and topics that wait for their first connection or message, one sentence each."""
-    links = [f"link {link.name} {link_fault(link)}" for link in now.links if link.state is State.WAITING]
-    return links + [rate_text(route) for route in of_links_that_are_up(now) if route_waits(route)]
+        return ["the bridge is stopped"], []
+    texts: list[tuple[LinkSnapshot | PatternSnapshot | RouteSnapshot, str]] = [
+        *((link, f"link {link.name} {link_fault(link)}") for link in now.links),
+        *((pattern, pattern_text(pattern)) for pattern in patterns_of(now)),
+        *((route, rate_text(route)) for route in of_links_that_are_up(now)),
+    ]
+    wrong = [(each.acknowledged is not None, text) for each, text in texts if is_wrong(each)]
+    return [text for known, text in wrong if not known], [text for known, text in wrong if known]
 
 
 def print_status(arguments: Namespace) -> int:
     """Print the status of a bridge, or of all on this machine. Return the exit code, which shows any fault."""
-    several = _all_bridges(arguments)
-    if several:
+    named = [getattr(arguments, name, None) for name in ("bridge", "control", "way", "attach")]
+    if all(each is None for each in named) and len(several := running_bridges()) > 1:
         return _status_of_all(several, arguments)
     with attached(arguments, read_only=True) as engine:
         faults, lines, figures = _status_of(engine)
-    if arguments.json:
-        print_line(json_line(figures))
-    for line in () if arguments.json else lines:
+    for line in [json_line(figures)] if arguments.json else lines:
         print_line(line)
     return FAILURE if faults else OK
-
-
-def _all_bridges(arguments: Namespace) -> list[RunningBridge]:
-    """Return all bridges of this machine if several run and the arguments name none, else an empty list."""
-    if arguments.bridge is not None or arguments.control is not None or getattr(arguments, "way", None) is not None:
-        return []
-    if getattr(arguments, "attach", None) is not None:
-        return []
-    found = running_bridges()
-    return found if len(found) > 1 else []
 
 
 def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
@@ -124,7 +95,10 @@ def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
 def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, object]]:
     """Return a bridge's faults, its status as lines, and the same as data."""
     now, bridge = engine.snapshot(), engine.bridge
-    faults, known, waits = wrong(now), acknowledged(now), waiting(now)
+    faults, known = _faults(now)
+    # These wait for their first connection or message.
+    waits = [f"link {link.name} {link_fault(link)}" for link in now.links if link.state is State.WAITING]
+    waits += [rate_text(route) for route in of_links_that_are_up(now) if route_waits(route)]
     about = {key: getattr(bridge, key) for key in ("role", "pid", "started", "file", "program")}
     figures = {"ok": not faults, "wrong": faults, "acknowledged": known, "waiting": waits, "name": engine.name, **about,
                "address": now.address, "domain_id": now.domain_id,

@@ -13,9 +13,12 @@ from rsb_console.command.remote_arguments import (
     KINDS,
     NO_BRIDGE,
     bridge_command,
+    bridge_options,
     drop_arm_option,
     kind_option,
     route_arguments,
+    route_command,
+    subcommand,
 )
 
 if TYPE_CHECKING:
@@ -53,21 +56,13 @@ for example:
 
 
 def add_topic_commands(command: AddCommand, complete: Complete) -> None:
-    remote = partial(bridge_command, command, complete)
-    topics = remote(
-        "topics", "route_commands:print_topics", "list the topics and services of a running bridge", after="status"
-    )
-    topics.add_argument(
-        "--available", action="store_true", help="list the names that can be bridged, on both sides, instead"
-    )
-    add = remote(
-        "add",
-        "route_commands:add_topic",
-        "bridge one more topic, service, action or node's parameters",
-        _ADD,
-        after="topics",
-        about_topic=True,
-    )
+    summary = "list the topics and services of a running bridge"
+    topics = bridge_command(command, complete, "topics", "route_commands:print_topics", summary, after="status")
+    available = "list the names that can be bridged, on both sides, instead"
+    topics.add_argument("--available", action="store_true", help=available)
+    summary = "bridge one more topic, service, action or node's parameters"
+    add = command("add", subcommand("route_commands:add_topic"), summary, _ADD, "topics")
+    bridge_options(add, complete)
     name = "its name on this bridge's side, or on the client"
     complete(add.add_argument("topic", metavar="NAME", help=name), "available")
     kind_option(add, "kind of the name; default: topic")
@@ -77,78 +72,37 @@ def add_topic_commands(command: AddCommand, complete: Complete) -> None:
     way = "for a topic: to or from the server, as the client sees it"
     direction = add.add_argument("direction", metavar="transmit|receive", nargs="?", help=way)
     complete(direction, "direction_or_keys")
-    _cost_options(add)
+    cost = "add nothing; print the topic's cost on the link, and which topics would suffer"
+    add.add_argument("--dry-run", action="store_true", help=cost)
+    figures = "with --dry-run: its load, if the bridge has no figure"
+    add.add_argument("--rate", type=above_0, metavar="HZ", help=figures)
+    add.add_argument("--size", type=above_0, metavar="BYTES", help=figures)
     _topic_keys(add, complete)
     which = "the client to bridge with, on a server with several clients"
     complete(add.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
-    edit = remote(
-        "edit", "route_commands:edit_topic", "change a topic or service that is bridged", after="add", about_topic=True
-    )
-    route_arguments(edit, complete)
+    of_route = partial(route_command, command, complete)
+    edit = of_route("edit", "route_commands:edit_topic", "change a topic or service that is bridged", after="add")
     _topic_keys(edit, complete)
     drop_arm_option(edit, "with arm=false: also drop the demand that the name requires arming")
-    remove = remote(
-        "remove",
-        "route_commands:remove_topic",
-        "stop bridging a topic or service, on both sides",
-        after="edit",
-        about_topic=True,
-    )
-    route_arguments(remove, complete)
+    summary = "stop bridging a topic or service, on both sides"
+    remove = of_route("remove", "route_commands:remove_topic", summary, after="edit")
     drop_arm_option(remove, "also drop the demand that the name requires arming; otherwise it stays")
-    for after, name, summary in (
-        (
-            "remove",
-            "pause",
-            "stop carrying a topic's messages or a service's calls, on both sides; all routes of the name",
-        ),
-        ("pause", "resume", "resume a paused topic or service; all routes of the name"),
-    ):
-        route_arguments(remote(name, f"route_commands:{name}_topic", summary, after=after, about_topic=True), complete)
-    ack = remote(
-        "ack",
-        "route_commands:acknowledge",
-        "acknowledge a fault, until it changes",
-        _EXIT_ACK,
-        after="resume",
-        about_topic=True,
-    )
-    route_arguments(ack, complete, metavar="TOPIC|LINK")
+    summary = "stop carrying a topic's messages or a service's calls, on both sides; all routes of the name"
+    of_route("pause", "route_commands:pause_topic", summary, after="remove")
+    summary = "resume a paused topic or service; all routes of the name"
+    of_route("resume", "route_commands:resume_topic", summary, after="pause")
+    summary = "acknowledge a fault, until it changes"
+    ack = of_route("ack", "route_commands:acknowledge", summary, _EXIT_ACK, after="resume", metavar="TOPIC|LINK")
     ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
-    arm = remote(
-        "arm",
-        "arming_commands:arm_topic",
-        "arm a topic, a service or an action while this command runs",
-        _EXIT_ARM,
-        after="ack",
-        about_topic=True,
-    )
+    summary = "arm a topic, a service or an action while this command runs"
+    arm = command("arm", subcommand("arming_commands:arm_topic"), summary, _EXIT_ARM, "ack")
+    bridge_options(arm, complete)
     held = arm.add_mutually_exclusive_group()
     held.add_argument("--ask", action="store_true", help="ask its holder; without an answer it goes over in 10 s")
     held.add_argument("--take", action="store_true", help="take it from its holder at once")
     route_arguments(arm, complete)
-    route_arguments(
-        remote(
-            "disarm",
-            "arming_commands:disarm_topic",
-            "disarm all routes of a name, also if others armed them",
-            after="arm",
-            about_topic=True,
-        ),
-        complete,
-    )
-
-
-def _cost_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options about the cost of a topic."""
-    parser.add_argument(
-        "--dry-run",
-        action="store_true",
-        help="add nothing; print the topic's cost on the link, and which topics would suffer",
-    )
-    figures = "with --dry-run: its load, if the bridge has no figure"
-    parser.add_argument("--rate", type=above_0, metavar="HZ", help=figures)
-    parser.add_argument("--size", type=above_0, metavar="BYTES", help=figures)
+    summary = "disarm all routes of a name, also if others armed them"
+    of_route("disarm", "arming_commands:disarm_topic", summary, after="arm")
 
 
 def _keys(kind: Kind) -> str:

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_console.command.argument_values import above_0, count, timeout, window_seconds
-from rsb_console.command.remote_arguments import NO_BRIDGE, bridge_command, route_arguments
+from rsb_console.command.remote_arguments import NO_BRIDGE, bridge_command, route_command
 
 if TYPE_CHECKING:
     import argparse
@@ -61,14 +61,10 @@ def add_watching_commands(command: AddCommand, complete: Complete) -> None:
     remote = partial(bridge_command, command, complete)
     events = remote("events", "watching_commands:print_events", "print the events of a running bridge", after="save")
     events.add_argument("--follow", action="store_true", help="continue with new events")
-    events.set_defaults(endless=_endless_events)
-    wait = remote(
-        "wait",
-        "watching_commands:wait_until",
-        "wait until topics flow, a link is up, or the bridge has stopped",
-        _WAIT,
-        after="events",
-    )
+    endless = "events --follow does not end: follow one robot's server at a time"
+    events.set_defaults(endless=lambda arguments: endless if arguments.follow else "")
+    summary = "wait until topics flow, a link is up, or the bridge has stopped"
+    wait = remote("wait", "watching_commands:wait_until", summary, _WAIT, after="events")
     wanted = wait.add_argument(
         "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
         help="flowing TOPIC, linked [CLIENT], or stopped",
@@ -76,37 +72,20 @@ def add_watching_commands(command: AddCommand, complete: Complete) -> None:
     complete(wanted, "awaited")
     wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     wait.set_defaults(endless=lambda arguments: _UNTIL.format("wait") if arguments.timeout is None else "")
-    echo = remote(
-        "echo",
-        "watching_commands:print_messages",
-        "print a topic's messages, two a second at most",
-        _EXIT_ECHO,
-        after="wait",
-        about_topic=True,
+    of_route = partial(route_command, command, complete)
+    summary = "print a topic's messages, two a second at most"
+    _echo_arguments(
+        of_route("echo", "watching_commands:print_messages", summary, _EXIT_ECHO, after="wait", kinds=("topic",))
     )
-    _echo_arguments(echo, complete)
     for after, name, summary, more in (
         ("echo", "hz", "print a topic's rate, once a second", _EXIT_HZ),
         ("hz", "bw", "print a topic's bandwidth and message size, once a second", _EXIT_BW),
     ):
-        _figures_arguments(
-            name, remote(name, f"figures:{name}", summary, more, after=after, about_topic=True), complete
-        )
-    route_arguments(
-        remote(
-            "info",
-            "info:print_info",
-            "print all details of one topic or service",
-            _EXIT_INFO,
-            after="bw",
-            about_topic=True,
-        ),
-        complete,
-    )
+        _figures_arguments(name, of_route(name, f"figures:{name}", summary, more, after=after, kinds=("topic",)))
+    of_route("info", "info:print_info", "print all details of one topic or service", _EXIT_INFO, after="bw")
 
 
-def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
-    route_arguments(echo, complete, kinds=("topic",))
+def _echo_arguments(echo: argparse.ArgumentParser) -> None:
     echo.add_argument("--once", action="store_true", help="stop after one message")
     echo.add_argument("--count", type=count, metavar="N", help="stop after N messages; default: until interrupted")
     echo.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
@@ -115,8 +94,7 @@ def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
     echo.set_defaults(endless=_endless_echo)
 
 
-def _figures_arguments(name: str, parser: argparse.ArgumentParser, complete: Complete) -> None:
-    route_arguments(parser, complete, kinds=("topic",))
+def _figures_arguments(name: str, parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=count, metavar="N", help="stop after N times; default: until interrupted")
     parser.add_argument("--for", dest="lasts", type=above_0, metavar="N", help="stop after N s; default: never")
     window = "take the figures over the last N s, at most 120 (%(default)s)"
@@ -125,10 +103,6 @@ def _figures_arguments(name: str, parser: argparse.ArgumentParser, complete: Com
 
 
 # What `fleet exec` says of commands that do not end by themselves.
-
-
-def _endless_events(arguments: argparse.Namespace) -> str:
-    return "events --follow does not end: follow one robot's server at a time" if arguments.follow else ""
 
 
 def _endless_echo(arguments: argparse.Namespace) -> str:
