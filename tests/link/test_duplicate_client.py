@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 def test_the_warning_lasts_as_long_as_any_tries() -> None:
     clients = DuplicateClients("robot1")
-    assert clients.warning(0.0, 1000.0) == ""
+    assert clients.text(0.0, 1000.0) == ""
     for second in range(0, 60, 4):  # one stops, and the next begins
         clients.tried("10.0.0.9", f"spare{second // 20}", float(second), 1000.0 + second)
     words = "(host spare2) calls itself 'robot1' too, and is refused, for 50 s now: stop one of the two"
-    assert words in clients.warning(56.0, 1056.0)
-    assert clients.warning(63.0, 1063.0) == ""
+    assert words in clients.text(56.0, 1056.0)
+    assert clients.text(63.0, 1063.0) == ""
     clients.tried("10.0.0.9", "spare0", 200.0, 1200.0)
-    assert "for 1 s now" in clients.warning(200.0, 1200.0), "it has begun again"
+    assert "for 1 s now" in clients.text(200.0, 1200.0), "it has begun again"
 
 
 def test_of_many_a_few_are_kept() -> None:

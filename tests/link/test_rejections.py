@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.long import long
 
-from rsb_bridge.link.refused_clients import Refusals
+from rsb_bridge.link.pending_connections import Refusals
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:

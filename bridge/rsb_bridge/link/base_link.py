@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.events import Established
     from rsb_bridge.wire.messages import ControlMessageBase, Hello, Propose, UrgentMessage, Welcome
-    from rsb_bridge.wire.sealing import Role, SessionKeys
+    from rsb_bridge.wire.sealing import Role
 
 _E = TypeVar("_E", bound=Extension)
 
@@ -95,6 +95,7 @@ class BaseLink(ABC):
     What is said of a peer or a connection holds of the present one, or of the last one while there is none.
     """
 
+    channels_class: type[DataChannels]
     path: LinkPath
     fullness: LinkRates
     report_soon: Callable[[Route], None]
@@ -180,31 +181,27 @@ class BaseLink(ABC):
     def rights(self) -> Rights:
         """The peer's rights on this side."""
 
-    @abstractmethod
     def with_local_name(self, proposal: Propose) -> Propose:
         """Return the peer's proposal with this side's name for the topic."""
+        return proposal
 
-    @abstractmethod
     def shows(self, topic: str, kind: Kind = "topic") -> bool:
         """Whether the peer may know that this side's graph has a topic, or a service. May be called from any thread."""
+        return self.rights.shows(topic, kind)
 
-    @abstractmethod
     async def prepare_port(self, route: Route) -> None:
-        """Prepare the port that a route names for the client.
+        """Prepare the port that a route names for the client; a client has none.
 
         Raises:
             ListenError: it cannot be bound.
         """
-
-    @abstractmethod
-    def make_channels(self, control: ControlChannel, keys: SessionKeys) -> DataChannels:
-        """Return the channels of a new connection."""
+        return
 
     # --- the present connection
 
     @property
     def channels(self) -> DataChannels:
-        """The present connection."""
+        """What a link has as long as it is up; there has to be one."""
         assert self._channels is not None
         return self._channels
 
@@ -251,7 +248,7 @@ class BaseLink(ABC):
         control = ControlChannel(stream, connection, self.handlers, self.lost)
         peer = self.peer = event.peer
         self.instance = peer.instance
-        self._channels = self.make_channels(control, event.keys)
+        self._channels = self.channels_class(self, control, event.keys)
         self._is_silent = False
         self.connections += 1
         self.linked_at = self.context.now()
@@ -267,11 +264,8 @@ class BaseLink(ABC):
 
     def silent(self) -> None:
         """End the connection: nothing has come for as long as the patience lasts."""
-        control = self.control
-        if control is None:
-            return
         self._is_silent = True
-        quiet, alone = self.keepalive.quiet, self.keepalive.control_quiet
+        control, quiet, alone = self.channels.control, self.keepalive.quiet, self.keepalive.control_quiet
         if alone < 2 * quiet:
             text = f"the peer is silent: nothing came for {quiet:.0f} s"
             control.abort(f"{text}: check that it is on and does not hang, its cable or Wi-Fi, and firewalls")

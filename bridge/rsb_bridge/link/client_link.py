@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.config.rights import rights_of_server
-from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn, ServerSearch, failure_of_search, unproven_servers
+from rsb_bridge.link.connecting import (
+    ConnectAttempt,
+    Failure,
+    LetIn,
+    ProvenServer,
+    failure_of_search,
+    find_servers,
+    unproven_servers,
+)
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, server_refusal, with_remedy
@@ -22,6 +30,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamProblem, os_error_message
+from rsb_bridge.transport.trials import Trials
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode, StreamName
 from rsb_bridge.wire.messages import Duplicate, Shutdown, Welcome
@@ -32,10 +41,9 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
-    from rsb_bridge.model.session import Identity, Kind, Topic
-    from rsb_bridge.route.route import Route
+    from rsb_bridge.model.session import Identity
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
-    from rsb_bridge.wire.messages import Hello, Propose
+    from rsb_bridge.wire.messages import Hello
     from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
 _HANDSHAKE_TIMEOUT = 10.0  # s for an answer, as long as a server waits for a handshake (`pending_connections`)
@@ -119,16 +127,15 @@ class ClientChannels(DataChannels):
         # Where all topics open their first streams before any opens its second one, none may get that.
         if descriptors.left() < self._wanted + len(wanted):
             return Failure(descriptors.scarcity_message("client"))
-        left = len(wanted)
-        self._wanted += left
+        self._wanted += len(wanted)
         try:
-            for large in wanted:
-                if (failure := await self._open_stream(transport, port, large=large)) is not None:
+            while wanted:
+                if (failure := await self._open_stream(transport, port, large=wanted[0])) is not None:
                     return failure
-                left -= 1
+                del wanted[0]
                 self._wanted -= 1
         finally:
-            self._wanted -= left
+            self._wanted -= len(wanted)
         return None
 
     async def _open_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
@@ -186,6 +193,8 @@ class ClientLink(Link):
         udp_failure: the last reason why no socket for datagrams could be opened, or an empty string.
     """
 
+    channels_class = ClientChannels
+
     def __init__(self, context: Context, hello: Hello, key: Key | None, suite: CipherSuite) -> None:
         session = context.session
         super().__init__(context, session.name, is_client=True, encrypted=key is not None)
@@ -202,7 +211,7 @@ class ClientLink(Link):
         self.udp_failure = ""
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random, _JITTER)
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
-        self._search = ServerSearch(self.transport, context.now, _HANDSHAKE_TIMEOUT)
+        self._trials: Trials[ProvenServer] = Trials(context.now, _HANDSHAKE_TIMEOUT)
         self.handlers |= {Duplicate: self.on_duplicate, Shutdown: self.on_shutdown}
 
     @property
@@ -283,7 +292,7 @@ class ClientLink(Link):
 
     async def _find(self, hosts: list[str], begin: Callable[[CipherSuite | None], ClientConnection]) -> Failure | None:
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
-        proven, failures, unproven = await self._search.find(hosts, begin)
+        proven, failures, unproven = await find_servers(self._trials, self.transport, hosts, begin)
         if proven:  # else the failure counts them
             if unproven and not self.fault.unproven:
                 text = unproven_servers(unproven)
@@ -430,9 +439,6 @@ class ClientLink(Link):
 
     # --- routes
 
-    def client_names(self, topic: Topic) -> Topic:
-        return topic
-
     @property
     def rights(self) -> Rights:
         return rights_of_server(self.context.session, self.table.listed)
@@ -443,18 +449,6 @@ class ClientLink(Link):
         self.table.listed = topics | {route.spec.identity for route in self.routes.values() if route.pattern}
         self.table.rights_changed()
         self.patterns.renew()
-
-    def with_local_name(self, proposal: Propose) -> Propose:
-        return proposal
-
-    def shows(self, topic: str, kind: Kind = "topic") -> bool:
-        return self.rights.shows(topic, kind)
-
-    async def prepare_port(self, route: Route) -> None:
-        return
-
-    def make_channels(self, control: ControlChannel, keys: SessionKeys) -> ClientChannels:
-        return ClientChannels(self, control, keys)
 
 
 def _not_connected(address: str, error: OSError) -> Failure:

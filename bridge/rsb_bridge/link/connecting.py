@@ -321,29 +321,22 @@ class _HostSearch:
                 each.give_up()
 
 
-class ServerSearch:
-    """Tries servers that a network announces by the handshake, and remembers failed ones.
+async def find_servers(
+    trials: Trials[ProvenServer],
+    transport: StreamTransport,
+    hosts: Collection[str],
+    begin: Callable[[CipherSuite | None], ClientConnection],
+) -> tuple[list[ProvenServer], list[Failure], int]:
+    """Find the servers that prove the key, among all announced hosts.
 
     Args:
-        patience: s that a server has to prove the key.
+        trials: remembers the hosts that have failed.
+        begin: begins a handshake, with the suite that a server asks for.
+
+    Returns:
+        The servers, the failures of others, and how many others there are.
     """
-
-    def __init__(self, transport: StreamTransport, now: Callable[[], float], patience: float) -> None:
-        self._transport = transport
-        self._trials: Trials[ProvenServer] = Trials(now, patience)
-
-    async def find(
-        self, hosts: Collection[str], begin: Callable[[CipherSuite | None], ClientConnection]
-    ) -> tuple[list[ProvenServer], list[Failure], int]:
-        """Find the servers that prove the key, among all announced hosts.
-
-        Args:
-            begin: begins a handshake, with the suite that a server asks for.
-
-        Returns:
-            The servers, the failures of others, and how many others there are.
-        """
-        proven, failures, others = await self._trials.search(
-            hosts, lambda host: _HostSearch(self._transport, host, begin).run(), ProvenServer.give_up
-        )
-        return list(proven.values()), [failure.args[0] for failure in failures], others
+    proven, failures, others = await trials.search(
+        hosts, lambda host: _HostSearch(transport, host, begin).run(), ProvenServer.give_up
+    )
+    return list(proven.values()), [failure.args[0] for failure in failures], others

@@ -50,7 +50,7 @@ class LinkFault(Extension):
         found = (
             # Before a second machine of the name, which operators acknowledge for weeks: topics suffer from the path.
             (path.cause, path.text) if path else (LinkCause.NONE, ""),
-            (LinkCause.NAME_TAKEN, self.duplicates.warning(link.context.now(), link.context.wall())),
+            (LinkCause.NAME_TAKEN, self.duplicates.text(link.context.now(), link.context.wall())),
             # A path that loses packets carries less, too: its loss explains that.
             (LinkCause.FULL, "" if path else self._fullness.warning),
             (LinkCause.UNPROVEN_SERVERS, unproven_servers(self.unproven) if self.unproven else ""),

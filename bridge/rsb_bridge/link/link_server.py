@@ -13,7 +13,7 @@ import msgspec
 from rsb_bridge import __version__
 from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.feature import feature_names
-from rsb_bridge.link.connecting import ServerSearch
+from rsb_bridge.link.connecting import find_servers
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections, Rejected
 from rsb_bridge.link.refused_clients import CAUSES, RefusedClients
 from rsb_bridge.link.server_link import UNKNOWN_ROUTE, DescriptorShare, ServerLink
@@ -23,6 +23,7 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.descriptors import RESERVE
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.transport.trials import Trials
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Attach, Established, Event, Failed, RefusalCode, StreamRefused
 from rsb_bridge.wire.messages import Hello, Welcome
@@ -32,6 +33,7 @@ from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
+    from rsb_bridge.link.connecting import ProvenServer
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.link.server_link import ClientEntry
     from rsb_bridge.model.reason import Reason
@@ -133,7 +135,8 @@ class Server:
         def begin(suite: CipherSuite | None) -> ClientConnection:
             return ClientConnection(hello, secret, suite or CipherSuite.AESGCM)
 
-        proven, _, _ = await ServerSearch(self._transport, self.context.now, _PROVES_WITHIN).find(hosts, begin)
+        trials: Trials[ProvenServer] = Trials(self.context.now, _PROVES_WITHIN)
+        proven, _, _ = await find_servers(trials, self._transport, hosts, begin)
         for each in proven:
             each.give_up()
         return [str(each.stream.address[0]) for each in proven]

@@ -6,25 +6,44 @@ A server uses it for the streams of its clients, an engine for the consoles of i
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 from abc import ABC, abstractmethod
+from collections import deque
+from dataclasses import dataclass
 from enum import IntEnum, auto
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
-from rsb_bridge.link.refused_clients import Refusals, network
-from rsb_bridge.model.budgets import CONNECTION
+from rsb_bridge.model.budgets import CONNECTION, TokenBucket
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport import descriptors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_bridge.link.refused_clients import Recording
     from rsb_bridge.model.budgets import Strangers
     from rsb_bridge.model.codes import EventCode
+    from rsb_bridge.telemetry.event_log import EventLog
 
 _HANDSHAKE_WITHIN = 10.0
 """s, as long as a client waits for an answer (`client_link`). On a path with 2 s each way, a handshake takes 4 s, or 8
 if the server asks for another cipher suite."""
+_FAILURES = 5
+_FAILURES_WITHIN = 30.0
+_DELAY = 1.0
+"""s that a host waits for a refusal after so many failures within so many s: guesses cost time. Round figures: nothing
+was measured; ten times more, and a client would give up before it hears why it is refused."""
+_HOSTS_REMEMBERED = 1024
+"""A round figure: beyond it the first ones are forgotten, and refused at once."""
+_LOGGED_AFTER, _LOGGED_AFTER_AT_LAST = 60.0, 3600.0
+"""s until the same refusal of the same host is logged again; twice as long each time."""
+_LINE_FORGOTTEN_AFTER = 60.0
+"""s without another one; a client that is refused tries again within 12 s."""
+_OF_ONE_HOST = 8
+"""Different refusals that are logged one by one: a stranger chooses their words, such as its name."""
+_MANY = "many different reasons: further refusals of its host are not logged one by one"
+_LINES, _LINES_A_SECOND = 256, 0.5
+"""Lines about all hosts. Round figures."""
 
 
 class Rejected(Wording):
@@ -55,6 +74,96 @@ class Limits(NamedTuple):
     """In stage `ConnectionStage.ACCEPTED` under one name; more only come if somebody plays first messages again."""
     when_scarce: int | None = None
     """In all while file descriptors are scarce, or None for `total`."""
+
+
+@dataclass(slots=True)
+class _Logged:
+    """A refusal that is in the log already."""
+
+    tried_at: float  # when it last happened
+    due: float  # when it may be logged again
+    wait: float = _LOGGED_AFTER
+
+
+class Recording(Protocol):
+    """Clock and event log for refusals."""
+
+    @property
+    def events(self) -> EventLog: ...
+
+    def now(self) -> float: ...
+
+
+class Refusals:
+    """Refusals by host. The addresses of an IPv6 /64, which one machine can have, count as one host."""
+
+    def __init__(self, context: Recording) -> None:
+        self._context = context
+        self._failures: dict[str, deque[float]] = {}
+        self._logged: dict[tuple[str, str], _Logged] = {}
+        self._lines = TokenBucket(_LINES, _LINES_A_SECOND, context.now())
+
+    def failed(self, host: str) -> None:
+        """Count a failed authentication of a host."""
+        self._failures.setdefault(network(host), deque(maxlen=_FAILURES)).append(self._context.now())
+        if len(self._failures) > _HOSTS_REMEMBERED:
+            self._failures.pop(next(iter(self._failures)))
+
+    def delay(self, host: str) -> float:
+        """Return the seconds until a host receives its refusal: failures cost time, but lock nobody out."""
+        return _DELAY if len(self._failures.get(network(host), ())) >= _FAILURES else 0.0
+
+    def log(self, host: str, who: str, code: EventCode, message: str, link: str = "", cause: str = "") -> None:
+        """Log a rejection: repetitions for a host ever more rarely, and few different messages of one host.
+
+        The quota of the link stays as it is: anybody can use its name.
+        """
+        host = network(host)
+        if is_one_of_many := (host, "") in self._logged or self._has_many(host, message):
+            message = ""
+        if self.is_new(host, message):
+            text = f"rejected {who}: {_MANY if is_one_of_many else message}"
+            self._context.events.add(Level.WARNING, code, text, link=link, cause=cause)
+
+    def _has_many(self, host: str, message: str) -> bool:
+        return (host, message) not in self._logged and sum(1 for one, _ in self._logged if one == host) >= _OF_ONE_HOST
+
+    def is_new(self, host: str, message: str) -> bool:
+        """Whether to log a message about a host, or about none, now."""
+        now, logged = self._context.now(), self._logged.get((host, message))
+        if logged is None:
+            if len(self._logged) >= _LINES or not self._lines.take(1, now):
+                return False
+            self._logged[host, message] = _Logged(now, now + _LOGGED_AFTER)
+            return True
+        logged.tried_at = now
+        if now < logged.due:
+            return False
+        logged.wait = min(2 * logged.wait, _LOGGED_AFTER_AT_LAST)
+        logged.due = now + logged.wait
+        return True
+
+    def tick(self) -> None:
+        """Forget old failures and log entries."""
+        now = self._context.now()
+        for host, times in tuple(self._failures.items()):
+            while times and now - times[0] > _FAILURES_WITHIN:
+                times.popleft()
+            if not times:
+                del self._failures[host]
+        self._logged = {key: each for key, each in self._logged.items() if now - each.tried_at < _LINE_FORGOTTEN_AFTER}
+
+
+def network(host: str) -> str:
+    """Return the network that counts as one host: the /64 of an IPv6 address, and any other address itself."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host
+    # Neighbours share the link-local /64, and all of IPv4 that of the mapped addresses.
+    if address.version == 4 or address.ipv4_mapped or address.is_link_local:
+        return host
+    return str(ipaddress.IPv6Network((int(address), 64), strict=False))
 
 
 class PendingConnections:
@@ -123,7 +232,7 @@ class PendingConnection(ABC):
 
     Attributes:
         who: the peer with its address, for the log.
-        network: counts as one host with others (`rsb_bridge.link.refused_clients.network`).
+        network: counts as one host with others (`network`).
         name: given by the peer, and not authenticated.
     """
 

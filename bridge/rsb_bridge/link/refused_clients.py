@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import ipaddress
 import shlex
-from collections import deque
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-from rsb_bridge.model.budgets import TokenBucket
+from rsb_bridge.link.pending_connections import network
 from rsb_bridge.model.limits import TEXT_LENGTH
-from rsb_bridge.model.snapshot import Level, RefusedClient
+from rsb_bridge.model.snapshot import RefusedClient
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import LinkCause, about
 from rsb_bridge.model.wording import Wording
@@ -20,8 +18,6 @@ from rsb_bridge.wire.messages import Duplicate
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
-    from rsb_bridge.model.codes import EventCode
-    from rsb_bridge.telemetry.event_log import EventLog
     from rsb_bridge.transport.streams import Stream
 
 CAUSES: dict[RefusalCode | None, LinkCause] = {
@@ -34,22 +30,6 @@ CAUSES: dict[RefusalCode | None, LinkCause] = {
 """Why the link is down; with any other code, `LinkCause.REFUSED`."""
 ASKED_EVERY = 30.0
 """s between the attempts of a client whose link is shut down, before jitter (PROTOCOL.md, 3)."""
-_FAILURES = 5
-_FAILURES_WITHIN = 30.0
-_DELAY = 1.0
-"""s that a host waits for a refusal after so many failures within so many s: guesses cost time. Round figures: nothing
-was measured; ten times more, and a client would give up before it hears why it is refused."""
-_HOSTS_REMEMBERED = 1024
-"""A round figure: beyond it the first ones are forgotten, and refused at once."""
-_LOGGED_AFTER, _LOGGED_AFTER_AT_LAST = 60.0, 3600.0
-"""s until the same refusal of the same host is logged again; twice as long each time."""
-_LINE_FORGOTTEN_AFTER = 60.0
-"""s without another one; a client that is refused tries again within 12 s."""
-_OF_ONE_HOST = 8
-"""Different refusals that are logged one by one: a stranger chooses their words, such as its name."""
-_MANY = "many different reasons: further refusals of its host are not logged one by one"
-_LINES, _LINES_A_SECOND = 256, 0.5
-"""Lines about all hosts. Round figures."""
 MOST = 16
 """Entries: they are on the first screen."""
 MOST_OF_ONE_HOST = 4
@@ -107,96 +87,6 @@ def server_refusal(refusal: str) -> str:
     """Return the server's refusal for the client's operator."""
     asks = f"this side asks again every {ASKED_EVERY:g} s"
     return f"the server says: {refusal}; {asks}, until an operator there accepts it again"
-
-
-@dataclass(slots=True)
-class _Logged:
-    """A refusal that is in the log already."""
-
-    tried_at: float  # when it last happened
-    due: float  # when it may be logged again
-    wait: float = _LOGGED_AFTER
-
-
-class Recording(Protocol):
-    """Clock and event log for refusals."""
-
-    @property
-    def events(self) -> EventLog: ...
-
-    def now(self) -> float: ...
-
-
-class Refusals:
-    """Refusals by host. The addresses of an IPv6 /64, which one machine can have, count as one host."""
-
-    def __init__(self, context: Recording) -> None:
-        self._context = context
-        self._failures: dict[str, deque[float]] = {}
-        self._logged: dict[tuple[str, str], _Logged] = {}
-        self._lines = TokenBucket(_LINES, _LINES_A_SECOND, context.now())
-
-    def failed(self, host: str) -> None:
-        """Count a failed authentication of a host."""
-        self._failures.setdefault(network(host), deque(maxlen=_FAILURES)).append(self._context.now())
-        if len(self._failures) > _HOSTS_REMEMBERED:
-            self._failures.pop(next(iter(self._failures)))
-
-    def delay(self, host: str) -> float:
-        """Return the seconds until a host receives its refusal: failures cost time, but lock nobody out."""
-        return _DELAY if len(self._failures.get(network(host), ())) >= _FAILURES else 0.0
-
-    def log(self, host: str, who: str, code: EventCode, message: str, link: str = "", cause: str = "") -> None:
-        """Log a rejection: repetitions for a host ever more rarely, and few different messages of one host.
-
-        The quota of the link stays as it is: anybody can use its name.
-        """
-        host = network(host)
-        if is_one_of_many := (host, "") in self._logged or self._has_many(host, message):
-            message = ""
-        if self.is_new(host, message):
-            text = f"rejected {who}: {_MANY if is_one_of_many else message}"
-            self._context.events.add(Level.WARNING, code, text, link=link, cause=cause)
-
-    def _has_many(self, host: str, message: str) -> bool:
-        return (host, message) not in self._logged and sum(1 for one, _ in self._logged if one == host) >= _OF_ONE_HOST
-
-    def is_new(self, host: str, message: str) -> bool:
-        """Whether to log a message about a host, or about none, now."""
-        now, logged = self._context.now(), self._logged.get((host, message))
-        if logged is None:
-            if len(self._logged) >= _LINES or not self._lines.take(1, now):
-                return False
-            self._logged[host, message] = _Logged(now, now + _LOGGED_AFTER)
-            return True
-        logged.tried_at = now
-        if now < logged.due:
-            return False
-        logged.wait = min(2 * logged.wait, _LOGGED_AFTER_AT_LAST)
-        logged.due = now + logged.wait
-        return True
-
-    def tick(self) -> None:
-        """Forget old failures and log entries."""
-        now = self._context.now()
-        for host, times in tuple(self._failures.items()):
-            while times and now - times[0] > _FAILURES_WITHIN:
-                times.popleft()
-            if not times:
-                del self._failures[host]
-        self._logged = {key: each for key, each in self._logged.items() if now - each.tried_at < _LINE_FORGOTTEN_AFTER}
-
-
-def network(host: str) -> str:
-    """Return the network that counts as one host: the /64 of an IPv6 address, and any other address itself."""
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
-        return host
-    # Neighbours share the link-local /64, and all of IPv4 that of the mapped addresses.
-    if address.version == 4 or address.ipv4_mapped or address.is_link_local:
-        return host
-    return str(ipaddress.IPv6Network((int(address), 64), strict=False))
 
 
 class RefusedClients:
@@ -282,30 +172,28 @@ class DuplicateClients:
         others = self._others + len(fresh) - 1
         return Duplicate(sanitize_text(address, TEXT_LENGTH), sanitize_text(host, TEXT_LENGTH), others)
 
-    def text(self, now: float) -> str:
-        """Return the text for the linked client's log, or an empty string without duplicates."""
-        what, remedy = self._words(now)
-        return f"{what}: {remedy}" if what else ""
+    def text(self, now: float, wall: float | None = None) -> str:
+        """Return the text for an operator, or an empty string without duplicates.
+
+        Args:
+            now: the time.
+            wall: the time in s since the epoch, for a text that says how long it has been so.
+        """
+        news = self.news(now)
+        if not news.address:
+            return ""
+        at = _at(news.address, news.host)
+        if news.others:
+            others = "1 other" if news.others == 1 else f"{news.others} others"
+            what = f"a second client at {at} and {others} call themselves {self.name!r} too, and are refused"
+            remedy = "stop all but one, or give each a name and a key of its own"
+        else:
+            what, remedy = SameName.SECOND(address=at, name=self.name), REMEDY
+        lasting = "" if wall is None else f", for {about(wall - self._since)} now"
+        return f"{what}{lasting}: {remedy}"
 
     def ended_text(self) -> str:
         return f"no second client calls itself {self.name!r} any more"
-
-    def warning(self, now: float, wall: float) -> str:
-        """Return the warning at `now` (s), or `wall` (s since the epoch), or an empty string without duplicates."""
-        what, remedy = self._words(now)
-        return f"{what}, for {about(wall - self._since)} now: {remedy}" if what else ""
-
-    def _words(self, now: float) -> tuple[str, str]:
-        """Return the problem and the remedy, or empty strings."""
-        news = self.news(now)
-        if not news.address:
-            return "", ""
-        at = _at(news.address, news.host)
-        if not news.others:
-            return SameName.SECOND(address=at, name=self.name), REMEDY
-        others = "1 other" if news.others == 1 else f"{news.others} others"
-        what = f"a second client at {at} and {others} call themselves {self.name!r} too, and are refused"
-        return what, "stop all but one, or give each a name and a key of its own"
 
     def _fresh(self, now: float) -> dict[tuple[str, str], float]:
         return {client: at for client, at in self._tried.items() if now - at <= _REMEMBERED}

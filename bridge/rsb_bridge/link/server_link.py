@@ -44,10 +44,9 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.ports import Ports
     from rsb_bridge.transport.streams import Address, Stream
-    from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
+    from rsb_bridge.transport.transport import DatagramSocket
     from rsb_bridge.wire.connection import ServerConnection
     from rsb_bridge.wire.events import Attach, Established
-    from rsb_bridge.wire.sealing import SessionKeys
 
 _NAMED = 12
 """Ports that a refusal lists."""
@@ -211,12 +210,6 @@ class ServerChannels(DataChannels):
 
     _link: ServerLink
 
-    def open_streams(self, transport: StreamTransport, port: int) -> None:
-        """Do nothing: the client opens them."""
-
-    def _open_udp(self, transport: DatagramTransport, port: int) -> None:
-        """Do nothing: the client's first probe opens them."""
-
     @property
     def streams_awaited(self) -> int:
         """Number of permitted streams that the client has yet to open."""
@@ -281,6 +274,7 @@ class ServerChannels(DataChannels):
 class ServerLink(Link):
     """One client, as the server sees it."""
 
+    channels_class = ServerChannels
     _channels: ServerChannels | None
 
     def __init__(self, context: Context, entry: ClientEntry, ports: Ports, descriptors: DescriptorShare) -> None:
@@ -405,9 +399,6 @@ class ServerLink(Link):
 
     def shared_port(self) -> int:
         return self.context.session.server_port
-
-    def make_channels(self, control: ControlChannel, keys: SessionKeys) -> ServerChannels:
-        return ServerChannels(self, control, keys)
 
     @property
     def channels(self) -> ServerChannels:
