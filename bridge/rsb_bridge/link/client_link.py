@@ -212,7 +212,7 @@ class ClientLink(Link):
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random, _JITTER)
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
         self._trials: Trials[ProvenServer] = Trials(context.now, _HANDSHAKE_TIMEOUT)
-        self.handlers |= {Duplicate: self.on_duplicate, Shutdown: self.on_shutdown}
+        self.handlers |= {Duplicate: self._on_duplicate, Shutdown: self._on_shutdown}
 
     @property
     def address(self) -> str:
@@ -381,7 +381,7 @@ class ClientLink(Link):
                 await self._retry.wait()
         self.status.retry_at = None
 
-    def on_duplicate(self, message: Duplicate) -> None:
+    def _on_duplicate(self, message: Duplicate) -> None:
         now = self.context.now()
         begins = self.fault.cause is not LinkCause.NAME_TAKEN
         self.fault.duplicates.take_news(message, self.context.wall())
@@ -395,14 +395,13 @@ class ClientLink(Link):
         super().lost(reason, code)
         self._ended.set()
 
-    def on_shutdown(self, message: Shutdown) -> None:
-        if self.control is None:
-            return
+    def _on_shutdown(self, message: Shutdown) -> None:
+        control = self.channels.control
         if message.retry_after is None:
-            self.control.abort(server_refusal(message.reason), EventCode.LINK_SHUT_DOWN)
+            control.abort(server_refusal(message.reason), EventCode.LINK_SHUT_DOWN)
         else:
             self._retry_after = min(message.retry_after, _LONGEST_RETRY_AFTER)
-            self.control.abort(f"the server closed the link: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
+            control.abort(f"the server closed the link: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
 
     def change_key(self, key: Key | None) -> None:
         """Use another key from now on: a link that is up connects again."""

@@ -53,8 +53,7 @@ class CarriedLink(Protocol):
     ids: RouteIds
     budget: PeerBudget
     keepalive: Keepalive
-    shortages_told: set[bool]
-    """Kernel buffers, here (True) or there, that the operator was told of."""
+    shortages_told: set[bool]  # kernel buffers, here (True) or there, that the operator was told of
 
     def shared_port(self) -> int: ...
 

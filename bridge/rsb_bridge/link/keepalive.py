@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.transports import LinkProfile
 
-ChannelCarrier: TypeAlias = "Stream | UdpChannel"
-"""Carries bytes of a connection, and counts them."""
+ChannelCarrier: TypeAlias = "Stream | UdpChannel"  # carries bytes of a connection, and counts them
 
 # Round figures.
 DEAD_AFTER = 5.0  # s without a byte from the peer until the link is given up: five pings in a row went unanswered

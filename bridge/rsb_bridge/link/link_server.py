@@ -53,10 +53,8 @@ _CODES = {
 }
 _ONLY_BRIDGES = "correct the address in that program, as only bridges use this port"
 _SESSION_CHANGED = "the server's session has changed: try again"
-_ASKED_AS = 3
-"""Number of clients whose keys other servers are asked to prove (PROTOCOL.md, 12). A round figure."""
-_PROVES_WITHIN = 1.0
-"""s in which another server has to answer; this server waits so long before it listens."""
+_ASKED_AS = 3  # number of clients whose keys other servers are asked to prove (PROTOCOL.md, 12). A round figure
+_PROVES_WITHIN = 1.0  # s in which another server has to answer; this server waits so long before it listens
 _SHUT_DOWN = "the server shuts its links down: try again"
 _REPLACED_PAUSE = 10.0
 """s that a replaced client waits, which was silent for a moment: it would find its name taken. A round

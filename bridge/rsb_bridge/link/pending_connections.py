@@ -33,17 +33,13 @@ _FAILURES_WITHIN = 30.0
 _DELAY = 1.0
 """s that a host waits for a refusal after so many failures within so many s: guesses cost time. Round figures: nothing
 was measured; ten times more, and a client would give up before it hears why it is refused."""
-_HOSTS_REMEMBERED = 1024
-"""A round figure: beyond it the first ones are forgotten, and refused at once."""
+_HOSTS_REMEMBERED = 1024  # a round figure: beyond it the first ones are forgotten, and refused at once
 _LOGGED_AFTER, _LOGGED_AFTER_AT_LAST = 60.0, 3600.0
 """s until the same refusal of the same host is logged again; twice as long each time."""
-_LINE_FORGOTTEN_AFTER = 60.0
-"""s without another one; a client that is refused tries again within 12 s."""
-_OF_ONE_HOST = 8
-"""Different refusals that are logged one by one: a stranger chooses their words, such as its name."""
+_LINE_FORGOTTEN_AFTER = 60.0  # s without another one; a client that is refused tries again within 12 s
+_OF_ONE_HOST = 8  # different refusals that are logged one by one: a stranger chooses their words, such as its name
 _MANY = "many different reasons: further refusals of its host are not logged one by one"
-_LINES, _LINES_A_SECOND = 256, 0.5
-"""Lines about all hosts. Round figures."""
+_LINES, _LINES_A_SECOND = 256, 0.5  # lines about all hosts. Round figures
 
 
 class Rejected(Wording):
@@ -72,8 +68,7 @@ class Limits(NamedTuple):
     of_one_host: int  # where a host cannot choose its address
     accepted: int
     """In stage `ConnectionStage.ACCEPTED` under one name; more only come if somebody plays first messages again."""
-    when_scarce: int | None = None
-    """In all while file descriptors are scarce, or None for `total`."""
+    when_scarce: int | None = None  # in all while file descriptors are scarce, or None for `total`
 
 
 @dataclass(slots=True)
@@ -119,14 +114,12 @@ class Refusals:
         The quota of the link stays as it is: anybody can use its name.
         """
         host = network(host)
-        if is_one_of_many := (host, "") in self._logged or self._has_many(host, message):
-            message = ""
-        if self.is_new(host, message):
+        is_one_of_many = (host, "") in self._logged or (
+            (host, message) not in self._logged and sum(one == host for one, _ in self._logged) >= _OF_ONE_HOST
+        )
+        if self.is_new(host, "" if is_one_of_many else message):
             text = f"rejected {who}: {_MANY if is_one_of_many else message}"
             self._context.events.add(Level.WARNING, code, text, link=link, cause=cause)
-
-    def _has_many(self, host: str, message: str) -> bool:
-        return (host, message) not in self._logged and sum(1 for one, _ in self._logged if one == host) >= _OF_ONE_HOST
 
     def is_new(self, host: str, message: str) -> bool:
         """Whether to log a message about a host, or about none, now."""

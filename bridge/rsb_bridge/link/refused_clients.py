@@ -28,14 +28,10 @@ CAUSES: dict[RefusalCode | None, LinkCause] = {
     RefusalCode.SHUT_DOWN: LinkCause.SHUT_DOWN,
 }
 """Why the link is down; with any other code, `LinkCause.REFUSED`."""
-ASKED_EVERY = 30.0
-"""s between the attempts of a client whose link is shut down, before jitter (PROTOCOL.md, 3)."""
-MOST = 16
-"""Entries: they are on the first screen."""
-MOST_OF_ONE_HOST = 4
-"""Robots behind one router share an address; a program that makes up names must not fill the table."""
-FORGOTTEN_AFTER = 30.0
-"""s without an attempt; a refused client tries again within 12 s."""
+ASKED_EVERY = 30.0  # s between the attempts of a client whose link is shut down, before jitter (PROTOCOL.md, 3)
+MOST = 16  # entries: they are on the first screen
+MOST_OF_ONE_HOST = 4  # robots behind one router share an address; a program that makes up names must not fill the table
+FORGOTTEN_AFTER = 30.0  # s without an attempt; a refused client tries again within 12 s
 
 
 def with_remedy(code: RefusalCode, message: str, *, name: str, has_key: bool) -> str:
@@ -131,10 +127,8 @@ class RefusedClients:
 NAME_TRIED_EVERY = 3.0
 """s between the attempts of a client that is refused because of its name. A round figure: the warning about it ends two
 of them after its last attempt."""
-_REMEMBERED = 2 * NAME_TRIED_EVERY
-"""s after its last attempt."""
-DUPLICATES_KEPT = 4
-"""Second clients of one name; each may call its host anything."""
+_REMEMBERED = 2 * NAME_TRIED_EVERY  # s after its last attempt
+DUPLICATES_KEPT = 4  # second clients of one name; each may call its host anything
 REMEDY = "stop one of the two, or give each a name and a key of its own"
 
 

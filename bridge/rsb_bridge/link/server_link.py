@@ -48,8 +48,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.connection import ServerConnection
     from rsb_bridge.wire.events import Attach, Established
 
-_NAMED = 12
-"""Ports that a refusal lists."""
+_NAMED = 12  # ports that a refusal lists
 _SILENT = 1.5
 """s without a byte (pings come every second) after which another process may take a client's name over
 (PROTOCOL.md, 1.1)."""
@@ -410,12 +409,11 @@ class ServerLink(Link):
         return self.entry.use_name
 
     def _on_shutdown(self, message: Shutdown) -> None:
-        if self.control is not None:
-            reason = f"the client left: {message.reason}"
-            if message.retry_after is None:
-                command = f"rsb-console retry {shlex.quote(self.name)}"
-                reason += f"; press r in its console or run `{command}` on its machine to connect it again"
-            self.control.abort(reason, EventCode.LINK_CLOSED_BY_PEER)
+        reason = f"the client left: {message.reason}"
+        if message.retry_after is None:
+            command = f"rsb-console retry {shlex.quote(self.name)}"
+            reason += f"; press r in its console or run `{command}` on its machine to connect it again"
+        self.channels.control.abort(reason, EventCode.LINK_CLOSED_BY_PEER)
 
     def client_names(self, topic: Topic) -> Topic:
         return self.entry.client_names(topic)
