@@ -10,7 +10,7 @@ from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.link_patterns import PatternEntry, PeerSubscription
 from rsb_bridge.link.proposals import authorized
 from rsb_bridge.model.patterns import NAMES_FOLLOWED
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Propose
 
 if TYPE_CHECKING:
@@ -118,7 +118,6 @@ def test_servers_names_are_those_of_future_routes(
 
 @pytest.mark.parametrize("names", [("/a/*", "/a/*"), ("/a", "/a/**"), ("/**", "/a")])
 def test_a_peer_proposes_no_patterns(names: tuple[str, str]) -> None:
-    session = Session(name="robot1", role="server", server_ip="127.0.0.1", server_port=49152)
     proposal = Propose(route=1, topic=names[0], remote_topic=names[1], from_client=True)
     with pytest.raises(LinkError, match="pattern"):
-        authorized(proposal, cast("BaseLink", None), session)
+        authorized(proposal, cast("BaseLink", None))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar, cast, get_args
 
 import msgspec
@@ -53,7 +54,8 @@ class Link:
     routes: ClassVar[dict[str, object]] = {}
     rights = rights_of_client(Client("robot1"), "pc")
 
-    def __init__(self, *, prefixed: bool) -> None:
+    def __init__(self, session: Session, *, prefixed: bool) -> None:
+        self.context = SimpleNamespace(session=session)
         self.prefixed = prefixed
 
     def with_local_name(self, proposal: Propose) -> Propose:
@@ -74,10 +76,10 @@ def refusal_by_form(topic: Topic, session: Session | None) -> str:
     return str(found[0]) if found else ""
 
 
-def refusal(proposal: Propose, link: Link, session: Session) -> str:
+def refusal(proposal: Propose, link: Link) -> str:
     """Return the reason for which a side refuses a proposal, or an empty string."""
     try:
-        authorized(proposal, cast("BaseLink", link), session)
+        authorized(proposal, cast("BaseLink", link))
     except LinkError as error:
         return str(error)
     return ""
@@ -120,11 +122,12 @@ def test_refused_proposal_is_quoted_as_in_file(changes: dict[str, Any], prefixed
     assert isinstance(proposal, Propose)
     if is_pattern(proposal.topic) or is_pattern(proposal.remote_topic):
         return  # refused before all else
-    link, session = Link(prefixed=prefixed), SESSIONS[kind]
+    session = SESSIONS[kind]
+    link = Link(session, prefixed=prefixed)
     expected = refusal_by_form(topic_of(proposal), None) or refusal_by_form(
         topic_of(link.with_local_name(proposal)), session
     )
-    assert refusal(proposal, link, session) == expected
+    assert refusal(proposal, link) == expected
 
 
 VALUES: dict[str, Any] = {

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.config.grants import uses
-from rsb_bridge.config.overlaps import overlap
 from rsb_bridge.config.rights import Use
 from rsb_bridge.config.session_changes import values_apart
 from rsb_bridge.config.topic_rules import entry_problems, internal_problems, problems_here
@@ -27,7 +26,7 @@ from rsb_bridge.route.route import route_key
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Mapping
 
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.base_link import BaseLink
@@ -144,44 +143,27 @@ def same_route(one: Propose, other: Propose) -> bool:
     return one == other
 
 
+_LIVE = ("max_rate", "expected_rate", "stale_after", "late_after", "max_age", "priority")
+"""Keys whose change leaves a route open, and their names on the wire: its *limits*."""
+
+
+def _limits(source: Propose | Amend | Topic) -> dict[str, Any]:
+    return {name: getattr(source, name) for name in _LIVE}
+
+
 def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
     """Return a proposal with the limits of another one, or of a change."""
-    return msgspec.structs.replace(
-        proposal,
-        max_rate=limits.max_rate,
-        expected_rate=limits.expected_rate,
-        stale_after=limits.stale_after,
-        late_after=limits.late_after,
-        max_age=limits.max_age,
-        priority=limits.priority,
-    )
+    return msgspec.structs.replace(proposal, **_limits(limits))
 
 
 def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
     """Return the message with a proposal's limits; `who` has changed them, or is empty."""
-    return Amend(
-        route_id,
-        max_rate=proposal.max_rate,
-        expected_rate=proposal.expected_rate,
-        stale_after=proposal.stale_after,
-        late_after=proposal.late_after,
-        max_age=proposal.max_age,
-        priority=proposal.priority,
-        who=who,
-    )
+    return Amend(route_id, who=who, **_limits(proposal))
 
 
 def amended_topic(topic: Topic, limits: Propose) -> Topic:
     """Return a topic with a proposal's limits."""
-    return msgspec.structs.replace(
-        topic,
-        max_rate=limits.max_rate or None,
-        expected_rate=limits.expected_rate or None,
-        stale_after=limits.stale_after,
-        late_after=limits.late_after,
-        max_age=limits.max_age,
-        priority=priority_of(limits.priority) if limits.kind == "topic" else "normal",
-    )
+    return msgspec.structs.replace(topic, **_limits(topic_of(limits)))
 
 
 ARMING_KEYS = ("arm", "deadman", "on_end", "limits")
@@ -189,23 +171,15 @@ ARMING_KEYS = ("arm", "deadman", "on_end", "limits")
 _OF_SESSION = frozenset({*ARMING_KEYS, "paused", "excepts"})
 
 
-def edited_entry(entry: Topic, old: Propose, new: Propose, *, usual_name: str) -> Topic:
-    """Return an entry with what differs between two proposals of it, apart from what each session demands for itself.
-
-    Args:
-        usual_name: the server's name of the new topic if no `remote_topic` sets another one.
-    """
+def edited_entry(entry: Topic, old: Propose, new: Propose, link: BaseLink) -> Topic:
+    """Return an entry with what differs between two proposals of it, but for what each session demands for itself."""
     before, after = topic_of(old), topic_of(new)
     differing = (name for name in Topic.__struct_fields__ if getattr(after, name) != getattr(before, name))
     changed = {name: getattr(after, name) for name in differing if name not in _OF_SESSION}
     if changed.keys() & {"topic", "remote_topic"}:
+        usual_name = server_topic(after.topic, link.name) if link.use_name else after.topic
         changed["remote_topic"] = None if after.remote_topic == usual_name else after.remote_topic
     return msgspec.structs.replace(entry, **changed)
-
-
-def usual_server_name(topic: str, link: BaseLink) -> str:
-    """Return the server's name of a client's topic if no `remote_topic` sets another one."""
-    return server_topic(topic, link.name) if link.use_name else topic
 
 
 def with_server_name(proposal: Propose, link: BaseLink) -> Propose:
@@ -244,7 +218,7 @@ def listed_differently(entry: Topic, ours: Propose, theirs: Propose, link: BaseL
     return Denied.LISTED_DIFFERENTLY(here=place, mine=mine, there=far_place, theirs=others) if mine else ""
 
 
-def authorized(proposal: Propose, link: BaseLink, session: Session) -> tuple[Propose, Topic]:
+def authorized(proposal: Propose, link: BaseLink) -> tuple[Propose, Topic]:
     """Return the peer's proposal with this side's name for the topic, and as an entry.
 
     Raises:
@@ -253,17 +227,17 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> tuple[Pro
     purpose = _known(purposes(), proposal.purpose)
     if not purpose.in_graph:
         entry = topic_of(proposal)
-        _check_internal(entry, proposal, purpose, link, session)
+        _check_internal(entry, proposal, purpose, link)
         return proposal, entry
     entry = check_wanted(proposal, link)
     ours = link.with_local_name(proposal)
     if renamed := ours != proposal:
         entry = topic_of(ours)
-    for problem in problems_here(entry, session, renamed=renamed):
+    for problem in problems_here(entry, link.context.session, renamed=renamed):
         raise LinkError(str(problem))
     own = link.routes.get(route_key(link.name, ours))
     if own is None or not own.listed or listed_differently(own.spec, own.own or own.proposal, ours, link):
-        check_use(use_of(ours, is_client=link.is_client), link, session)  # what this side's session lists needs none
+        check_use(use_of(ours, is_client=link.is_client), link)  # what this side's session lists needs none
     return ours, entry
 
 
@@ -281,7 +255,7 @@ def check_wanted(proposal: Propose, link: BaseLink) -> Topic:
     return entry
 
 
-def check_use(use: Use, link: BaseLink, session: Session) -> None:
+def check_use(use: Use, link: BaseLink) -> None:
     """Check the peer's rights to a use of a topic on this side.
 
     Raises:
@@ -289,18 +263,18 @@ def check_use(use: Use, link: BaseLink, session: Session) -> None:
     """
     if refusal := link.rights.refusal(use):
         raise LinkError(str(refusal))
-    if use.may == "publish" and use.topic == session.shutdown_topic:
+    if use.may == "publish" and use.topic == link.context.session.shutdown_topic:
         raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
-    check_features(use, session)
+    check_features(use, link.context.session)
 
 
-def _check_internal(entry: Topic, proposal: Propose, purpose: Purpose, link: BaseLink, session: Session) -> None:
+def _check_internal(entry: Topic, proposal: Propose, purpose: Purpose, link: BaseLink) -> None:
     """Check the peer's proposal of an internal route, whose name is the same on both sides.
 
     Raises:
         LinkError: the peer may not have it.
     """
-    for problem in internal_problems(entry, purpose, session):
+    for problem in internal_problems(entry, purpose, link.context.session):
         raise LinkError(str(problem))
     if proposal.qos is not None and proposal.qos.latched:
         raise LinkError(f"a route for {purpose.name} needs a QoS that keeps nothing for late joiners")
@@ -336,39 +310,27 @@ def use_of(proposal: Propose, *, is_client: bool) -> Use:
     return Use(proposal.topic, takes, proposal.transport, kind)
 
 
-def check_room(routes: Collection[Route], session: Session) -> None:
-    """Check that a peer may have this side keep one more route.
+def check_room(link: BaseLink) -> None:
+    """Check that the peer may have this side keep one more route.
 
     Raises:
         LinkError: there are too many.
     """
+    routes = link.routes.values()
     if len(routes) >= ROUTES_PER_LINK:
         raise LinkError(Denied.TOO_MANY_ROUTES(limit=ROUTES_PER_LINK))
-    if session.role == "server":
-        return
     proposed = sum(1 for route in routes if not route.proposed_here)
-    if proposed >= ROUTES_PROPOSED_BY_SERVER:
-        raise LinkError(Denied.TOO_MANY_OF_SERVER(client=session.name, count=proposed))
-
-
-def check_overlap(topic: Topic, routes: Iterable[Route]) -> None:
-    """Check that no service of a new route is bridged already.
-
-    Raises:
-        LinkError: one is, by a route that is open or that this side proposes.
-    """
-    if clash := overlap(topic, (route.spec for route in routes if route.id or route.proposed_here)):
-        raise LinkError(clash)
+    if link.is_client and proposed >= ROUTES_PROPOSED_BY_SERVER:
+        raise LinkError(Denied.TOO_MANY_OF_SERVER(client=link.name, count=proposed))
 
 
 def denied(link: BaseLink, rights: Rights) -> dict[Route, str]:
     """Return the routes that the peer proposed and may not have by these rights, each with the reason."""
-    found = {
-        route: _refusal(route.proposal, link, rights)
-        for route in link.routes.values()
-        if not (route.proposed_here or route.listed)
-    }
-    return {route: str(refusal) for route, refusal in found.items() if refusal}
+    found = {}
+    for route in link.routes.values():
+        if not (route.proposed_here or route.listed) and (refusal := _refusal(route.proposal, link, rights)):
+            found[route] = str(refusal)
+    return found
 
 
 def allow_rate(route: Route, link: BaseLink) -> bool:

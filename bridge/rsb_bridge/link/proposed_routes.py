@@ -22,7 +22,6 @@ from rsb_bridge.link.proposals import (
     same_route,
     topic_of,
     use_of,
-    usual_server_name,
 )
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.demands import effective_max_age
@@ -250,8 +249,8 @@ class ProposedTopics(Extension):
         seen, wanted = message.seen, message.wanted
         if (wanted.topic, wanted.remote_topic) != (seen.topic, seen.remote_topic):
             wanted = link.with_local_name(wanted)  # with `use_name`, a client reaches only its own names
-        before, usual_name = route.spec, usual_server_name(topic_of(wanted).topic, link)
-        entry = edited_entry(before, seen, wanted, usual_name=usual_name)
+        before = route.spec
+        entry = edited_entry(before, seen, wanted, link)
         renamed = (before.identity, before.remote_topic) != (entry.identity, entry.remote_topic)
         if before.arm and renamed:  # the demand on each name that it had would stay, and a peer makes none grow
             raise LinkError(Denied.ARMED_THERE(topic=message.wanted.topic))
@@ -262,6 +261,6 @@ class ProposedTopics(Extension):
             raise LinkError(Denied.PORT_OF_SERVER(topic=message.wanted.topic))
         use = use_of(self._proposal(entry), is_client=link.is_client)
         if use != use_of(route.proposal, is_client=link.is_client):
-            check_use(use, link, self._context.session)
+            check_use(use, link)
         new = self.replace(route, entry)
         self._table.peer_operators.edited(new, message.who, before)

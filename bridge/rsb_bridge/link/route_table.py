@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 
 import msgspec
 
+from rsb_bridge.config.overlaps import overlap
 from rsb_bridge.link.extension import Denied, Extension, LinkError, RefusedError
 from rsb_bridge.link.holder_questions import HolderQuestions
 from rsb_bridge.link.link_arming import DROPPED, LinkArming
@@ -17,7 +18,6 @@ from rsb_bridge.link.proposals import (
     amended_topic,
     amendment,
     authorized,
-    check_overlap,
     check_room,
     denied,
     edited_entry,
@@ -26,7 +26,6 @@ from rsb_bridge.link.proposals import (
     place_of,
     same_route,
     topic_of,
-    usual_server_name,
 )
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
@@ -161,7 +160,9 @@ class RouteTable(Extension):
         """Raise `LinkError` if a topic cannot be added, or cannot replace a route."""
         if self._link.routes.get(key, instead_of) is not instead_of:
             raise LinkError(Denied.EDIT_THAT_ROUTE(topic=proposal.topic))
-        check_overlap(spec, [each for each in self._link.routes.values() if each is not instead_of])
+        others = (each for each in self._link.routes.values() if each is not instead_of)
+        if clash := overlap(spec, (each.spec for each in others if each.id or each.proposed_here)):
+            raise LinkError(clash)
 
     def keep_demand(self, spec: Topic, key: str) -> None:
         """Keep the demand of a topic that cannot be added because the other side proposes its route."""
@@ -401,13 +402,13 @@ class RouteTable(Extension):
             LinkError: the peer may not have it.
         """
         link = self._link
-        ours, entry = authorized(proposal, link, self._context.session)
+        ours, entry = authorized(proposal, link)
         before = known = self._known(ours)
         if known is not None and known.proposed_here:
             self._settle_double(known, ours)
             known = known if known.own is not None else None
         if known is None:
-            check_room(link.routes.values(), self._context.session)
+            check_room(link)
             route = self.add(entry, ours, proposed_here=False)
         elif same_route(known.proposal, ours):
             route = known
@@ -524,8 +525,7 @@ class RouteTable(Extension):
         self._forget(known, EventCode.ROUTE_REPLACED, "changed by the other side")
         if known.own is None:
             return self.add(topic_of(ours), ours, proposed_here=False)
-        usual_name = usual_server_name(topic_of(ours).topic, self._link)
-        spec = edited_entry(known.spec, known.proposal, ours, usual_name=usual_name)
+        spec = edited_entry(known.spec, known.proposal, ours, self._link)
         spec = msgspec.structs.replace(spec, max_age=known.spec.max_age)
         route = self.add(spec, ours, proposed_here=False)
         demands = {name: getattr(known.own, name) for name in (*ARMING_KEYS, "max_age")}
