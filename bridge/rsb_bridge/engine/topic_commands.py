@@ -120,7 +120,7 @@ class Named(NamedTuple):
         """Return the topic's route, or the routes that the pattern has made by now."""
         if self.route is not None:
             return (self.route,)
-        return tuple(each for each in self.link.routes.values() if self.link.patterns.has_made(each, self.entry))
+        return self.link.patterns.routes_of(self.entry)
 
 
 def named_in(links: Iterable[Link], key: str) -> Named:

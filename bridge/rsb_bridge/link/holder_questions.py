@@ -57,22 +57,23 @@ class QuestionText(Wording):
 
 _HOLDER_LEFT: Final = frozenset({Disarmed.DEADMAN, Disarmed.CONSOLE_GONE})
 """Ends of an arming that are as good as no answer of its holder."""
-_BY_HOLDER: Final = {
+_EVENTS: Final = {
+    "asked": (EventCode.OPERATOR_ASKED, QuestionText.ASKED),
     "kept": (EventCode.OPERATOR_KEPT, QuestionText.KEPT),
     "given": (EventCode.OPERATOR_GAVE, QuestionText.GIVEN),
-}
-_BY_ASKER: Final = {
     "unanswered": (EventCode.OPERATOR_UNANSWERED, QuestionText.UNANSWERED),
     "withdrawn": (EventCode.OPERATOR_WITHDREW, QuestionText.WITHDRAWN),
 }
+_BY_HOLDER: Final = frozenset({"kept", "given"})
+_BY_ASKER: Final = frozenset({"unanswered", "withdrawn"})
 
 
 @dataclass(slots=True)
 class _Asker:
-    """A console of this side that asks, and when (s) it gave its last sign of life."""
+    """A console of this side that asks."""
 
     console: Hashable
-    seen_at: float
+    seen_at: float  # when it gave its last sign of life
 
 
 class HolderQuestions:
@@ -81,11 +82,11 @@ class HolderQuestions:
     Both sides record each question and how it ended. A peer's budget of questions bounds these events.
     """
 
-    def __init__(self, peer: BaseLink, peer_operators: PeerOperators) -> None:
-        self._context = context = peer.context
-        self._peer = peer
+    def __init__(self, link: BaseLink, peer_operators: PeerOperators) -> None:
+        self._context = link.context
+        self._link = link
         self._peer_operators = peer_operators
-        self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
+        self._budget = TokenBucket(_AT_ONCE, _A_SECOND, self._context.now())
         self._askers: list[_Asker] = []
         self._numbers = itertools.count(1)
 
@@ -110,7 +111,7 @@ class HolderQuestions:
         question = Question(acting_operator(), next(self._numbers), now + ASKED_FOR, answer.set_result)
         asker = _Asker(console, now)
         self._begin(route, question)
-        self._peer.send(AskForArming(route.id, question.number, question.who))
+        self._link.send(AskForArming(route.id, question.number, question.who))
         self._askers.append(asker)
         try:
             await self._answered(answer, asker, question.until)
@@ -161,24 +162,25 @@ class HolderQuestions:
         question, is_here = arming.question, arming.console is not None
         match message:
             case AskForArming():
-                if not arming.held:
-                    return  # it has just been disarmed, as that side will hear
+                if not arming.held:  # it has just been disarmed, as that side will hear
+                    return
                 if arming.question_at(now) is None and self._budget.take(1, now):
                     who = self._peer_operators.says(message.who)
                     # The asker's side counts from when it sent this to when it has the answer.
                     until = now + ASKED_FOR - (arming.lease.round_trip if arming.lease is not None else 0.0)
                     self._begin(route, Question(who, message.number, until, _ignored, from_peer=True))
                 elif is_here:  # the side of the holder answers, and the other one only shows the question
-                    self._peer.send(AskEnded(route.id, message.number, "kept"))
+                    self._link.send(AskEnded(route.id, message.number, "kept"))
             case AskEnded():
                 if question is None or (question.from_peer, question.number) != (message.own, message.number):
                     return  # it has ended otherwise, or was not to be heard
                 # The peer answers for holders of its own only: it must not give away an arming of this side.
-                if message.how in _BY_HOLDER and not is_here:
-                    self._record_end(route, question, message.how)
-                    question.answered(message.how == "given")
-                elif message.how in _BY_ASKER and message.own:
-                    self._record_end(route, question, message.how)
+                by_holder = message.how in _BY_HOLDER and not is_here
+                if by_holder or (message.how in _BY_ASKER and message.own):
+                    self._record(route, question, message.how)
+                    arming.question = None
+                    if by_holder:
+                        question.answered(message.how == "given")
 
     async def _answered(self, answer: asyncio.Future[bool | None], asker: _Asker, until: float) -> None:
         """Wait for an answer, for a sign of life of the asker once the time is over, or until the asker is silent."""
@@ -193,23 +195,20 @@ class HolderQuestions:
 
     def _begin(self, route: Route, question: Question) -> None:
         route.arming.question = question
-        self._record(route, question, EventCode.OPERATOR_ASKED, QuestionText.ASKED)
+        self._record(route, question, "asked")
 
     def _end(self, route: Route, question: Question, how: HowAsked) -> None:
         """End a question on both sides, as an operator of this side has it, if it is still open."""
         if route.arming.question is question:
-            self._record_end(route, question, how)
-            self._peer.send(AskEnded(route.id, question.number, how, own=not question.from_peer))
+            self._record(route, question, how)
+            route.arming.question = None
+            self._link.send(AskEnded(route.id, question.number, how, own=not question.from_peer))
 
-    def _record_end(self, route: Route, question: Question, how: HowAsked) -> None:
-        code, text = (_BY_HOLDER | _BY_ASKER)[how]
-        self._record(route, question, code, text)
-        route.arming.question = None
-
-    def _record(self, route: Route, question: Question, code: EventCode, text: QuestionText) -> None:
+    def _record(self, route: Route, question: Question, how: str) -> None:
         """Record a question's beginning or end; the other side's operators are its claims."""
-        by_holder = code in (EventCode.OPERATOR_KEPT, EventCode.OPERATOR_GAVE)
+        code, text = _EVENTS[how]
         holder, asker = route.arming.by, question.who
+        by_holder = how in _BY_HOLDER
         route.log(
             Level.INFO,
             code,

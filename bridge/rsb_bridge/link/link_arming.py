@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.demands import Demand, RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import Accept, ArmingMessage, Propose, Settled
+    from rsb_bridge.wire.messages import Accept, ArmingMessage, Settled
 
 _LOOK_EVERY = 0.02
 """s between looks whether a route is open: an operator waits so much longer at most. A round figure."""
@@ -60,25 +60,20 @@ class ArmingProblem(Wording):
 
 @dataclass(eq=False, slots=True)
 class WaitingCommand:
-    """A console's command that takes a while before it arms a route.
-
-    Attributes:
-        withdrawn: whether it is to arm nothing: the console is gone, or the route was disarmed meanwhile.
-    """
+    """A console's command that takes a while before it arms a route."""
 
     key: str
     console: Hashable
-    withdrawn: bool = False
+    withdrawn: bool = False  # it is to arm nothing: the console is gone, or the route was disarmed meanwhile
 
 
 class LinkLease:
     """Keeps a link's lease as long as anything is armed (PROTOCOL.md, 7.2): numbers to and from the other side."""
 
-    def __init__(self, peer: BaseLink, arming: LinkArming) -> None:
-        context = peer.context
-        self.state = LeaseHalf(context.clock.steady, context.ros.turns, self._over)
-        self._loop = context.loop
-        self._peer = peer
+    def __init__(self, link: BaseLink, arming: LinkArming) -> None:
+        self.state = LeaseHalf(link.context.clock.steady, link.context.ros.turns, self._over)
+        self._loop = link.context.loop
+        self._link = link
         self._arming = arming
         self._was_alive = False
         self._timer: asyncio.TimerHandle | None = None
@@ -104,7 +99,7 @@ class LinkLease:
             self._arming.lives()
 
     def stop(self) -> None:
-        """Stop: the connection is over."""
+        """End the lease with the connection."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -112,7 +107,7 @@ class LinkLease:
 
     def _beat(self) -> None:
         self._timer = None
-        if not self._arming.is_any_held:
+        if not any(route.arming.held for route in self._link.routes.values()):
             self.state.end()
             return
         self._send()
@@ -134,19 +129,18 @@ class LinkLease:
         lease = wire.Lease(*self.state.beat())
         # The first numbers of a lease go in order only, lest one that came late began the next lease on one side.
         if lease.echo:
-            self._peer.send_urgent(lease)
+            self._link.send_urgent(lease)
         else:
-            self._peer.send(lease)
+            self._link.send(lease)
 
     def _over(self) -> None:
         """Disarm all routes at the next turn of the loop: the caller may be in the midst of publishing."""
         self._loop.call_soon(self._end)
 
     def _end(self) -> None:
-        over = self.state.over
-        if over is not None and self.state.phase is LeasePhase.OVER:
+        if self.state.over is not None and self.state.phase is LeasePhase.OVER:
             # First: how long the other side may still publish is forgotten with the lease.
-            self._arming.disarm_all(Disarmed.LEASE, over.value)
+            self._arming.disarm_all(Disarmed.LEASE, self.state.over.value)
             self.stop()
 
 
@@ -157,17 +151,17 @@ class LinkArming:
         propose: reopens a route that this side proposes.
     """
 
-    def __init__(self, peer: BaseLink, peer_operators: PeerOperators, propose: Callable[[Route], None]) -> None:
-        self._context = context = peer.context
-        self._peer = peer
+    def __init__(self, link: BaseLink, peer_operators: PeerOperators, propose: Callable[[Route], None]) -> None:
+        self._context = link.context
+        self._link = link
         self._peer_operators = peer_operators
         self._propose = propose
-        self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
+        self._budget = TokenBucket(_AT_ONCE, _A_SECOND, self._context.now())
         self._waiting: list[WaitingCommand] = []
-        self.lease = LinkLease(peer, self)
+        self.lease = LinkLease(link, self)
 
     def _routes(self) -> tuple[Route, ...]:
-        return tuple(self._peer.routes.values())  # routes come and go with what is done to them
+        return tuple(self._link.routes.values())  # routes come and go with what is done to them
 
     # --- which routes have to be armed
 
@@ -192,15 +186,15 @@ class LinkArming:
 
     def demanded(self, route: Route) -> dict[str, Any]:
         """Return this side's demand for the present opening, as fields of a proposal."""
-        own, max_age = route.arming.own, self.max_age(route, route.proposal)
+        own, max_age = route.arming.own, self.max_age(route)
         return {"arm": own.arm, "deadman": own.deadman, "max_age": max_age, "on_end": own.on_end, "limits": own.limits}
 
-    def max_age(self, route: Route, proposal: Propose) -> float | None:
-        """Return what this side demands of the age of messages, and the proposal of a route that it proposes."""
-        return smallest_max_age((proposal.max_age, route.arming.own.max_age))
+    def max_age(self, route: Route) -> float | None:
+        """Return what this side's session, and the proposal of a route that it proposes, demand of messages' age."""
+        return smallest_max_age((route.proposal.max_age, route.arming.own.max_age))
 
     def accepted(self, route: Route, message: Accept) -> None:
-        """Note that the other side accepts an opening, and what it demands."""
+        """Take what the other side demands, which accepts an opening."""
         route.arming.demand(required=message.arm, deadman=message.deadman)
         route.arming.peer_arm, route.arming.peer_on_end = message.arm, _suiting(route, message.on_end)
         route.arming.peer_limits = message.limits
@@ -211,11 +205,11 @@ class LinkArming:
         if not route.id:
             return False
         own, before = self._own(route), route.arming.own
-        agreed = (before.arm, before.deadman, before.on_end, before.limits)
-        if (own.arm, own.deadman, own.on_end, own.limits) != agreed:
-            return True
         # The acceptor has named its limit in Accept, which comes once in an opening; the proposer sends an Amend.
-        if own.max_age != before.max_age and not route.proposed_here:
+        if not route.proposed_here and own.max_age != before.max_age:
+            return True
+        agreed = before.arm, before.deadman, before.on_end, before.limits
+        if (own.arm, own.deadman, own.on_end, own.limits) != agreed:
             return True
         route.arming.own = own
         self._say_who_demands(route)
@@ -223,25 +217,23 @@ class LinkArming:
 
     def keep_demand(self, name: str, topic: Topic) -> None:
         """Demand for a name of this side what an entry demands that the other side's session lists."""
-        max_age, on_end = default_max_age(topic.max_age, armed=True), end_text(topic.on_end)
-        source = DemandSource(
-            ("", name), name, topic.deadman_seconds, max_age=max_age, on_end=on_end, limits=topic.limits
-        )
-        self._context.demands.keep(source)
+        max_age, on_end, limits = default_max_age(topic.max_age, armed=True), end_text(topic.on_end), topic.limits
+        source = ("", name), name, topic.deadman_seconds
+        self._context.demands.keep(DemandSource(*source, max_age=max_age, on_end=on_end, limits=limits))
 
     def demand_dropped(self, source: DemandSource) -> None:
         """Tell the other side that an operator of this side drops a demand on names of its routes."""
         demands = Demands([source])
         for route in self._routes():
             if route.id and self.demand_on(route, demands) is not None:
-                self._peer.send(Disarm(route.id, DROPPED, acting_operator()))
+                self._link.send(Disarm(route.id, DROPPED, acting_operator()))
 
     def demand_on(self, route: Route, demands: Demands | RunningDemands) -> Demand | None:
         """Return what this side's session, or some lines of it, demands of a route's names."""
         if not route.purpose.in_graph:
             return None
         # A server's session may call a topic as the client does.
-        client, far = ("", "") if self._peer.is_client else (self._peer.name, route.far_topic)
+        client, far = ("", "") if self._link.is_client else (self._link.name, route.far_topic)
         kind, type_name = route.spec.kind, route.proposal.type
         return demands.of(kind, route.local_topic, type_name, client=client, client_name=far)
 
@@ -251,8 +243,8 @@ class LinkArming:
     def _say_who_demands(self, route: Route) -> None:
         """Name the lines that demand arming, and the limits of messages by hand, for operators."""
         arming, origin = route.arming, self._context.demands.origin
-        own = tuple(map(origin, arming.own.sources))
-        arming.demanded_by = own or ((PEER_DEMANDS,) if arming.required else ())
+        peers = (PEER_DEMANDS,) if arming.required else ()
+        arming.demanded_by = tuple(map(origin, arming.own.sources)) or peers
         found = [(origin(each), each.limits) for each in arming.own.limited_by] + [(PEER_DEMANDS, arming.peer_limits)]
         whole = arming.limits
         arming.limited_by = tuple(line for line, each in found if whole and each and each.are_in(whole))
@@ -276,7 +268,7 @@ class LinkArming:
         # In this order: `ask` notes from which number on messages count, and Lease precedes Arm (PROTOCOL.md, 7.2).
         self.lease.hold()
         arming.ask(who, console, self._context.now(), answered.set, account=account(), shared=shared)
-        self._peer.send(Arm(route.id, who))
+        self._link.send(Arm(route.id, who))
         await answered.wait()
         agreed = arming.phase in AGREED
         if not (agreed and arming.console == console):
@@ -306,19 +298,18 @@ class LinkArming:
     async def until_open(self, route: Route, command: WaitingCommand) -> None:
         """Wait until a route is open that was disarmed, or is being set up, so that it can be armed; not for long."""
         until = self._context.now() + ANSWERED_WITHIN
-        while self._opens(route) and self._context.now() < until and not command.withdrawn:  # noqa: ASYNC110 -- plain state, polled for a moment
+        while self._context.now() < until and not command.withdrawn:
+            if not self._link.linked or route.life.refusal or route.pausing.paused:
+                return
+            opens = route.arming.phase is ArmingPhase.SPENT or not route.life.accepted
+            if not (opens and route in self._routes()):
+                return
             await asyncio.sleep(_LOOK_EVERY)
-
-    def _opens(self, route: Route) -> bool:
-        """Whether a route cannot be armed now, but in a moment, if the other side answers."""
-        if not self._peer.linked or route.life.refusal or route.pausing.paused:
-            return False
-        return (route.arming.phase is ArmingPhase.SPENT or not route.life.accepted) and route in self._routes()
 
     def _why_not(self, route: Route) -> str:
         arming = route.arming
-        if not self._peer.linked:
-            return self._peer.down_reason or "the link is down"
+        if not self._link.linked:
+            return self._link.down_reason or "the link is down"
         if not route.life.accepted:
             return str(route.life.refusal) or ArmingProblem.NOT_OPEN()
         if not arming.required:
@@ -336,9 +327,9 @@ class LinkArming:
         who = acting_operator() if why is Disarmed.OPERATOR else ""
         message = Disarm(route.id, why, who)
         if why is Disarmed.PAUSED:
-            self._peer.send(message)  # its Pause would come after it, to an opening that is over
+            self._link.send(message)  # its Pause would come after it, to an opening that is over
         else:
-            self._peer.send_urgent(message)
+            self._link.send_urgent(message)
         self._ended(route, why, f"disarmed by {who}" if who else reason)
         if why is Disarmed.OPERATOR:  # recorded once the other side publishes nothing more
             route.settling.then(lambda: self._record(route, who, armed=False))
@@ -350,11 +341,6 @@ class LinkArming:
             self._propose(route)
 
     # --- the lease
-
-    @property
-    def is_any_held(self) -> bool:
-        """Whether any route is armed or about to be, so that the lease is needed."""
-        return any(route.arming.held for route in self._routes())
 
     def lives(self) -> None:
         """Let messages cross: the two sides begin to hear each other."""
@@ -390,13 +376,12 @@ class LinkArming:
     def gone(self, console: Hashable) -> None:
         """Disarm the routes that a detached console has armed. `rsb-console arm` detaches if no key comes in time."""
         for command in self._waiting:
-            command.withdrawn = command.withdrawn or command.console == console
+            command.withdrawn |= command.console == console
         for route in self._routes():
             if route.arming.held and route.arming.console == console:
                 self.disarm(route, route.arming.overdue(self._context.now()) or Disarmed.CONSOLE_GONE)
 
     def disarm_all(self, why: Disarmed, reason: str = "") -> None:
-        """Disarm all routes."""
         for route in self._routes():
             self.disarm(route, why, reason)
 
@@ -405,7 +390,7 @@ class LinkArming:
         self.end_overdue()
         for route in self._routes():
             if route.arming.held and route.arming.take_press():
-                self._peer.send(Arm(route.id, route.arming.by))
+                self._link.send(Arm(route.id, route.arming.by))
 
     # --- the other side
 
@@ -429,7 +414,10 @@ class LinkArming:
                 self._peer_operators.dropped_demand(route, message.who)
             case Disarm():
                 if route.arming.held:
-                    route_id, why, reason = route.id, _reason(message.cause), ""
+                    route_id, reason = route.id, ""
+                    # An unknown cause comes from a newer version.
+                    known = message.cause in Disarmed.__members__.values()
+                    why = Disarmed(message.cause) if known else Disarmed.OPERATOR
                     if why is Disarmed.OPERATOR:
                         who = self._peer_operators.says(message.who)
                         reason = f"disarmed ({who})"
@@ -442,23 +430,23 @@ class LinkArming:
         arming.pressed_there(who, now)  # a further Arm tells of a key (PROTOCOL.md, 7)
         if not arming.required or not arming.admits(ArmingEvent.ARM_THERE):
             return
-        if arming.phase is ArmingPhase.ASKED and self._peer.is_client:
+        if arming.phase is ArmingPhase.ASKED and self._link.is_client:
             return  # of two operators who arm it at once, the client's does
         if not self._budget.take(1, now):
             self._refuse(route, Disarmed.TOO_OFTEN)
         elif route.pausing.paused:
-            self._refuse(route, Disarmed.PAUSED)
-            text = f"not armed: {Disarmed.PAUSED.text} ({who})"
-            route.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=Disarmed.PAUSED)
+            why = Disarmed.PAUSED
+            self._refuse(route, why)
+            route.log(Level.WARNING, EventCode.ROUTE_DISARMED, f"not armed: {why.text} ({who})", cause=why)
         else:
             self.lease.hold()  # first: a Lease goes right before Armed (PROTOCOL.md, 7.2)
             arming.arm_for_peer(who, now)
-            self._peer.send(Armed(route.id))
+            self._link.send(Armed(route.id))
             self._record(route, who, armed=True, from_peer=True)
             self._open_if_begun(route)
 
     def _refuse(self, route: Route, why: Disarmed) -> None:
-        self._peer.send(Disarm(route.id, why))
+        self._link.send(Disarm(route.id, why))
         route.arming.end(why)
         if route.proposed_here:
             self._propose(route)
@@ -474,8 +462,3 @@ class LinkArming:
 def _suiting(route: Route, on_end: str) -> str:
     """Return how the peer wants an arming to end, or an empty string if that means nothing for the route."""
     return on_end if can_end(route.spec.kind, on_end) else ""
-
-
-def _reason(cause: str) -> Disarmed:
-    """Return the peer's cause; an unknown one comes from a newer version."""
-    return Disarmed(cause) if cause in Disarmed.__members__.values() else Disarmed.OPERATOR

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import islice
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final
@@ -10,6 +11,7 @@ import msgspec
 
 from rsb_bridge.config.grants import uses
 from rsb_bridge.config.rights import Use, as_if_listed
+from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode
@@ -53,27 +55,22 @@ class PatternEntry:
     Args:
         prefixed: whether the server's names have the prefix if the entry has no `Topic.remote_topic`.
         always_prefixed: whether other names get the prefix, too, unless they begin with it.
-
-    Attributes:
-        source: the pattern of names in the followed graph.
-        from_client: whether the client's graph is followed.
-        left_out: reasons why matching names could not be bridged, by name.
-        beyond: number of matching names for which there is no room.
     """
 
     def __init__(self, topic: Topic, *, client: str, prefixed: bool, always_prefixed: bool = False) -> None:
         self.topic = topic
-        # A topic is followed where it is published, a service where its provider is.
+        # It follows the client's graph: a topic is followed where it is published, a service where its provider is.
         self.from_client = (topic.direction == "transmit") == (topic.kind == "topic")
-        self.left_out: dict[str, str] = {}
-        self.beyond = 0
+        self.left_out: dict[str, str] = {}  # reasons why matching names could not be bridged, by name
+        self.beyond = 0  # matching names for which there is no room
         self._here = Pattern(topic.topic)
         self._remote = None if topic.remote_topic is None else Pattern(topic.remote_topic)
         self._excepts = [Pattern(each) for each in topic.excepts]
         self._type = "" if topic.type == AUTO else expand_type_name(topic.type)
         self._client = client
-        self._prefixed = prefixed if self._remote is None else False
+        self._prefixed = prefixed and self._remote is None
         self._always = always_prefixed
+        # Of names in the followed graph.
         self.source = self._here if self.from_client else Pattern(self.server_name(topic.remote_topic or topic.topic))
 
     def server_name(self, name: str) -> str:
@@ -94,16 +91,16 @@ class PatternEntry:
             return None
         on_client = self._here.fill(parts)
         remote = None if self._remote is None else self._remote.fill(parts)
-        if is_hidden(on_client) or not is_topic_name(on_client) or self.excepts(on_client):
+        if is_hidden(on_client) or not is_topic_name(on_client) or self._leaves_out(on_client):
             return None
         return msgspec.structs.replace(self.topic, topic=on_client, remote_topic=remote, excepts=())
 
-    def matches_client(self, name: str) -> bool:
-        """Whether the pattern matches a name on the client."""
-        return self._here.match(name) is not None and not self.excepts(name)
+    def claims(self, topic: Topic) -> bool:
+        """Whether it would bring back a topic, if that were removed."""
+        same = (self.topic.kind, self.topic.direction) == (topic.kind, topic.direction)
+        return same and self._here.match(topic.topic) is not None and not self._leaves_out(topic.topic)
 
-    def excepts(self, name: str) -> bool:
-        """Whether the entry leaves out a name on the client."""
+    def _leaves_out(self, name: str) -> bool:
         return any(each.match(name) is not None for each in self._excepts)
 
 
@@ -165,12 +162,6 @@ class LinkPatterns(Extension):
 
     Entries with a plain name win over patterns, and the first pattern that a name matches wins over later ones. A topic
     that an operator removes becomes an exception of its patterns, and one that an operator edits an entry of its own.
-
-    Attributes:
-        followed: the names of this side's graph that the peer follows, or None if it follows none.
-        there: the matching names in the peer's graph, or None as long as they are unknown.
-        unseen: number of further matching names that the peer does not tell.
-        gone: routes whose topic or service is gone, by identity, each with the time since when.
     """
 
     def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
@@ -178,16 +169,15 @@ class LinkPatterns(Extension):
         self._link = link
         self._table = table
         self._proposed = proposed
-        self._transport = link.transport.name
-        self.followed: PeerSubscription | None = None
+        self.followed: PeerSubscription | None = None  # the peer's, or None if it follows no names
         self.messages = {Follow: self._asked, Followed: self._receive}
-        self.entries: list[PatternEntry] = []
+        self._entries: list[PatternEntry] = []
         self._here: Names | None = None  # matching names of this side's graph, or None as long as they are unknown
-        self.there: Names | None = None
+        self.there: Names | None = None  # the same of the peer's graph
+        self._unseen = 0  # further matching names that the peer does not tell
         self._request = 0
         self._due = False  # the peer has sent other names, or given up a route
-        self.unseen = 0
-        self.gone: dict[Identity, float] = {}
+        self._gone: dict[Identity, float] = {}  # routes whose topic or service is gone, each with the time since when
         self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
         self._logged_full: set[Identity] = set()
         table.on_removed = self.leave_out
@@ -197,7 +187,7 @@ class LinkPatterns(Extension):
 
     def all(self) -> tuple[Topic, ...]:
         """Return the patterns, in order. May be called from any thread."""
-        return tuple(entry.topic for entry in tuple(self.entries))
+        return tuple(entry.topic for entry in tuple(self._entries))
 
     def add(self, topic: Topic) -> str:
         """Follow one more pattern, and return its key.
@@ -205,10 +195,8 @@ class LinkPatterns(Extension):
         Raises:
             LinkError: it has a mistake or exists already, or there are too many patterns.
         """
-        self._proposed.check(topic)
-        if any(entry.topic.identity == topic.identity for entry in self.entries):
-            raise LinkError(Denied.FOLLOWED_ALREADY(topic=topic.topic))
-        if len(self.entries) >= PATTERNS_PER_LINK:
+        self.check_replace(None, topic)
+        if len(self._entries) >= PATTERNS_PER_LINK:
             raise LinkError(Denied.TOO_MANY_PATTERNS(limit=PATTERNS_PER_LINK))
         self._set([*self.all(), topic])
         return self.key_of(topic)
@@ -223,9 +211,10 @@ class LinkPatterns(Extension):
         self._set(topic if each.identity == identity else each for each in self.all())
         return self.key_of(topic)
 
-    def check_replace(self, identity: Identity, topic: Topic) -> None:
-        """Raise `LinkError` where `replace` would."""
-        self._proposed.check(topic)
+    def check_replace(self, identity: Identity | None, topic: Topic) -> None:
+        """Raise `LinkError` where `replace` or, without an identity, `add` would."""
+        for problem in validate_topic(topic, self._context.session):
+            raise LinkError(str(problem))
         if topic.identity != identity and any(each.identity == topic.identity for each in self.all()):
             raise LinkError(Denied.FOLLOWED_ALREADY(topic=topic.topic))
 
@@ -240,35 +229,28 @@ class LinkPatterns(Extension):
 
     def leave_out(self, route: Route) -> None:
         """Keep patterns from restoring a route that an operator removes."""
-        name = route.spec.topic
-        if not any(self._claims(entry, route) for entry in self.entries):
+        name, claiming = route.spec.topic, self._claiming(route)
+        if not claiming:
             return
         if problem := self.brings_back(route):  # a session with more exceptions is invalid: the route comes back
             self._link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, problem, topic=name)
             return
         self._set(
-            msgspec.structs.replace(each.topic, excepts=(*each.topic.excepts, name))
-            if self._claims(each, route)
-            else each.topic
-            for each in self.entries
+            msgspec.structs.replace(each.topic, excepts=(*each.topic.excepts, name)) if each in claiming else each.topic
+            for each in self._entries
         )
 
     def brings_back(self, route: Route) -> str:
         """Return why a pattern cannot leave out a route's topic, or an empty string if all can."""
-        for entry in self.entries:
-            if self._claims(entry, route) and len(entry.topic.excepts) >= EXCEPTIONS_PER_PATTERN:
-                limit = (
-                    f"pattern {entry.topic.topic} has {EXCEPTIONS_PER_PATTERN} exceptions already, which is the limit"
-                )
-                return f"{limit}: edit it, and use patterns in except"
+        for entry in self._claiming(route):
+            if len(entry.topic.excepts) >= EXCEPTIONS_PER_PATTERN:
+                limit = f"{EXCEPTIONS_PER_PATTERN} exceptions already, which is the limit"
+                return f"pattern {entry.topic.topic} has {limit}: edit it, and use patterns in except"
         return ""
 
-    def _claims(self, entry: PatternEntry, route: Route) -> bool:
-        same = entry.topic.kind == route.spec.kind and entry.topic.direction == route.spec.direction
-        return same and route.proposed_here and entry.matches_client(route.spec.topic)
-
-    def has_made(self, route: Route, topic: Topic) -> bool:
-        return bool(route.pattern) and _identity_of(route) == topic.identity
+    def _claiming(self, route: Route) -> list[PatternEntry]:
+        """Return the patterns that would bring back a route of this side, in order."""
+        return [each for each in self._entries if each.claims(route.spec)] if route.proposed_here else []
 
     def key_of(self, topic: Topic) -> str:
         """Return the key of a pattern in commands and snapshots of this side. No route has such a key."""
@@ -279,19 +261,18 @@ class LinkPatterns(Extension):
         return next((topic for topic in self.all() if self.key_of(topic) == key), None)
 
     def _set(self, topics: Iterable[Topic]) -> None:
-        before = {entry.topic.identity for entry in self.entries if entry.beyond}
-        self.entries = [self._entry(topic) for topic in topics]
+        before = {entry.topic.identity for entry in self._entries if entry.beyond}
+        link = self._link
+        always = isinstance(link.peer, Welcome) and link.peer.use_name
+        self._entries = [
+            PatternEntry(topic, client=link.name, prefixed=link.prefixed, always_prefixed=always) for topic in topics
+        ]
         self._context.demands.changed()
         self._known.clear()
-        self._logged_full &= before & {entry.topic.identity for entry in self.entries}
+        self._logged_full &= before & {entry.topic.identity for entry in self._entries}
         self._ask()
         self._context.names_changed()
-        self.reconcile()
-
-    def _entry(self, topic: Topic) -> PatternEntry:
-        peer = self._link.peer
-        always = isinstance(peer, Welcome) and peer.use_name
-        return PatternEntry(topic, client=self._link.name, prefixed=self._link.prefixed, always_prefixed=always)
+        self._reconcile()
 
     # --- the two graphs
 
@@ -307,16 +288,16 @@ class LinkPatterns(Extension):
     def disconnected(self) -> None:
         """Forget the peer's names, without counting them as gone."""
         self.followed = None
-        self.there, self.unseen = None, 0
-        self.reconcile()
+        self.there, self._unseen = None, 0
+        self._reconcile()
 
     def _ask(self) -> None:
         theirs = tuple(
-            NamePattern(entry.source.text, entry.topic.kind) for entry in self.entries if not self.is_local(entry)
+            NamePattern(entry.source.text, entry.topic.kind) for entry in self._entries if not self._is_local(entry)
         )
         if self._link.linked and (theirs or self._request):  # without patterns, it only ends an earlier Follow
             self._request += 1
-            self.there, self.unseen = None, 0
+            self.there, self._unseen = None, 0
             self._link.send(Follow(self._request, theirs))
 
     def _asked(self, message: Follow) -> None:
@@ -336,33 +317,34 @@ class LinkPatterns(Extension):
             if kind is not None and ((kind, each.name) in names or len(names) < NAMES_FOLLOWED):
                 names[kind, each.name] = each.type
         # `tick` acts on it: names are matched once a second, however often the peer sends some.
-        self.there, self.unseen, self._due = names, message.more, True
+        self.there, self._unseen, self._due = names, message.more, True
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
-        return [(entry.topic.kind, entry.source) for entry in self.entries if self.is_local(entry)]
+        return [(entry.topic.kind, entry.source) for entry in self._entries if self._is_local(entry)]
 
     def update_names(self, names: Names) -> None:
-        if self.entries and names != self._here:
+        if self._entries and names != self._here:
             self._here = names
-            self.reconcile()
+            self._reconcile()
 
-    def is_local(self, entry: PatternEntry) -> bool:
+    def _is_local(self, entry: PatternEntry) -> bool:
         """Whether an entry follows this side's graph."""
         return entry.from_client == self._link.is_client
 
     # --- routes
 
-    def routes_of(self, entry: PatternEntry) -> list[Route]:
-        """Return the routes that a pattern has made."""
-        return [route for route in self._link.routes.values() if self.has_made(route, entry.topic)]
+    def routes_of(self, pattern: Topic) -> tuple[Route, ...]:
+        """Return the routes that a pattern has made by now."""
+        routes = self._link.routes.values()
+        return tuple(route for route in routes if route.pattern and _identity_of(route) == pattern.identity)
 
-    def reconcile(self) -> None:
+    def _reconcile(self) -> None:
         """Add and remove routes so that each matching name has one."""
-        if not self.entries and not any(route.pattern for route in self._link.routes.values()):
+        if not self._entries and not any(route.pattern for route in self._link.routes.values()):
             return
         with acting(""):  # a change of the graph is not an operator's action
             wanted = self._wanted()
-            for each in self.entries:
+            for each in self._entries:
                 each.beyond, each.left_out = 0, {}
             self._keep_made(wanted)
             self._add(wanted)
@@ -370,19 +352,19 @@ class LinkPatterns(Extension):
     def _keep_made(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
         """Change the routes that patterns have made to what these say now, and drop those that no pattern matches."""
         routes = {route.spec.identity: route for route in self._link.routes.values()}
-        self.gone = {identity: at for identity, at in self.gone.items() if identity in routes}
+        self._gone = {identity: at for identity, at in self._gone.items() if identity in routes}
         for identity, route in routes.items():
             if not route.pattern:
                 continue
             if identity in wanted:
-                self.gone.pop(identity, None)
+                self._gone.pop(identity, None)
                 self._keep(route, *wanted[identity])
             elif (entry := self._entry_of(route)) is None:
                 self._drop(route, "no pattern matches it any more")
-            elif (self._here if self.is_local(entry) else self.there) is None:  # unknown, as while the link is down
-                self.gone.pop(identity, None)
+            elif (self._here if self._is_local(entry) else self.there) is None:  # unknown, as while the link is down
+                self._gone.pop(identity, None)
             else:
-                self.gone.setdefault(identity, self._context.now())
+                self._gone.setdefault(identity, self._context.now())
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """Return the matching topics, each with its winning pattern, in the order of patterns and names."""
@@ -399,15 +381,15 @@ class LinkPatterns(Extension):
         found.sort(key=itemgetter(0, 1))
         wanted: dict[Identity, tuple[PatternEntry, Topic]] = {}
         for at, _, topic in found:
-            wanted.setdefault(topic.identity, (self.entries[at], topic))
+            wanted.setdefault(topic.identity, (self._entries[at], topic))
         return wanted
 
     def _first_match(
         self, local: bool, kind: Kind, name: str, type_name: str, rights: Rights
     ) -> tuple[int, Topic] | None:
         """Return the index of the first pattern that matches a name, and the topic to bridge."""
-        for at, entry in enumerate(self.entries):
-            if entry.topic.kind == kind and self.is_local(entry) == local:
+        for at, entry in enumerate(self._entries):
+            if entry.topic.kind == kind and self._is_local(entry) == local:
                 topic = entry.match(name, type_name)
                 if topic is not None and self._may_have(entry, name, topic, rights):
                     return at, topic
@@ -416,25 +398,23 @@ class LinkPatterns(Extension):
     def _entry_of(self, route: Route) -> PatternEntry | None:
         """Return the pattern that matches a route's topic, which may be gone, or None."""
         rights = as_if_listed(self._link.rights)
-        for entry in self.entries:
-            if self._claims(entry, route):
-                name = route.spec.topic
-                if not entry.from_client:
-                    name = entry.server_name(route.spec.remote_topic or name)
-                topic = entry.match(name, None)
-                if topic is not None and self._may_have(entry, name, topic, rights):
-                    return entry
+        for entry in self._claiming(route):
+            name = route.spec.topic
+            if not entry.from_client:
+                name = entry.server_name(route.spec.remote_topic or name)
+            topic = entry.match(name, None)
+            if topic is not None and self._may_have(entry, name, topic, rights):
+                return entry
         return None
 
     def _may_have(self, entry: PatternEntry, name: str, topic: Topic, rights: Rights) -> bool:
         """Whether a pattern may bridge a name, as this side's own rights say."""
-        if self.is_local(entry):
-            local = name
-        else:
+        local = name
+        if not self._is_local(entry):
             local = topic.topic if self._link.is_client else entry.server_name(topic.remote_topic or topic.topic)
         sends, takes = uses(topic.kind)
         may = sends if (topic.direction == "transmit") != self._link.is_client else takes
-        return rights.refusal(Use(local, may, topic.protocol or self._transport, topic.kind)) is None
+        return rights.refusal(Use(local, may, topic.protocol or self._link.transport.name, topic.kind)) is None
 
     def _keep(self, route: Route, entry: PatternEntry, topic: Topic) -> None:
         """Change a route to the present values of its pattern."""
@@ -447,19 +427,16 @@ class LinkPatterns(Extension):
 
     def _add(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
         """Add routes for topics without one, within the limits."""
-        matched = [route for route in self._link.routes.values() if route.pattern]
-        total = len(matched)
-        counts = dict.fromkeys((entry.topic.identity for entry in self.entries), 0)
-        for route in matched:
-            counts[_identity_of(route)] = counts.get(_identity_of(route), 0) + 1
+        counts = Counter(_identity_of(route) for route in self._link.routes.values() if route.pattern)
+        total = counts.total()
         taken = {route.spec.identity for route in self._link.routes.values()}
         for identity, (entry, topic) in wanted.items():
             if identity in taken:
                 continue
             of_entry = entry.topic.identity
-            if counts[of_entry] >= ROUTES_PER_PATTERN or total >= ROUTES_BY_PATTERNS:
-                gone = self._longest_gone(of_entry if counts[of_entry] >= ROUTES_PER_PATTERN else None)
-                if gone is None:
+            is_full = counts[of_entry] >= ROUTES_PER_PATTERN
+            if is_full or total >= ROUTES_BY_PATTERNS:
+                if (gone := self._longest_gone(of_entry if is_full else None)) is None:
                     entry.beyond += 1
                     continue
                 counts[_identity_of(gone)] -= 1
@@ -477,30 +454,28 @@ class LinkPatterns(Extension):
 
     def _longest_gone(self, pattern: Identity | None) -> Route | None:
         """Return the route whose topic has been gone for longest, of one pattern or of any."""
-        routes = {route.spec.identity: route for route in self._link.routes.values() if route.pattern}
-        for identity in sorted(self.gone, key=lambda each: self.gone[each]):
-            if identity in routes and pattern in (None, _identity_of(routes[identity])):
-                return routes[identity]
-        return None
+        routes = (route for route in self._link.routes.values() if route.pattern and route.spec.identity in self._gone)
+        fitting = (route for route in routes if pattern in (None, _identity_of(route)))
+        return min(fitting, key=lambda route: self._gone[route.spec.identity], default=None)
 
     def _drop(self, route: Route, reason: str) -> None:
-        self.gone.pop(route.spec.identity, None)
+        self._gone.pop(route.spec.identity, None)
         self._table.remove(route, reason, anonymous=True)
 
     def tick(self) -> None:
         """Take the peer's latest names, and remove routes whose topic has long been gone."""
         if self._due:
             self._due = False
-            self.reconcile()
-        if not self.gone:
+            self._reconcile()
+        if not self._gone:  # as nearly always
             return
         now = self._context.now()
-        over = {identity for identity, at in self.gone.items() if now - at >= GONE_AFTER}
+        over = {identity for identity, at in self._gone.items() if now - at >= GONE_AFTER}
         for route in [route for route in self._link.routes.values() if route.pattern and route.spec.identity in over]:
             self._drop(route, f"{_GONE}; {route.pattern} matches it again once it is back")
         if over:
-            self.gone = {identity: at for identity, at in self.gone.items() if identity not in over}
-            self.reconcile()
+            self._gone = {identity: at for identity, at in self._gone.items() if identity not in over}
+            self._reconcile()
 
     def _given_up(self) -> None:
         """Look soon whether a pattern matches what the other side has given up."""
@@ -509,11 +484,11 @@ class LinkPatterns(Extension):
     # --- what operators see
 
     def _log_full(self) -> None:
-        for entry in self.entries:
+        for entry in self._entries:
             identity, name = entry.topic.identity, entry.topic.topic
             if entry.beyond and identity not in self._logged_full:
                 self._logged_full.add(identity)
-                text = f"pattern {name}: {_limit_reached(entry, len(self.routes_of(entry)))}"
+                text = f"pattern {name}: {_limit_reached(entry, len(self.routes_of(entry.topic)))}"
                 self._link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, text, topic=name)
             elif not entry.beyond and identity in self._logged_full:
                 self._logged_full.discard(identity)
@@ -522,12 +497,12 @@ class LinkPatterns(Extension):
 
     def snapshots(self) -> Iterator[PatternSnapshot]:
         """Yield a snapshot of each pattern."""
-        for entry in self.entries:
-            routes = self.routes_of(entry)
-            gone = sum(1 for each in routes if each.spec.identity in self.gone)
+        for entry in self._entries:
+            routes = self.routes_of(entry.topic)
+            gone = sum(1 for each in routes if each.spec.identity in self._gone)
             count = f"{len(routes)} bridged{f', {gone} of them gone' if gone else ''}"
             state, reason = self._state(entry, count if routes else "")
-            here = self.is_local(entry)
+            here = self._is_local(entry)
             yield PatternSnapshot(
                 key=self.key_of(entry.topic),
                 link=self._link.name,
@@ -538,21 +513,21 @@ class LinkPatterns(Extension):
                 source=entry.source.text,
                 routes=len(routes),
                 gone=gone,
-                beyond=entry.beyond + (0 if here else self.unseen),
+                beyond=entry.beyond + (0 if here else self._unseen),
             )
 
     def _state(self, entry: PatternEntry, count: str) -> tuple[State, str]:
-        link, here = self._link, self.is_local(entry)
+        link, here = self._link, self._is_local(entry)
         some = f"{count}; " if count else ""
         if entry.beyond:
-            return State.DOWN, f"{some}{_limit_reached(entry, len(self.routes_of(entry)))}"
+            return State.DOWN, f"{some}{_limit_reached(entry, len(self.routes_of(entry.topic)))}"
         if entry.left_out:
             name, reason = next(iter(entry.left_out.items()))
             return State.DOWN, f"{some}{len(entry.left_out)} not bridged: {name}: {reason}"
         if entry.topic.paused:
             return State.PAUSED, count
-        if not here and self.unseen:
-            return State.DOWN, f"{some}{self.unseen} more match than the other side can list: narrow the patterns"
+        if not here and self._unseen:
+            return State.DOWN, f"{some}{self._unseen} more match than the other side can list: narrow the patterns"
         if not here and self.there is None:
             why = "it has just been asked" if link.linked else f"not linked: {link.down_reason or 'not connected yet'}"
             return State.WAITING, f"{some}the other side's names are unknown: {why}"
@@ -570,7 +545,8 @@ def _identity_of(route: Route) -> Identity:
 
 def _limit_reached(entry: PatternEntry, routes: int) -> str:
     """Return how many names exceed which limit, with the remedy."""
-    alone = routes >= ROUTES_PER_PATTERN
-    limit = f"{ROUTES_PER_PATTERN} for a pattern" if alone else f"{ROUTES_BY_PATTERNS} for all patterns of a link"
+    limit = f"{ROUTES_BY_PATTERNS} for all patterns of a link"
+    if routes >= ROUTES_PER_PATTERN:
+        limit = f"{ROUTES_PER_PATTERN} for a pattern"
     remedy = "make it narrower, leave some out (except), or list them by name"
     return f"{entry.beyond} more match, and are not bridged: the limit is {limit}; {remedy}"

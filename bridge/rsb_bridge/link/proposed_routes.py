@@ -101,15 +101,6 @@ class ProposedTopics(Extension):
         route.own, route.spec = None, msgspec.structs.replace(topic_of(route.proposal), paused=route.pausing.paused)
         self._context.demands.changed()
 
-    def check(self, topic: Topic) -> None:
-        """Check a pattern.
-
-        Raises:
-            LinkError: it has a mistake.
-        """
-        for problem in validate_topic(topic, self._context.session):
-            raise LinkError(str(problem))
-
     def is_bridged(self, topic: Topic) -> bool:
         """Whether a valid topic has a route, possibly under another name on the client."""
         try:
@@ -152,12 +143,12 @@ class ProposedTopics(Extension):
             self._table.check_add(topic, proposal, route_key(self._link.name, proposal), instead_of=route)
 
     def _proposal(self, topic: Topic) -> Propose:
-        name, prefixed, transports = self._link.name, self._link.prefixed, self._context.transports
-        for problem in validate_topic(topic, self._context.session, client=name if prefixed else None):
+        link, session, prefixed = self._link, self._context.session, self._link.prefixed
+        for problem in validate_topic(topic, session, client=link.name if prefixed else None):
             raise LinkError(str(problem))
-        transport = transports[transport_of(topic, self._context.session).name]
-        proposal = proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._link.profile)
-        check_features(use_of(proposal, is_client=self._link.is_client), self._context.session)
+        transport = self._context.transports[transport_of(topic, session).name]
+        proposal = proposal_of(topic, transport, client_name=link.name, use_name=prefixed, profile=link.profile)
+        check_features(use_of(proposal, is_client=link.is_client), session)
         return proposal
 
     # --- entries of the other side's session
@@ -165,8 +156,7 @@ class ProposedTopics(Extension):
     def names(self, topic: Topic) -> tuple[str, str]:
         """Return the key that a topic's route has, or will have, and the topic's name on this side."""
         proposal = self._proposal(topic)
-        use = use_of(proposal, is_client=self._link.is_client)
-        return route_key(self._link.name, proposal), use.topic
+        return route_key(self._link.name, proposal), use_of(proposal, is_client=self._link.is_client).topic
 
     def demand(self, route: Route, topic: Topic) -> Topic:
         """Have this side's session demand what an edit of a route says that the other side lists.
@@ -216,20 +206,18 @@ class ProposedTopics(Extension):
         if seen == wanted:
             return None
         self._asked += 1
-        return Edit(
-            number=self._asked, route=self._link.ids.last_of(route), seen=seen, wanted=wanted, who=acting_operator()
-        )
+        route_id = self._link.ids.last_of(route)
+        return Edit(number=self._asked, route=route_id, seen=seen, wanted=wanted, who=acting_operator())
 
     def _answered(self, message: EditAnswer) -> None:
         self._questions.answered(message.number, message.problem)
 
     def _asked_to_edit(self, message: Edit) -> None:
+        problem = ""
         try:
             self._edit_for_peer(message)
         except LinkError as error:
             problem = sanitize_text(str(error))
-        else:
-            problem = ""
 
         async def answer() -> None:  # after the new proposal, whose task has begun before
             self._link.send(EditAnswer(message.number, problem))

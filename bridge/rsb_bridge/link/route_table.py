@@ -77,14 +77,11 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import RefuseCode
 
-_HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
-"""The control messages from one half of a route to the other."""
-_AboutOpenRoute: TypeAlias = Accept | Refuse | _HalfMessage | Close | Limit | ByHand | ArmingMessage | HolderMessage
+_AboutOpenRoute: TypeAlias = (
+    Accept | Refuse | Describe | Ready | Publishers | Provide | Close | Limit | ByHand | ArmingMessage | HolderMessage
+)
 RouteMessage: TypeAlias = Propose | Amend | Pause | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
-
-_NOT_ASKED_FOR = "the other side no longer asks for it"
-
 
 _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
     "topic": (OutgoingRoute, IncomingRoute),
@@ -112,7 +109,7 @@ class RouteTable(Extension):
         self.on_given_up: Callable[[], None] = lambda: None
         self._context = link.context
         self._link = link
-        self._refused: dict[str, str] = {}
+        self._refused: dict[str, str] = {}  # the last reason for which a topic of the peer was refused
         self.peer_operators = PeerOperators(link.context, "server" if link.is_client else link.name)
         self.arming = LinkArming(link, self.peer_operators, self.propose)
         self.questions = HolderQuestions(link, self.peer_operators)
@@ -136,9 +133,6 @@ class RouteTable(Extension):
 
     def add(self, spec: Topic, proposal: Propose, *, proposed_here: bool) -> Route:
         """Make this side's half of a route, and ask the peer for the other half if this side proposes it.
-
-        Args:
-            proposal: of it, with this side's names.
 
         Raises:
             LinkError: there is such a route, or one that bridges the same service.
@@ -229,12 +223,7 @@ class RouteTable(Extension):
         route.log(Level.INFO, code, reason)
 
     def amend(self, route: Route, spec: Topic, proposal: Propose) -> None:
-        """Change the limits of a route that this side proposes, while it stays open.
-
-        Args:
-            spec: the topic as it is wanted, validated.
-            proposal: of it, with this side's names.
-        """
+        """Change the limits of a route that this side proposes, while it stays open."""
         route.amend(msgspec.structs.replace(spec, paused=route.pausing.paused), amended(route.proposal, proposal))
         self._context.demands.changed()
         if not self.arming.renew_demand(route):
@@ -262,8 +251,8 @@ class RouteTable(Extension):
 
     def _amendment(self, route: Route, who: str = "") -> Amend:
         """Return the message with a route's present limits."""
-        max_age = self.arming.max_age(route, route.proposal)
-        return amendment(msgspec.structs.replace(route.proposal, max_age=max_age), route.id, who)
+        proposal = msgspec.structs.replace(route.proposal, max_age=self.arming.max_age(route))
+        return amendment(proposal, route.id, who)
 
     def pause(self, route: Route, *, paused: bool) -> None:
         """Pause or resume a route on both sides, and disarm it."""
@@ -304,8 +293,8 @@ class RouteTable(Extension):
 
     def retry(self) -> None:
         """Propose refused routes at once."""
-        for route in tuple(self._link.routes.values()):
-            if self._link.linked and route.proposed_here and not route.id:
+        for route in tuple(self._link.routes.values()) if self._link.linked else ():
+            if route.proposed_here and not route.id:
                 self.propose(route)
 
     def _open(self, route: Route, route_id: int) -> None:
@@ -361,7 +350,11 @@ class RouteTable(Extension):
             case Settled():
                 self.arming.settled(message)
             case Pause():
-                self._pause_of_peer(message)
+                # It outlives openings: the end of one, by its data connection, may have come before it.
+                if (route := self._link.ids.find(message.route)) is not None:
+                    self._take_pause(route, paused=message.paused, revision=message.revision, who=message.who)
+                    if route.pausing.paused and route.id:
+                        self.arming.disarm(route, Disarmed.PAUSED)
             case _:
                 route = self._link.ids.open_route(message.route)
                 if route is not None:  # otherwise it was closed here before the message arrived
@@ -370,33 +363,22 @@ class RouteTable(Extension):
                 if isinstance(message, Disarm) and message.cause != DROPPED:
                     self._link.send(Settled(message.route))
 
-    def _pause_of_peer(self, message: Pause) -> None:
-        """Take a pause, which outlives openings: the end of one, by its data connection, may have come before it."""
-        if (route := self._link.ids.find(message.route)) is None:
-            return
-        self._take_pause(route, paused=message.paused, revision=message.revision, who=message.who)
-        if route.pausing.paused and route.id:
-            self.arming.disarm(route, Disarmed.PAUSED)
-
     def _proposed(self, proposal: Propose) -> None:
         if not self._link.ids.take_of_peer(proposal.route):
             self._link.protocol_error(f"invalid route id {proposal.route} in a proposal")
             return
         self._link.derive_keys(proposal.route, proposed_here=False)  # also if it is refused below (PROTOCOL.md, 1.3)
         try:
-            route, is_new = self._take_up(proposal)
+            self._take_up(proposal)
         except RefusedError as error:
             self._link.closed(proposal.route)
             self._link.send(Refuse(route=proposal.route, code=error.code, reason=sanitize_text(str(error))))
         except LinkError as error:
             self._link.closed(proposal.route)
             self._refuse(proposal, "denied", str(error))
-        else:
-            self._link.spawn(self._accept(route, proposal))
-            self.peer_operators.proposed(route, proposal, edited=not is_new)
 
-    def _take_up(self, proposal: Propose) -> tuple[Route, bool]:
-        """Return this side's half of a route that the peer proposes, and whether it was not bridged before.
+    def _take_up(self, proposal: Propose) -> None:
+        """Open this side's half of a route that the peer proposes, and accept it.
 
         Raises:
             LinkError: the peer may not have it.
@@ -412,9 +394,9 @@ class RouteTable(Extension):
             route = self.add(entry, ours, proposed_here=False)
         elif same_route(known.proposal, ours):
             route = known
-            if known.own is None:
-                known.amend(amended_topic(known.spec, ours), amended(known.proposal, ours))
-            known.close("reopened")
+            if route.own is None:
+                route.amend(amended_topic(route.spec, ours), amended(route.proposal, ours))
+            route.close("reopened")
         else:
             route = self._changed_by_peer(known, ours)
         if before is not None:
@@ -424,12 +406,12 @@ class RouteTable(Extension):
         self._take_pause(route, paused=proposal.paused, revision=proposal.pause_revision, known=same_process)
         if (route.pausing.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
             self._tell_pause(route)  # an operator of this side changed it while the link was down
-        return route, before is None
+        link.spawn(self._accept(route, proposal))
+        self.peer_operators.proposed(route, proposal, edited=before is not None)
 
     def _known(self, ours: Propose) -> Route | None:
         """Return the route that a proposal of the peer is about, or None."""
-        known = self._link.routes.get(route_key(self._link.name, ours))
-        if known is not None:
+        if (known := self._link.routes.get(route_key(self._link.name, ours))) is not None:
             return known
         # What this side proposes of the same topic has another key if its name on the server is another one.
         identity, routes = identity_of(ours), self._link.routes.values()
@@ -444,8 +426,8 @@ class RouteTable(Extension):
         Raises:
             RefusedError: the peer's proposal is refused; else this side's has given way.
         """
-        link = self._link
-        named, named_there = known.listed, purposes()[theirs.purpose].in_graph and not theirs.by_pattern
+        link, named = self._link, known.listed
+        named_there = purposes()[theirs.purpose].in_graph and not theirs.by_pattern
         if not named and (named_there or not link.is_client):
             self._tell_end(known, EndCode.REMOVED, "the other side lists it")
             self._forget(known, EventCode.ROUTE_REPLACED, "the other side lists it")
@@ -554,18 +536,14 @@ class RouteTable(Extension):
                     reason = known if known.code is differs else Reason(reason.text, differs)
                 route.refuse(EventCode.ROUTE_REFUSED, reason)
             # Of these, what is for the other half is ignored.
-            case Describe():
-                if isinstance(route, IncomingRoute):
-                    route.described(message)
-            case Publishers():
-                if isinstance(route, IncomingRoute):
-                    route.told_of_publishers(message)
-            case Ready():
-                if isinstance(route, OutgoingRoute):
-                    route.peer_ready(message)
-            case Provide():
-                if isinstance(route, CallingRoute):
-                    route.provided(message)
+            case Describe() if isinstance(route, IncomingRoute):
+                route.described(message)
+            case Publishers() if isinstance(route, IncomingRoute):
+                route.told_of_publishers(message)
+            case Ready() if isinstance(route, OutgoingRoute):
+                route.peer_ready(message)
+            case Provide() if isinstance(route, CallingRoute):
+                route.provided(message)
             case Close():
                 reason = Reason(message.reason, message.code)
                 if not reason.broke:
@@ -583,11 +561,8 @@ class RouteTable(Extension):
     async def tick_routes(self) -> None:
         """Run the own tick of the routes that are not idle, once a second."""
         now, link = self._context.now(), self._link
-
-        def tick(route: Route) -> None:
-            link.guarded(route.tick)
-
-        await in_slices([route for route in link.routes.values() if route.is_due(now)], tick)
+        due = [route for route in link.routes.values() if route.is_due(now)]
+        await in_slices(due, lambda route: link.guarded(route.tick))
 
     def tick(self) -> None:
         """Propose refused routes again, and remove routes that the peer no longer wants."""
@@ -595,13 +570,16 @@ class RouteTable(Extension):
         if not link.linked:
             return
         self.arming.tick()
-        for route in tuple(self._link.routes.values()):
-            if route.proposed_here and not route.id and now >= route.reopening.retry_at:
-                self.propose(route)
-            elif not route.proposed_here and not route.id and now > route.reopening.awaited_until(link.linked_at):
+        for route in tuple(link.routes.values()):
+            if route.id:
+                continue
+            if route.proposed_here:
+                if now >= route.reopening.retry_at:
+                    self.propose(route)
+            elif now > route.reopening.awaited_until(link.linked_at):
                 if route.own is not None:  # this side's session lists it, too
                     route.lead()
                     self.propose(route)
                 else:
-                    self._forget(route, EventCode.ROUTE_REMOVED, _NOT_ASKED_FOR)
+                    self._forget(route, EventCode.ROUTE_REMOVED, "the other side no longer asks for it")
                     self.on_given_up()
