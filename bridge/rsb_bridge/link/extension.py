@@ -79,8 +79,7 @@ class Extensions:
     def __init__(self) -> None:
         self._all: list[Extension] = []
         self._of_features: list[Extension] = []
-        self._told: list[Extension] = []
-        """Extensions that take part in the present connection: the peer has their feature, too."""
+        self._told: list[Extension] = []  # those of the present connection, whose feature the peer has, too
 
     def add(self, extension: Extension) -> None:
         self._all.append(extension)
@@ -165,11 +164,7 @@ class LinkError(Exception):
 
 
 def check_names(topics: Iterable[str]) -> None:
-    """Check that names are absolute: rights and the graph know a topic by one name only, which ROS would expand.
-
-    Raises:
-        LinkError: one is no topic's.
-    """
+    """Raise `LinkError` if a name is not absolute: rights and the graph know a topic by one, which ROS would expand."""
     for topic in topics:
         for problem in name_problems(topic, "topic"):
             raise LinkError(str(problem))

@@ -42,39 +42,26 @@ _FASTEST = 1e12  # bytes/s: a peer may report any figure
 
 
 class Asked(NamedTuple):
-    """Demand of one topic.
+    """Demand of one topic."""
 
-    Attributes:
-        topic: its name on this side.
-        remote_topic: its name on the other side.
-        bytes_per_second: that it asks the link to carry.
-    """
-
-    topic: str
-    remote_topic: str
-    bytes_per_second: float
+    topic: str  # its name on this side
+    remote_topic: str  # its name on the other side
+    bytes_per_second: float  # that it asks the link to carry
 
 
 class LinkFullness(Extension):
-    """Whether a link is full: this side judges its own direction, and the peer reports the other.
-
-    Attributes:
-        out: the rates from here, or None if the link is not full.
-        into: the rates to here, as the peer reports them, or None if the link is not full.
-        sending: measures the capacity from here.
-        receiving: measures the capacity to here.
-    """
+    """Whether a link is full: this side judges its own direction, and the peer reports the other."""
 
     def __init__(self, link: BaseLink, path: PathWatch) -> None:
         self._link = link
         self._path = path
-        self.sending, self.receiving = Throughput(), Throughput()
+        self.sending, self.receiving = Throughput(), Throughput()  # measure the capacities from here, and to here
         self._begin()
 
     def _begin(self) -> None:
-        self.out: Fullness | None = None
-        self.into: Fullness | None = None
-        self._arrived = self._received = 0
+        self.out: Fullness | None = None  # the rates from here, or None if the link is not full
+        self.into: Fullness | None = None  # the same to here, as the peer reports them
+        self._arrived = self._received = 0  # bytes so far
         self._other = 0  # ticks in a row that contradict `out`
         self._stalled = 0  # ticks for which the last stall explains the arriving bytes
         self._silent = 0  # ticks in which nothing has arrived of what is asked for
@@ -124,10 +111,10 @@ class LinkFullness(Extension):
                 route.judge_again()
 
     def judge(self, topics: Collection[Asked], arrived: float, *, full: bool) -> None:
-        """Judge the direction from here. Called once a second.
+        """Judge the direction from here, once a second.
 
         Args:
-            topics: that have something to send.
+            topics: those that have something to send.
             arrived: bytes since the last tick.
             full: whether messages have waited all the time.
         """
@@ -195,9 +182,8 @@ class LinkFullness(Extension):
     def warning(self) -> str:
         """The warning for an operator, or an empty string."""
         peer = self._link.peer_name
-        out = self.out.warning(f"to {peer}") if self.out is not None else ""
-        into = self.into.warning(f"from {peer}") if self.into is not None else ""
-        return "; ".join(filter(None, (out, into)))
+        ways = (self.out, f"to {peer}"), (self.into, f"from {peer}")
+        return "; ".join(full.warning(way) for full, way in ways if full is not None)
 
 
 def _within(figure: float) -> float:

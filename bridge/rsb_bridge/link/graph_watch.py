@@ -24,19 +24,12 @@ if TYPE_CHECKING:
 
 
 class Looks(NamedTuple):
-    """The times (s) of regular looks at the graph.
+    """The times (s) of regular looks at the graph."""
 
-    Attributes:
-        every: between two at the least.
-        share: looking takes at most one part in this many of the time, until the longest pause.
-        longest_pause: on a slow machine with many names, a new node is bridged so much later at worst.
-        always_after: without a change, in case one was missed.
-    """
-
-    every: float
-    share: int
-    longest_pause: float
-    always_after: float
+    every: float  # between two at the least
+    share: int  # looking takes at most one part in this many of the time, until the longest pause
+    longest_pause: float  # on a slow machine with many names, a new node is bridged so much later at worst
+    always_after: float  # without a change, in case one was missed
 
     def pause(self, cost: float) -> float:
         """Return the time until the next look, after one that took so long."""
@@ -133,11 +126,11 @@ class Follower(Protocol):
 
 
 class _Found(NamedTuple):
-    """A name that matches, with its publishers or providers."""
+    """A name that matches."""
 
     named: Named
     type_name: str
-    ends: Sequence[Endpoint]
+    ends: Sequence[Endpoint]  # its publishers or providers
 
 
 class NameWatch:
@@ -174,7 +167,13 @@ class NameWatch:
             await asyncio.sleep(FOR_NAMES.pause(now() - began))
 
     async def _search_graph(self) -> None:
-        self._collect()
+        wanted = {(kind, p.text): p for each in self._followers() for kind, p in each.patterns_here()}
+        if wanted.keys() != self._asked:
+            self._asked = frozenset(wanted)
+            self._known = {}
+            self._patterns = {}
+            for (kind, _), pattern in wanted.items():
+                self._patterns.setdefault(kind, []).append(pattern)
         found: list[_Found] = []
         if self._asked:
             try:
@@ -184,15 +183,6 @@ class NameWatch:
         names = {each.named: each.type_name for each in found if self._is_a_programs(each)}
         for follower in tuple(self._followers()):
             follower.update_names(names)
-
-    def _collect(self) -> None:
-        wanted = {(kind, p.text): p for each in self._followers() for kind, p in each.patterns_here()}
-        if wanted.keys() != self._asked:
-            self._asked = frozenset(wanted)
-            self._known = {}
-            self._patterns = {}
-            for (kind, _), pattern in wanted.items():
-                self._patterns.setdefault(kind, []).append(pattern)
 
     def _search(self) -> list[_Found]:
         """Return what matches. Runs on another thread."""
@@ -213,13 +203,13 @@ class NameWatch:
         return found
 
     def _matches(self, named: Named, before: dict[Named, bool]) -> bool:
-        if (known := before.get(named)) is not None:
-            self._known[named] = known
-            return known
-        kind, name = named
-        never = is_hidden(name) or name in OF_EVERY_NODE
-        self._known[named] = not never and any(each.match(name) is not None for each in self._patterns[kind])
-        return self._known[named]
+        matches = before.get(named)
+        if matches is None:
+            kind, name = named
+            never = is_hidden(name) or name in OF_EVERY_NODE
+            matches = not never and any(each.match(name) is not None for each in self._patterns[kind])
+        self._known[named] = matches
+        return matches
 
     def _is_a_programs(self, found: _Found) -> bool:
         """Whether a known node that is no bridge has the name."""

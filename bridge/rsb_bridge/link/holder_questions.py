@@ -139,10 +139,7 @@ class HolderQuestions:
                 asker.seen_at = self._context.now()
 
     def answer(self, route: Route, console: Hashable, *, gives: bool, who: str = "") -> None:
-        """Take the holder's answer.
-
-        Args:
-            who: the operator whom it answers, or empty.
+        """Take the holder's answer to an operator, or to whoever asks if `who` is empty.
 
         Raises:
             LinkError: there is no question of that operator, or the console is not the holder's.

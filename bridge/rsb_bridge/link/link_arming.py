@@ -343,7 +343,7 @@ class LinkArming:
     # --- the lease
 
     def lives(self) -> None:
-        """Let messages cross: the two sides begin to hear each other."""
+        """Let messages cross, as the two sides begin to hear each other."""
         for route in self._routes():
             self._open_if_begun(route)
 
@@ -352,7 +352,7 @@ class LinkArming:
             route.armed()
 
     def lapsed(self) -> None:
-        """Act on the fact that the two sides do not hear each other, which disarms nothing yet."""
+        """Keep messages back, as the two sides do not hear each other; this disarms nothing yet."""
         for route in self._routes():
             if route.arming.phase is ArmingPhase.ARMED:
                 route.lapsed()

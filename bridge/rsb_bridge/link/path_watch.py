@@ -54,21 +54,15 @@ _SMALL_PASSED = 3  # pings that are answered while large packets are not
 _LARGE_AGAIN_AFTER = 10.0  # s without a stalled stream after which large packets count as passing again
 STALLED = "nothing gets through it, though pings are answered"  # why a stalled stream is opened again
 
-
 _NOTHING = PacketCounts(0, 0, 0, 0, 0)
 
 
 class PacketLoss:
-    """The share of packets that one direction loses.
-
-    Attributes:
-        share: 0 to 1, or None if it is unknown.
-        lossy: the same, rounded and steady, while it is a fault, else 0.
-    """
+    """The share of packets that one direction loses."""
 
     def __init__(self) -> None:
-        self.share: float | None = None
-        self.lossy = 0.0
+        self.share: float | None = None  # 0 to 1, or None if it is unknown
+        self.lossy = 0.0  # the same, rounded and steady, while it is a fault, else 0
         self._ticks: deque[tuple[int, float]] = deque(maxlen=_TICKS)  # packets that count, and the part of them lost
         self._skipped = 0
 
@@ -109,24 +103,18 @@ def steady(shown: float, share: float) -> float:
 
 
 class PathWatch(Extension):
-    """Watches the path of one link.
-
-    Attributes:
-        fault: the path's, or None.
-        loss: the packets from here that are lost.
-        into: the peer's record of the direction to here.
-    """
+    """Watches the path of one link."""
 
     def __init__(self, link: BaseLink) -> None:
         self._link = link
-        self.loss = PacketLoss()
+        self.loss = PacketLoss()  # of the packets from here
         self._observed_at = float("-inf")
         self._begin()
 
     def _begin(self) -> None:
         self.fault: PathFault | None = None
-        self.into = PathRecord()
-        self._large = False
+        self.into = PathRecord()  # the peer's record of the direction to here
+        self._large = False  # large packets from here are lost
         self._stalled_at = float("-inf")
         self._probe: tuple[int, int] | None = None  # answered pings and lost packets when the probe began
         self._counts: dict[object, PacketCounts] = {}  # of each carrier, when it last made progress
@@ -161,15 +149,12 @@ class PathWatch(Extension):
         *,
         large_vanish: bool,
     ) -> list[Stream]:
-        """Observe the path, once a second.
+        """Observe the path, once a second; return the streams that are stalled, to be opened again.
 
         Args:
             streams: the packets of all streams, as far as they are known.
             senders: the channels that send datagrams.
             large_vanish: none of the last large datagrams has arrived, while probes of their sockets are answered.
-
-        Returns:
-            The streams that are stalled, to be opened again.
         """
         pings, now, peer = self._link.keepalive, self._link.context.now(), self._link.peer_name
         if now - self._observed_at > _FORGOTTEN_AFTER:  # after a shorter gap, the losses of the last connection count
@@ -190,9 +175,8 @@ class PathWatch(Extension):
         stalled = self._probe_sizes(large, pings.answered_pings, own, now, vanish=large_vanish)
         share = self.loss.share
         # Losses of any packets explain that large ones are lost: a lower MTU would be the wrong advice.
-        self._record = PathRecord(
-            None if share is None else round(share, 2), self.loss.lossy, self._large and not self.loss.lossy
-        )
+        lost_share, lossy = None if share is None else round(share, 2), self.loss.lossy
+        self._record = PathRecord(lost_share, lossy, self._large and not lossy)
         silent = ""
         if pings.quiet > _SILENT_AFTER:
             silent = PathFaultText.SILENT(peer=peer)
@@ -235,15 +219,12 @@ class PathWatch(Extension):
     def _probe_sizes(
         self, stalled: Mapping[Stream, PacketCounts], answered: int, lost: int, now: float, *, vanish: bool
     ) -> list[Stream]:
-        """Find out whether large packets are lost.
+        """Find out whether large packets are lost; return the streams to open again for that.
 
         Args:
             stalled: the streams whose large packets the kernel sends again and again.
             answered: pings so far.
             lost: packets of the control connection so far.
-
-        Returns:
-            The streams to open again for that.
         """
         if not stalled and not vanish:
             self._probe = None
@@ -257,7 +238,7 @@ class PathWatch(Extension):
         if answered - self._probe[0] < _SMALL_PASSED:
             return []
         fresh = [stream for stream, counts in stalled.items() if counts.acknowledged < _LARGE]
-        self._large = self._large or vanish or bool(fresh)
+        self._large |= vanish or bool(fresh)
         # Large packets have crossed these: perhaps a firewall has forgotten the connection.
         return [stream for stream in stalled if stream not in fresh]
 

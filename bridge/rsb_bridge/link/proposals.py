@@ -53,8 +53,7 @@ def proposal_of(
 
     Args:
         topic: the validated topic, with the client's names.
-        client_name: name of the client, which is the prefix.
-        use_name: whether the server's name of the topic has the prefix.
+        use_name: whether the server's name of the topic has the client's name before it.
     """
     on_server = topic.remote_topic or (server_topic(topic.topic, client_name) if use_name else topic.topic)
     from_client = topic.direction == "transmit"
@@ -86,11 +85,7 @@ def proposal_of(
 
 
 def topic_of(proposal: Propose) -> Topic:
-    """Return a peer's proposal as an entry of a session.
-
-    Raises:
-        LinkError: only newer versions know its kind.
-    """
+    """Return a peer's proposal as an entry of a session; raise `LinkError` if only newer versions know its kind."""
     here, there = proposal.topic, proposal.remote_topic
     on_client, on_server = (here, there) if proposal.from_client else (there, here)
     return Topic(
@@ -125,13 +120,8 @@ def identity_of(proposal: Propose) -> Identity:
 
 
 def _known(names: Mapping[str, T], name: str) -> T:
-    """Return the meaning of a name in a peer's proposal.
-
-    Raises:
-        LinkError: only newer versions know it.
-    """
-    found = names.get(name)
-    if found is None:
+    """Return the meaning of a name in a peer's proposal; raise `LinkError` if only newer versions know it."""
+    if (found := names.get(name)) is None:
         raise LinkError(f"rsb-console {__version__} does not know what {name} is: update it")
     return found
 
@@ -198,11 +188,7 @@ def place_of(entry: Topic, link: BaseLink, pattern: str = "") -> str:
 
 
 def listed_differently(entry: Topic, ours: Propose, theirs: Propose, link: BaseLink) -> str:
-    """Return how this side's entry differs from the peer's in what both have to agree on, or an empty string.
-
-    Args:
-        ours: the proposal of the entry.
-    """
+    """Return how this side's entry differs from the peer's in what both have to agree on, or an empty string."""
     here, there = topic_of(with_server_name(ours, link)), topic_of(theirs)
     own, other = here.parsed_qos(), there.parsed_qos()
     if own and other:  # only the policies that differ
@@ -222,7 +208,7 @@ def authorized(proposal: Propose, link: BaseLink) -> tuple[Propose, Topic]:
     """Return the peer's proposal with this side's name for the topic, and as an entry.
 
     Raises:
-        LinkError: the peer may not have the topic.
+        LinkError: it has a mistake, or the peer may not have the topic.
     """
     purpose = _known(purposes(), proposal.purpose)
     if not purpose.in_graph:
@@ -242,11 +228,7 @@ def authorized(proposal: Propose, link: BaseLink) -> tuple[Propose, Topic]:
 
 
 def check_wanted(proposal: Propose, link: BaseLink) -> Topic:
-    """Check by itself the entry that a peer wants, and return it.
-
-    Raises:
-        LinkError: it has a mistake.
-    """
+    """Return the entry that a peer wants; raise `LinkError` if it has a mistake by itself."""
     if pattern := next(filter(is_pattern, (proposal.topic, proposal.remote_topic)), ""):
         raise LinkError(f"{pattern} is a pattern: the other side has to propose each that matches by its name")
     # Before this side's name is there: a prefix can make a valid name of an invalid one.
@@ -256,11 +238,7 @@ def check_wanted(proposal: Propose, link: BaseLink) -> Topic:
 
 
 def check_use(use: Use, link: BaseLink) -> None:
-    """Check the peer's rights to a use of a topic on this side.
-
-    Raises:
-        LinkError: the peer may not have it.
-    """
+    """Raise `LinkError` if the peer may not use a topic of this side."""
     if refusal := link.rights.refusal(use):
         raise LinkError(str(refusal))
     if use.may == "publish" and use.topic == link.context.session.shutdown_topic:
@@ -269,11 +247,7 @@ def check_use(use: Use, link: BaseLink) -> None:
 
 
 def _check_internal(entry: Topic, proposal: Propose, purpose: Purpose, link: BaseLink) -> None:
-    """Check the peer's proposal of an internal route, whose name is the same on both sides.
-
-    Raises:
-        LinkError: the peer may not have it.
-    """
+    """Raise `LinkError` if the peer may not have an internal route, whose name is the same on both sides."""
     for problem in internal_problems(entry, purpose, link.context.session):
         raise LinkError(str(problem))
     if proposal.qos is not None and proposal.qos.latched:
@@ -291,11 +265,7 @@ def _refusal(proposal: Propose, link: BaseLink, rights: Rights) -> DeniedUse | N
 
 
 def check_features(use: Use, session: Session) -> None:
-    """Check that no feature keeps a topic for itself.
-
-    Raises:
-        LinkError: one does.
-    """
+    """Raise `LinkError` if a feature keeps a topic for itself."""
     for feature in installed():
         if use.kind == "topic" and (refusal := feature.refusal(session, use.topic)):
             raise LinkError(refusal)
@@ -311,11 +281,7 @@ def use_of(proposal: Propose, *, is_client: bool) -> Use:
 
 
 def check_room(link: BaseLink) -> None:
-    """Check that the peer may have this side keep one more route.
-
-    Raises:
-        LinkError: there are too many.
-    """
+    """Raise `LinkError` if the peer may have this side keep no further route."""
     routes = link.routes.values()
     if len(routes) >= ROUTES_PER_LINK:
         raise LinkError(Denied.TOO_MANY_ROUTES(limit=ROUTES_PER_LINK))

@@ -76,16 +76,12 @@ class ProposedTopics(Extension):
         return self._table.add(topic, proposal, proposed_here=True)
 
     def _list_too(self, route: Route, topic: Topic, proposal: Propose) -> Route:
-        """List what the other side has opened in this side's session, too; return its route.
-
-        Raises:
-            LinkError: the two entries differ. Only this one's demand is kept.
-        """
+        """List what the other side has opened in this side's session, too, unless the two entries differ."""
         if route.proposal.by_pattern:  # an entry that names it goes before that
             self._table.check_add(topic, proposal, route.key, instead_of=route)
             return self._table.change(route, topic, proposal)
         if text := listed_differently(topic, proposal, route.proposal, self._link):
-            self._table.keep_demand(topic, route.key)
+            self._table.keep_demand(topic, route.key)  # which holds all the same
             raise LinkError(text)
         route.own, route.spec = proposal, msgspec.structs.replace(topic, paused=route.pausing.paused)
         self._table.listed.add(topic.identity)
@@ -109,11 +105,7 @@ class ProposedTopics(Extension):
             return False
 
     def can_amend(self, route: Route, topic: Topic) -> bool:
-        """Whether a route goes on, with its counts, if another topic takes its place: only limits differ.
-
-        Raises:
-            LinkError: the topic has a mistake.
-        """
+        """Whether a route goes on, with its counts, if another valid topic takes its place: only limits differ."""
         return same_route(route.proposal, self._proposal(topic))
 
     def replace(self, route: Route, topic: Topic) -> Route:
@@ -225,11 +217,7 @@ class ProposedTopics(Extension):
         self._link.spawn(answer())
 
     def _edit_for_peer(self, message: Edit) -> None:
-        """Change an entry as the peer asks for it, within the peer's rights.
-
-        Raises:
-            LinkError: the peer may not have what it asks for.
-        """
+        """Change an entry as the peer asks for it; raise `LinkError` if the peer may not have that."""
         link, route = self._link, self._link.ids.find(message.route)
         if route is None or not (route.proposed_here and route.purpose.in_graph):
             raise LinkError(Denied.NOT_LISTED(topic=message.wanted.topic))

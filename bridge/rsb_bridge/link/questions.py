@@ -46,16 +46,11 @@ _ANSWERED_WITHIN = 10.0  # s: the other side may have to ask three nodes, 2.5 s 
 
 @dataclass(slots=True, eq=False)
 class _Asked(Generic[T]):
-    """A question to the peer that has no answer yet.
-
-    Attributes:
-        askers: number of callers that wait for it.
-        to_send: whether the next caller sends the question: it has not been sent, or a caller has waited for too long.
-    """
+    """A question to the peer that has no answer yet."""
 
     answer: asyncio.Future[T]
-    askers: int = 0
-    to_send: bool = True
+    askers: int = 0  # callers that wait for it
+    to_send: bool = True  # the next caller sends it: it has not been sent, or a caller has waited for too long
 
 
 class Questions(Generic[T]):

@@ -43,22 +43,14 @@ _NOT_IN_FILE = "removed from the session file"
 
 @dataclass(frozen=True, slots=True)
 class ReloadStep:
-    """One change.
-
-    Attributes:
-        apply: makes the change; if it raises `LinkError`, nothing has changed.
-    """
+    """One change."""
 
     text: str
-    apply: Callable[[], object]
+    apply: Callable[[], object]  # makes the change; if it raises `LinkError`, nothing has changed
 
 
 def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterator[ReloadStep]:
-    """Yield the changes of a client.
-
-    Args:
-        key: the new key, or None without encryption.
-    """
+    """Yield the changes of a client; its new key is None without encryption."""
     if link.key != key:
         effect = "the link is closed, and connects again with the new key"
         (change,) = _key_changes(link.fingerprints, (fingerprint(key) if key is not None else "", ""))

@@ -55,13 +55,8 @@ ReportStep = Callable[[str], None]
 
 def _entries(session: Session, keys: Keys) -> list[ClientEntry]:
     return [
-        ClientEntry(
-            client,
-            keys[client.name],
-            client.is_prefixed(session),
-            rights_of_client(client, session.name),
-        )
-        for client in session.accepted_clients
+        ClientEntry(each, keys[each.name], each.is_prefixed(session), rights_of_client(each, session.name))
+        for each in session.accepted_clients
     ]
 
 
@@ -133,17 +128,17 @@ class ClientRole:
         self._link.retry()
         await _until(lambda: self._link.linked, lambda: self._link.status.reason)
         step("linked; opening topics and services")
+
+        def listed() -> list[Route]:  # anew each time, as an edit replaces a route; without those of views
+            return [route for route in self._link.routes.values() if route.purpose.in_graph]
+
         await _until(
-            lambda: all(route.life.accepted or route.life.refusal for route in self._listed()),
+            lambda: all(route.life.accepted or route.life.refusal for route in listed()),
             lambda: "the server has not answered for all topics and services yet",
         )
-        routes = self._listed()
+        routes = listed()
         refused = sum(1 for route in routes if route.life.refusal)
         step(f"{len(routes) - refused} of {len(routes)} topics and services accepted")
-
-    def _listed(self) -> list[Route]:
-        """Return the link's routes at present that operators know: an edit replaces a route, and views have some."""
-        return [route for route in self._link.routes.values() if route.purpose.in_graph]
 
 
 class ServerRole:
@@ -152,11 +147,7 @@ class ServerRole:
     def __init__(self, context: Context, keys: Keys) -> None:
         session = context.session
         self._context = context
-        self._server = Server(
-            context,
-            _entries(session, keys),
-            aes=preferred_suite() is CipherSuite.AESGCM,
-        )
+        self._server = Server(context, _entries(session, keys), aes=preferred_suite() is CipherSuite.AESGCM)
         self._tasks = Tasks(context.loop, lambda: self._bind_later("internal error"))
         self._restarting = asyncio.Lock()
         self._binding: asyncio.Task[None] | None = None
@@ -167,13 +158,11 @@ class ServerRole:
         for link in self._server.links.values():
             for topic in link.entry.client.topics:
                 link.add_entry(topic)
-        try:
-            await self._server.start()
-        except ListenError as error:
+        if failure := await self._bind():
             # An address of this machine that cannot be bound is a mistake; a router elsewhere may come later.
             if self._context.transports.of_link(self._context.session.server_ip).local:
-                raise
-            self._bind_later(str(error))
+                raise ListenError(failure)
+            self._bind_later(failure)
 
     async def stop(self) -> None:
         self._stopped = True
@@ -241,7 +230,7 @@ class ServerRole:
                 robot.table.retry()
 
     def shut_down(self, who: str) -> None:
-        """Close every link on both sides until an operator restarts; `who` is the operator's name."""
+        """Close every link on both sides until an operator restarts."""
         self._server.shut_down(who)
 
     async def restart(self, step: ReportStep) -> None:
@@ -265,9 +254,8 @@ class ServerRole:
             self._bind_later(failure)
             raise LinkError(Denied.RESTART_FAILED(failure=failure))
         step("waiting for the clients to come back")
-        await _until(
-            lambda: all(link.linked for link in linked), lambda: "not every client is back yet; they keep trying"
-        )
+        absent = "not every client is back yet; they keep trying"
+        await _until(lambda: all(link.linked for link in linked), lambda: absent)
         step("1 client is back" if len(linked) == 1 else f"{len(linked)} clients are back")
 
     async def _leave(self, links: Iterable[Link], reason: str) -> None:
@@ -309,20 +297,20 @@ BridgeRole: TypeAlias = ClientRole | ServerRole
 
 async def _farewell(links: Iterable[Link], reason: str) -> None:
     """Close links, and wait up to 0.5 s until their peers have been sent the reason."""
-    streams = []
-    for link in links:
-        if link.control is not None:
-            streams.append(link.control.stream)
-            link.control.shut_down(reason, retry_after=0.0)
-    deadline = asyncio.get_running_loop().time() + _FAREWELL
-    while any(not stream.gone for stream in streams) and asyncio.get_running_loop().time() < deadline:  # noqa: ASYNC110 -- plain state, polled for a moment
+    controls = [link.control for link in links if link.control is not None]
+    streams = [control.stream for control in controls]
+    for control in controls:
+        control.shut_down(reason, retry_after=0.0)
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + _FAREWELL
+    while any(not stream.gone for stream in streams) and loop.time() < deadline:  # noqa: ASYNC110 -- plain state, polled for a moment
         await asyncio.sleep(0.01)
     for stream in streams:
         stream.abort(reason)
 
 
 async def _until(condition: Callable[[], bool], otherwise: Callable[[], str]) -> None:
-    """Wait until a condition holds; after 5 s, raise LinkError with the message that `otherwise` gives."""
+    """Wait until a condition holds; after 5 s, raise `LinkError` with the message that `otherwise` gives."""
     try:
         async with asyncio.timeout(_RESTART_WITHIN):
             while not condition():  # noqa: ASYNC110 -- plain state, polled for a moment
