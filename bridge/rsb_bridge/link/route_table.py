@@ -44,30 +44,7 @@ from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import route_key
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire.messages import (
-    Accept,
-    Amend,
-    Arm,
-    Armed,
-    ArmingMessage,
-    AskEnded,
-    AskForArming,
-    ByHand,
-    Close,
-    Describe,
-    Disarm,
-    HolderMessage,
-    Lease,
-    LeaseMessage,
-    Limit,
-    Pause,
-    Propose,
-    Provide,
-    Publishers,
-    Ready,
-    Refuse,
-    Settled,
-)
+from rsb_bridge.wire import messages as wire
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -77,10 +54,10 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import RefuseCode
 
-_AboutOpenRoute: TypeAlias = (
-    Accept | Refuse | Describe | Ready | Publishers | Provide | Close | Limit | ByHand | ArmingMessage | HolderMessage
-)
-RouteMessage: TypeAlias = Propose | Amend | Pause | LeaseMessage | _AboutOpenRoute
+_FromHalf: TypeAlias = wire.Describe | wire.Ready | wire.Publishers | wire.Provide
+_FromOperator: TypeAlias = wire.ByHand | wire.ArmingMessage | wire.HolderMessage
+_AboutOpenRoute: TypeAlias = wire.Accept | wire.Refuse | wire.Close | wire.Limit | _FromHalf | _FromOperator
+RouteMessage: TypeAlias = wire.Propose | wire.Amend | wire.Pause | wire.LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
 
 _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
@@ -131,7 +108,7 @@ class RouteTable(Extension):
 
     # --- adding and removing
 
-    def add(self, spec: Topic, proposal: Propose, *, proposed_here: bool) -> Route:
+    def add(self, spec: Topic, proposal: wire.Propose, *, proposed_here: bool) -> Route:
         """Make this side's half of a route, and ask the peer for the other half if this side proposes it.
 
         Raises:
@@ -150,7 +127,7 @@ class RouteTable(Extension):
             self.propose(route, acting_operator())
         return route
 
-    def check_add(self, spec: Topic, proposal: Propose, key: str, instead_of: Route | None = None) -> None:
+    def check_add(self, spec: Topic, proposal: wire.Propose, key: str, instead_of: Route | None = None) -> None:
         """Raise `LinkError` if a topic cannot be added, or cannot replace a route."""
         if self._link.routes.get(key, instead_of) is not instead_of:
             raise LinkError(Denied.EDIT_THAT_ROUTE(topic=proposal.topic))
@@ -171,7 +148,7 @@ class RouteTable(Extension):
         self._tell_end(route, EndCode.REMOVED, reason, "" if anonymous else acting_operator())
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
-    def change(self, route: Route, spec: Topic, proposal: Propose) -> Route:
+    def change(self, route: Route, spec: Topic, proposal: wire.Propose) -> Route:
         """Replace a route that this side proposes."""
         at = list(self._link.routes).index(route.key)
         self.listed.discard(route.spec.identity)
@@ -190,7 +167,7 @@ class RouteTable(Extension):
     def deny(self, route: Route, reason: str) -> None:
         """End a route that the peer has proposed and may no longer have; the peer keeps asking for it."""
         if route.id:
-            self._link.send(Refuse(route=route.id, code="denied", reason=sanitize_text(reason)))
+            self._link.send(wire.Refuse(route=route.id, code="denied", reason=sanitize_text(reason)))
         self._forget(route, EventCode.ROUTE_REFUSED, reason)
 
     def rights_changed(self) -> None:
@@ -203,17 +180,18 @@ class RouteTable(Extension):
 
     def _tell_rate(self, route: Route) -> None:
         if route.id:
-            self._link.send(Limit(route=route.id, max_rate=route.limit.here))
+            self._link.send(wire.Limit(route=route.id, max_rate=route.limit.here))
 
     def _tell_end(self, route: Route, code: EndCode, reason: str, who: str = "") -> None:
         """Tell the peer how a route ends; a closed one is named by its last id, which `_forget` forgets."""
         if route_id := self._link.ids.last_of(route):
-            self._link.send(Close(route=route_id, reason=sanitize_text(reason), code=code, who=who))
+            self._link.send(wire.Close(route=route_id, reason=sanitize_text(reason), code=code, who=who))
 
     def _forget(self, route: Route, code: EventCode, reason: str) -> None:
         """Remove a route on this side."""
         self._link.routes.pop(route.key, None)
-        self.listed -= {route.spec.identity} if route.pattern else set()
+        if route.pattern:
+            self.listed.discard(route.spec.identity)
         if route.proposed_here or route.listed:
             self._context.demands.changed()
         if route.arming.held:  # else `destroy` would name another cause
@@ -222,7 +200,7 @@ class RouteTable(Extension):
         self._link.ids.forget(route)
         route.log(Level.INFO, code, reason)
 
-    def amend(self, route: Route, spec: Topic, proposal: Propose) -> None:
+    def amend(self, route: Route, spec: Topic, proposal: wire.Propose) -> None:
         """Change the limits of a route that this side proposes, while it stays open."""
         route.amend(msgspec.structs.replace(spec, paused=route.pausing.paused), amended(route.proposal, proposal))
         self._context.demands.changed()
@@ -235,11 +213,11 @@ class RouteTable(Extension):
         if spec.paused != route.pausing.paused:
             self.pause(route, paused=spec.paused)
 
-    def _amended(self, message: Amend) -> None:
+    def _amended(self, message: wire.Amend) -> None:
         """Take the limits of a route that the peer proposes."""
         route = self._link.ids.find(message.route)
-        if route is None or route.proposed_here:
-            return  # it was removed here before the message arrived
+        if route is None or route.proposed_here:  # it was removed here before the message arrived
+            return
         old = route.spec
         spec = amended_topic(old, amended(route.proposal, message))
         if route.own is not None:  # this side's entry changes with the peer's, but keeps the `max_age` of its own
@@ -249,7 +227,7 @@ class RouteTable(Extension):
         if message.who:
             self.peer_operators.edited(route, message.who, old)
 
-    def _amendment(self, route: Route, who: str = "") -> Amend:
+    def _amendment(self, route: Route, who: str = "") -> wire.Amend:
         """Return the message with a route's present limits."""
         proposal = msgspec.structs.replace(route.proposal, max_age=self.arming.max_age(route))
         return amendment(proposal, route.id, who)
@@ -264,14 +242,10 @@ class RouteTable(Extension):
     def _tell_pause(self, route: Route, who: str = "") -> None:
         if route.id:
             paused, revision = route.pausing.paused, route.pausing.revision
-            self._link.send(Pause(route=route.id, paused=paused, revision=revision, who=who))
+            self._link.send(wire.Pause(route=route.id, paused=paused, revision=revision, who=who))
 
     def _take_pause(self, route: Route, *, paused: bool, revision: int, who: str = "", known: bool = True) -> None:
-        """Take the peer's state of the pause, and record the change of an operator there.
-
-        Args:
-            known: whether this side's revisions are about the peer's present process.
-        """
+        """Take the peer's state of the pause; `known` means that revisions here are about its present process."""
         pausing, was = route.pausing, route.pausing.paused
         take = pausing.merge if known else pausing.adopt
         take(paused=paused, revision=revision, who=self.peer_operators.says(who))
@@ -293,8 +267,8 @@ class RouteTable(Extension):
 
     def retry(self) -> None:
         """Propose refused routes at once."""
-        for route in tuple(self._link.routes.values()) if self._link.linked else ():
-            if route.proposed_here and not route.id:
+        for route in tuple(self._link.routes.values()):
+            if self._link.linked and route.proposed_here and not route.id:
                 self.propose(route)
 
     def _open(self, route: Route, route_id: int) -> None:
@@ -307,49 +281,68 @@ class RouteTable(Extension):
     # --- proposing
 
     def propose(self, route: Route, who: str = "") -> None:
-        """Ask the peer to open a route; if it is open, it is closed and opened again.
-
-        Args:
-            who: operator who has just added or edited it, or an empty string.
-        """
+        """Ask the peer to open a route, or to open it again; `who` has just added or edited it, or is empty."""
         route.close("reopened")
         self._open(route, self._link.ids.new())
         self._link.spawn(self._propose(route, route.id, who))
 
     async def _propose(self, route: Route, route_id: int, who: str) -> None:
+        if not await self._prepare_port(route, route_id):
+            return
+        pausing = route.pausing
+        opening: dict[str, Any] = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
+        if route.purpose.in_graph:
+            opening |= {"place": place_of(route.spec, self._link, route.pattern), "by_pattern": bool(route.pattern)}
+        opening |= self.arming.demanded(route)
+        # Together with the sending: each Propose advances the chain of keys on both sides (PROTOCOL.md, 1.3).
+        self._link.derive_keys(route_id, proposed_here=True)
+        self._link.send(msgspec.structs.replace(route.proposal, **opening, who=who))
+
+    async def _accept(self, route: Route, proposal: wire.Propose) -> None:
+        if await self._prepare_port(route, proposal.route, proposal):
+            own = route.arming.own
+            demands = own.arm, own.deadman, own.max_age, own.on_end, own.limits
+            self._link.send(wire.Accept(route.id, route.local_topic, *demands))
+            self._accepted(route)
+
+    async def _prepare_port(self, route: Route, route_id: int, theirs: wire.Propose | None = None) -> bool:
+        """Prepare the port of an opening, which ends if there is none; return whether it goes on.
+
+        Args:
+            theirs: the peer's proposal of it, or None if this side proposes it.
+        """
+        connection, failure = self._link.connections, ""
         try:
             await self._link.prepare_port(route)
         except ListenError as error:
-            if route.id == route_id:
-                route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, Reason(str(error)))
-        if route.id == route_id:  # else it was refused, or opened again while the port was being bound
-            pausing = route.pausing
-            opening: dict[str, Any] = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
-            if route.purpose.in_graph:
-                opening |= {"place": place_of(route.spec, self._link, route.pattern), "by_pattern": bool(route.pattern)}
-            opening |= self.arming.demanded(route)
-            # Together with the sending: each Propose advances the chain of keys on both sides (PROTOCOL.md, 1.3).
-            self._link.derive_keys(route_id, proposed_here=True)
-            self._link.send(msgspec.structs.replace(route.proposal, **opening, who=who))
+            failure = str(error)
+        # It may have ended meanwhile. On the next connection another process of the peer may give the same id.
+        if not self._link.linked or self._link.connections != connection or route.id != route_id:
+            return False
+        if failure:
+            route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, Reason(failure))
+            if theirs is not None:
+                self._refuse(theirs, "port_taken", failure)
+        return not failure
 
     # --- what the peer says
 
     def handle(self, message: RouteMessage) -> None:
         """Act on a control message of the peer."""
         match message:
-            case Propose():
+            case wire.Propose():
                 self._proposed(message)
-            case Close(code=EndCode.REMOVED):
+            case wire.Close(code=EndCode.REMOVED):
                 self._removed(message)
-            case Close(code=EndCode.EDITED):
+            case wire.Close(code=EndCode.EDITED):
                 self._edited(message)
-            case Amend():
+            case wire.Amend():
                 self._amended(message)
-            case Lease():
+            case wire.Lease():
                 self.arming.lease.handle(message)
-            case Settled():
+            case wire.Settled():
                 self.arming.settled(message)
-            case Pause():
+            case wire.Pause():
                 # It outlives openings: the end of one, by its data connection, may have come before it.
                 if (route := self._link.ids.find(message.route)) is not None:
                     self._take_pause(route, paused=message.paused, revision=message.revision, who=message.who)
@@ -360,10 +353,10 @@ class RouteTable(Extension):
                 if route is not None:  # otherwise it was closed here before the message arrived
                     self._about_route(route, message)
                 # Also for an opening that is over (PROTOCOL.md, 7.2); a dropped demand disarms nothing.
-                if isinstance(message, Disarm) and message.cause != DROPPED:
-                    self._link.send(Settled(message.route))
+                if isinstance(message, wire.Disarm) and message.cause != DROPPED:
+                    self._link.send(wire.Settled(message.route))
 
-    def _proposed(self, proposal: Propose) -> None:
+    def _proposed(self, proposal: wire.Propose) -> None:
         if not self._link.ids.take_of_peer(proposal.route):
             self._link.protocol_error(f"invalid route id {proposal.route} in a proposal")
             return
@@ -372,12 +365,12 @@ class RouteTable(Extension):
             self._take_up(proposal)
         except RefusedError as error:
             self._link.closed(proposal.route)
-            self._link.send(Refuse(route=proposal.route, code=error.code, reason=sanitize_text(str(error))))
+            self._link.send(wire.Refuse(route=proposal.route, code=error.code, reason=sanitize_text(str(error))))
         except LinkError as error:
             self._link.closed(proposal.route)
             self._refuse(proposal, "denied", str(error))
 
-    def _take_up(self, proposal: Propose) -> None:
+    def _take_up(self, proposal: wire.Propose) -> None:
         """Open this side's half of a route that the peer proposes, and accept it.
 
         Raises:
@@ -409,7 +402,7 @@ class RouteTable(Extension):
         link.spawn(self._accept(route, proposal))
         self.peer_operators.proposed(route, proposal, edited=before is not None)
 
-    def _known(self, ours: Propose) -> Route | None:
+    def _known(self, ours: wire.Propose) -> Route | None:
         """Return the route that a proposal of the peer is about, or None."""
         if (known := self._link.routes.get(route_key(self._link.name, ours))) is not None:
             return known
@@ -417,7 +410,7 @@ class RouteTable(Extension):
         identity, routes = identity_of(ours), self._link.routes.values()
         return next((each for each in routes if each.proposed_here and each.spec.identity == identity), None)
 
-    def _settle_double(self, known: Route, theirs: Propose) -> None:
+    def _settle_double(self, known: Route, theirs: wire.Propose) -> None:
         """Decide about a topic that both sides propose. The peer comes to the same end.
 
         An entry that names a topic goes before what a pattern has made. Of two patterns, the client's counts. Two
@@ -447,45 +440,24 @@ class RouteTable(Extension):
                 self.propose(known)
         raise RefusedError("listed_too", Denied.LISTED_TOO(topic=theirs.topic))
 
-    async def _accept(self, route: Route, proposal: Propose) -> None:
-        connection = self._link.connections
-
-        def current() -> bool:
-            # On the next connection another process of the peer may give the same id.
-            return self._link.linked and self._link.connections == connection and route.id == proposal.route
-
-        try:
-            await self._link.prepare_port(route)
-        except ListenError as error:
-            if current():
-                route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, Reason(str(error)))
-                self._refuse(proposal, "port_taken", str(error))
-            return
-        if current():  # else it was closed while its port was being bound
-            own = route.arming.own
-            demands = own.arm, own.deadman, own.max_age, own.on_end, own.limits
-            self._link.send(Accept(route.id, route.local_topic, *demands))
-            self._accepted(route)
-
     def _accepted(self, route: Route) -> None:
         if route.limit.here:
             self._tell_rate(route)
         route.on_accepted()
 
-    def _refuse(self, proposal: Propose, code: RefuseCode, reason: str) -> None:
+    def _refuse(self, proposal: wire.Propose, code: RefuseCode, reason: str) -> None:
         if self._refused.get(proposal.topic) != reason:  # the other side keeps trying; one event is enough
             if len(self._refused) >= ROUTES_PER_LINK:
                 self._refused.clear()
             self._refused[proposal.topic] = reason
             text = f"refused {proposal.topic}: {reason}"
             self._link.log(Level.WARNING, EventCode.ROUTE_REFUSED, text, topic=proposal.topic)
-        self._link.send(Refuse(route=proposal.route, code=code, reason=sanitize_text(reason)))
+        self._link.send(wire.Refuse(route=proposal.route, code=code, reason=sanitize_text(reason)))
 
-    def _removed(self, message: Close) -> None:
+    def _removed(self, message: wire.Close) -> None:
         """Remove a route that the peer has removed; this side may have closed or reopened it before."""
-        route = self._link.ids.find(message.route)
-        if route is None:
-            return  # both sides removed it
+        if (route := self._link.ids.find(message.route)) is None:  # both sides removed it
+            return
         reason = f"removed by the other side: {message.reason}"
         if route.id != message.route:  # a newer opening, of which the peer hears later, would bring it back
             self._tell_end(route, EndCode.REMOVED, reason)
@@ -494,7 +466,7 @@ class RouteTable(Extension):
             self.peer_operators.removed(route, message.who)
             self.on_removed(route)
 
-    def _edited(self, message: Close) -> None:
+    def _edited(self, message: wire.Close) -> None:
         """End an opening in whose place its proposer is about to propose another one."""
         route = self._link.ids.open_route(message.route)
         if route is not None and not route.proposed_here:
@@ -502,7 +474,7 @@ class RouteTable(Extension):
                 route.disarm(Disarmed.EDITED)
             route.close(message.reason)
 
-    def _changed_by_peer(self, known: Route, ours: Propose) -> Route:
+    def _changed_by_peer(self, known: Route, ours: wire.Propose) -> Route:
         """Put a changed proposal of the peer in the place of its earlier one; this side's entry of it follows."""
         self._forget(known, EventCode.ROUTE_REPLACED, "changed by the other side")
         if known.own is None:
@@ -517,43 +489,43 @@ class RouteTable(Extension):
 
     def _about_route(self, route: Route, message: _AboutOpenRoute) -> None:
         match message:
-            case Accept():
+            case wire.Accept():
                 route.set_peer_topic(message.topic)
                 self.arming.accepted(route, message)
                 route.age.accepted = message.max_age
                 route.settle_age()
                 self._accepted(route)
-            case Limit():
+            case wire.Limit():
                 route.limit.allow_there(message.max_rate)
-            case Refuse(code="listed_too"):
+            case wire.Refuse(code="listed_too"):
                 # The peer's own proposal decides. If none comes, this side tries again.
                 route.close(message.reason)
                 route.reopening.failed(self._context.now(), broke=False)
-            case Refuse():
+            case wire.Refuse():
                 reason, differs = Reason(f"refused by the other side: {message.reason}"), EndCode.LISTED_DIFFERENTLY
                 if message.code == "listed_differently":  # this side may have found out already, in its own words
                     known = route.reopening.refused
                     reason = known if known.code is differs else Reason(reason.text, differs)
                 route.refuse(EventCode.ROUTE_REFUSED, reason)
             # Of these, what is for the other half is ignored.
-            case Describe() if isinstance(route, IncomingRoute):
+            case wire.Describe() if isinstance(route, IncomingRoute):
                 route.described(message)
-            case Publishers() if isinstance(route, IncomingRoute):
+            case wire.Publishers() if isinstance(route, IncomingRoute):
                 route.told_of_publishers(message)
-            case Ready() if isinstance(route, OutgoingRoute):
+            case wire.Ready() if isinstance(route, OutgoingRoute):
                 route.peer_ready(message)
-            case Provide() if isinstance(route, CallingRoute):
+            case wire.Provide() if isinstance(route, CallingRoute):
                 route.provided(message)
-            case Close():
+            case wire.Close():
                 reason = Reason(message.reason, message.code)
                 if not reason.broke:
                     reason = Reason(f"closed by the other side: {message.reason}", message.code)
                 route.refuse(EventCode.ROUTE_CLOSED, reason)
-            case ByHand():
+            case wire.ByHand():
                 self.peer_operators.called(route, message)
-            case Arm() | Armed() | Disarm():
+            case wire.Arm() | wire.Armed() | wire.Disarm():
                 self.arming.handle(route, message)
-            case AskForArming() | AskEnded():
+            case wire.AskForArming() | wire.AskEnded():
                 self.questions.handle(route, message)
 
     # --- time
