@@ -217,9 +217,11 @@ class LinkArming:
 
     def keep_demand(self, name: str, topic: Topic) -> None:
         """Demand for a name of this side what an entry demands that the other side's session lists."""
-        max_age, on_end, limits = default_max_age(topic.max_age, armed=True), end_text(topic.on_end), topic.limits
-        source = ("", name), name, topic.deadman_seconds
-        self._context.demands.keep(DemandSource(*source, max_age=max_age, on_end=on_end, limits=limits))
+        max_age, on_end = default_max_age(topic.max_age, armed=True), end_text(topic.on_end)
+        source = DemandSource(
+            ("", name), name, topic.deadman_seconds, max_age=max_age, on_end=on_end, limits=topic.limits
+        )
+        self._context.demands.keep(source)
 
     def demand_dropped(self, source: DemandSource) -> None:
         """Tell the other side that an operator of this side drops a demand on names of its routes."""

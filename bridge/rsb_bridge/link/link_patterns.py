@@ -177,7 +177,7 @@ class LinkPatterns(Extension):
         self._unseen = 0  # further matching names that the peer does not tell
         self._request = 0
         self._due = False  # the peer has sent other names, or given up a route
-        self._gone: dict[Identity, float] = {}  # routes whose topic or service is gone, each with the time since when
+        self._gone: dict[Route, float] = {}  # whose topic or service is gone, each with the time since when
         self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
         self._logged_full: set[Identity] = set()
         table.on_removed = self.leave_out
@@ -351,20 +351,21 @@ class LinkPatterns(Extension):
 
     def _keep_made(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
         """Change the routes that patterns have made to what these say now, and drop those that no pattern matches."""
-        routes = {route.spec.identity: route for route in self._link.routes.values()}
-        self._gone = {identity: at for identity, at in self._gone.items() if identity in routes}
-        for identity, route in routes.items():
+        routes = self._link.routes
+        # Others are removed by now, or an operator has made entries of their own of them.
+        self._gone = {each: at for each, at in self._gone.items() if each.pattern and routes.get(each.key) is each}
+        for route in tuple(routes.values()):
             if not route.pattern:
                 continue
-            if identity in wanted:
-                self._gone.pop(identity, None)
-                self._keep(route, *wanted[identity])
+            if (match := wanted.get(route.spec.identity)) is not None:
+                self._gone.pop(route, None)
+                self._keep(route, *match)
             elif (entry := self._entry_of(route)) is None:
                 self._drop(route, "no pattern matches it any more")
             elif (self._here if self._is_local(entry) else self.there) is None:  # unknown, as while the link is down
-                self._gone.pop(identity, None)
+                self._gone.pop(route, None)
             else:
-                self._gone.setdefault(identity, self._context.now())
+                self._gone.setdefault(route, self._context.now())
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """Return the matching topics, each with its winning pattern, in the order of patterns and names."""
@@ -454,12 +455,11 @@ class LinkPatterns(Extension):
 
     def _longest_gone(self, pattern: Identity | None) -> Route | None:
         """Return the route whose topic has been gone for longest, of one pattern or of any."""
-        routes = (route for route in self._link.routes.values() if route.pattern and route.spec.identity in self._gone)
-        fitting = (route for route in routes if pattern in (None, _identity_of(route)))
-        return min(fitting, key=lambda route: self._gone[route.spec.identity], default=None)
+        fitting = (route for route in self._gone if pattern in (None, _identity_of(route)))
+        return min(fitting, key=self._gone.__getitem__, default=None)
 
     def _drop(self, route: Route, reason: str) -> None:
-        self._gone.pop(route.spec.identity, None)
+        self._gone.pop(route, None)
         self._table.remove(route, reason, anonymous=True)
 
     def tick(self) -> None:
@@ -470,11 +470,11 @@ class LinkPatterns(Extension):
         if not self._gone:  # as nearly always
             return
         now = self._context.now()
-        over = {identity for identity, at in self._gone.items() if now - at >= GONE_AFTER}
-        for route in [route for route in self._link.routes.values() if route.pattern and route.spec.identity in over]:
+        made = [route for route in self._link.routes.values() if route.pattern]
+        over = [route for route in made if now - self._gone.get(route, now) >= GONE_AFTER]
+        for route in over:
             self._drop(route, f"{_GONE}; {route.pattern} matches it again once it is back")
         if over:
-            self._gone = {identity: at for identity, at in self._gone.items() if identity not in over}
             self._reconcile()
 
     def _given_up(self) -> None:
@@ -499,9 +499,9 @@ class LinkPatterns(Extension):
         """Yield a snapshot of each pattern."""
         for entry in self._entries:
             routes = self.routes_of(entry.topic)
-            gone = sum(1 for each in routes if each.spec.identity in self._gone)
+            gone = sum(1 for each in routes if each in self._gone)
             count = f"{len(routes)} bridged{f', {gone} of them gone' if gone else ''}"
-            state, reason = self._state(entry, count if routes else "")
+            state, reason = self._state(entry, len(routes), count if routes else "")
             here = self._is_local(entry)
             yield PatternSnapshot(
                 key=self.key_of(entry.topic),
@@ -516,11 +516,11 @@ class LinkPatterns(Extension):
                 beyond=entry.beyond + (0 if here else self._unseen),
             )
 
-    def _state(self, entry: PatternEntry, count: str) -> tuple[State, str]:
+    def _state(self, entry: PatternEntry, routes: int, count: str) -> tuple[State, str]:
         link, here = self._link, self._is_local(entry)
         some = f"{count}; " if count else ""
         if entry.beyond:
-            return State.DOWN, f"{some}{_limit_reached(entry, len(self.routes_of(entry.topic)))}"
+            return State.DOWN, f"{some}{_limit_reached(entry, routes)}"
         if entry.left_out:
             name, reason = next(iter(entry.left_out.items()))
             return State.DOWN, f"{some}{len(entry.left_out)} not bridged: {name}: {reason}"
