@@ -70,11 +70,13 @@ class PatternEntry:
         self._client = client
         self._prefixed = prefixed and self._remote is None
         self._always = always_prefixed
-        # Of names in the followed graph.
-        self.source = self._here if self.from_client else Pattern(self.server_name(topic.remote_topic or topic.topic))
+        self.source = Pattern(self.name_of(topic, on_client=self.from_client))  # of names in the followed graph
 
-    def server_name(self, name: str) -> str:
-        """Return the server's name for a name on the client or in `Topic.remote_topic`."""
+    def name_of(self, topic: Topic, *, on_client: bool) -> str:
+        """Return the client's or the server's name of this pattern's topic, or of one that it matches."""
+        if on_client:
+            return topic.topic
+        name = topic.remote_topic or topic.topic
         if self._prefixed or (self._always and client_topic(name, self._client) is None):
             return server_topic(name, self._client)
         return name
@@ -392,7 +394,7 @@ class LinkPatterns(Extension):
         for at, entry in enumerate(self._entries):
             if entry.topic.kind == kind and self._is_local(entry) == local:
                 topic = entry.match(name, type_name)
-                if topic is not None and self._may_have(entry, name, topic, rights):
+                if topic is not None and self._may_have(entry, topic, rights):
                     return at, topic
         return None
 
@@ -400,22 +402,18 @@ class LinkPatterns(Extension):
         """Return the pattern that matches a route's topic, which may be gone, or None."""
         rights = as_if_listed(self._link.rights)
         for entry in self._claiming(route):
-            name = route.spec.topic
-            if not entry.from_client:
-                name = entry.server_name(route.spec.remote_topic or name)
-            topic = entry.match(name, None)
-            if topic is not None and self._may_have(entry, name, topic, rights):
+            topic = entry.match(entry.name_of(route.spec, on_client=entry.from_client), None)
+            if topic is not None and self._may_have(entry, topic, rights):
                 return entry
         return None
 
-    def _may_have(self, entry: PatternEntry, name: str, topic: Topic, rights: Rights) -> bool:
-        """Whether a pattern may bridge a name, as this side's own rights say."""
-        local = name
-        if not self._is_local(entry):
-            local = topic.topic if self._link.is_client else entry.server_name(topic.remote_topic or topic.topic)
+    def _may_have(self, entry: PatternEntry, topic: Topic, rights: Rights) -> bool:
+        """Whether a pattern may bridge a topic, as this side's own rights say."""
+        link = self._link
         sends, takes = uses(topic.kind)
-        may = sends if (topic.direction == "transmit") != self._link.is_client else takes
-        return rights.refusal(Use(local, may, topic.protocol or self._link.transport.name, topic.kind)) is None
+        may = sends if (topic.direction == "transmit") != link.is_client else takes
+        name, transport = entry.name_of(topic, on_client=link.is_client), topic.protocol or link.transport.name
+        return rights.refusal(Use(name, may, transport, topic.kind)) is None
 
     def _keep(self, route: Route, entry: PatternEntry, topic: Topic) -> None:
         """Change a route to the present values of its pattern."""

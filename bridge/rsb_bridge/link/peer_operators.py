@@ -42,9 +42,6 @@ class PeerOperators:
     """Records the actions of the other side's operators, within a budget; the routes log them as well.
 
     The operator's name is the other side's claim, and is marked so: it cannot be mistaken for one of this side.
-
-    Args:
-        peer_name: name of the other side, for this side's operators.
     """
 
     def __init__(self, context: Context, peer_name: str) -> None:
@@ -99,14 +96,5 @@ class PeerOperators:
         if not self._budget.take(1, self._now()):
             return
         topic, who = route.local_topic, self.says(who)
-        self._events.add(
-            Level.INFO,
-            code,
-            f"{topic}: {what}, {who}",
-            link=route.peer.name,
-            topic=topic,
-            who=who,
-            old=old,
-            new=new,
-            from_peer=True,
-        )
+        text, link = f"{topic}: {what}, {who}", route.peer.name
+        self._events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new, from_peer=True)

@@ -172,7 +172,7 @@ def edited_entry(entry: Topic, old: Propose, new: Propose, link: BaseLink) -> To
     return msgspec.structs.replace(entry, **changed)
 
 
-def with_server_name(proposal: Propose, link: BaseLink) -> Propose:
+def _with_server_name(proposal: Propose, link: BaseLink) -> Propose:
     """Return this side's proposal with the name that the server gives the topic."""
     field = "remote_topic" if proposal.from_client else "topic"
     name = getattr(proposal, field)
@@ -189,7 +189,7 @@ def place_of(entry: Topic, link: BaseLink, pattern: str = "") -> str:
 
 def listed_differently(entry: Topic, ours: Propose, theirs: Propose, link: BaseLink) -> str:
     """Return how this side's entry differs from the peer's in what both have to agree on, or an empty string."""
-    here, there = topic_of(with_server_name(ours, link)), topic_of(theirs)
+    here, there = topic_of(_with_server_name(ours, link)), topic_of(theirs)
     own, other = here.parsed_qos(), there.parsed_qos()
     if own and other:  # only the policies that differ
         names = [name for name in own.__struct_fields__ if getattr(own, name) != getattr(other, name)]

@@ -19,12 +19,13 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.link.client_link import ClientLink
     from rsb_bridge.link.link import Link
+    from rsb_bridge.link.link_patterns import LinkPatterns
     from rsb_bridge.link.link_server import Server
     from rsb_bridge.link.server_link import ClientEntry, ServerLink
     from rsb_bridge.model.session import Identity, Session
@@ -72,13 +73,13 @@ def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[ReloadS
     """Yield the changes of a server."""
     wanted = {entry.client.name: entry for entry in entries}
     for name, entry in server.entries.items():
-        if name not in wanted:
-            text = ClientStep.REMOVED_WHILE_LINKED if server.links[name].linked else ClientStep.REMOVED
+        link, new = server.links[name], wanted.get(name)
+        if new is None:
+            text = ClientStep.REMOVED_WHILE_LINKED if link.linked else ClientStep.REMOVED
             yield ReloadStep(text(name=name), partial(server.remove_client, name))
-        elif parts := _client_changes(entry, wanted[name]):
-            link = server.links[name]
-            effect = _client_effect(link, wanted[name])
-            yield ReloadStep(f"client {name}: {', '.join(parts)}{effect}", partial(server.change_client, wanted[name]))
+        elif parts := _client_changes(entry, new):
+            effect = _client_effect(link, new)
+            yield ReloadStep(f"client {name}: {', '.join(parts)}{effect}", partial(server.change_client, new))
     for name, entry in wanted.items():
         if name not in server.entries:
             yield ReloadStep(
@@ -121,29 +122,25 @@ def _denial_effect(link: Link, rights: Rights) -> str:
 # --- the topics that one side of a link proposes
 
 
-def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[ReloadStep]:
-    topics = tuple(topics)
-    yield from _pattern_steps(link, [topic for topic in topics if topic.is_pattern])
+def _topic_steps(link: Link, topics: Sequence[Topic]) -> Iterator[ReloadStep]:
+    yield from _pattern_steps(link.patterns, {topic.identity: topic for topic in topics if topic.is_pattern})
     wanted = {topic.identity: topic for topic in topics if not topic.is_pattern}
     routes = {route.spec.identity: route for route in link.routes.values() if route.listed}  # others are in no file
     for identity, route in routes.items():
         if identity not in wanted:
             yield ReloadStep(_removed(route.spec), partial(_remove, link, identity))
     for identity, topic in wanted.items():
-        if identity in routes:
-            route = routes[identity]
-            if route.spec != topic:
-                goes_on = route.own is not None or link.proposed.can_amend(route, topic)
-                effect = "" if goes_on else "; reopened, counted from 0"
-                text = f"{named(topic)}: {', '.join(changes(route.spec, topic))}{effect}"
-                yield ReloadStep(text, partial(_replace, link, topic))
-        else:
+        if (listed := routes.get(identity)) is None:
             yield ReloadStep(_added(topic), partial(link.add_entry, topic))
+        elif listed.spec != topic:
+            goes_on = listed.own is not None or link.proposed.can_amend(listed, topic)
+            effect = "" if goes_on else "; reopened, counted from 0"
+            text = f"{named(topic)}: {', '.join(changes(listed.spec, topic))}{effect}"
+            yield ReloadStep(text, partial(_replace, link, topic))
 
 
-def _pattern_steps(link: Link, topics: Sequence[Topic]) -> Iterator[ReloadStep]:
-    patterns = link.patterns
-    wanted, known = {topic.identity: topic for topic in topics}, {topic.identity: topic for topic in patterns.all()}
+def _pattern_steps(patterns: LinkPatterns, wanted: dict[Identity, Topic]) -> Iterator[ReloadStep]:
+    known = {topic.identity: topic for topic in patterns.all()}
     for identity, topic in known.items():
         if identity not in wanted:
             yield ReloadStep(_removed(topic), partial(patterns.remove, identity))
@@ -153,8 +150,8 @@ def _pattern_steps(link: Link, topics: Sequence[Topic]) -> Iterator[ReloadStep]:
         elif known[identity] != topic:
             text = f"{named(topic)}: {', '.join(changes(known[identity], topic))}"
             yield ReloadStep(text, partial(patterns.replace, identity, topic))
-    stay = [identity for identity in known if identity in wanted]
-    if [*stay, *(identity for identity in wanted if identity not in known)] != [*wanted]:
+    stay, new = [each for each in known if each in wanted], [each for each in wanted if each not in known]
+    if [*stay, *new] != [*wanted]:
         yield ReloadStep("the order of the patterns", partial(patterns.arrange, tuple(wanted)))
 
 
