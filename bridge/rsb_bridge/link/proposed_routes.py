@@ -78,7 +78,6 @@ class ProposedTopics(Extension):
     def _list_too(self, route: Route, topic: Topic, proposal: Propose) -> Route:
         """List what the other side has opened in this side's session, too, unless the two entries differ."""
         if route.proposal.by_pattern:  # an entry that names it goes before that
-            self._table.check_add(topic, proposal, route.key, instead_of=route)
             return self._table.change(route, topic, proposal)
         if text := listed_differently(topic, proposal, route.proposal, self._link):
             self._table.keep_demand(topic, route.key)  # which holds all the same
@@ -119,7 +118,6 @@ class ProposedTopics(Extension):
         table, proposal = self._table, self._proposal(topic)
         if (key := route_key(self._link.name, proposal)) != route.key:  # the peer may bridge the new name already
             table.keep_demand(topic, key)
-        self._check_replace(route, topic, proposal)
         if not same_route(route.proposal, proposal):
             return table.change(route, topic, proposal)
         route.pattern = ""
@@ -128,11 +126,9 @@ class ProposedTopics(Extension):
 
     def check_replace(self, route: Route, topic: Topic) -> None:
         """Raise `LinkError` where `replace` or `edit_there` would."""
-        self._check_replace(route, topic, self._proposal(topic))
-
-    def _check_replace(self, route: Route, topic: Topic, proposal: Propose) -> None:
+        proposal = self._proposal(topic)
         if not same_route(route.proposal, proposal):
-            self._table.check_add(topic, proposal, route_key(self._link.name, proposal), instead_of=route)
+            self._table.check_add(topic, proposal, instead_of=route)
 
     def _proposal(self, topic: Topic) -> Propose:
         link, session, prefixed = self._link, self._context.session, self._link.prefixed

@@ -114,11 +114,11 @@ class RouteTable(Extension):
         Raises:
             LinkError: there is such a route, or one that bridges the same service.
         """
-        key = route_key(self._link.name, proposal)
-        self.check_add(spec, proposal, key)
+        self.check_add(spec, proposal)
         sending, receiving = _HALVES[proposal.kind]
         half = sending if proposal.from_client == self._link.is_client else receiving
-        route = self._link.routes[key] = half(self._context, self._link, spec, proposal, proposed_here=proposed_here)
+        route = half(self._context, self._link, spec, proposal, proposed_here=proposed_here)
+        self._link.routes[route.key] = route
         allow_rate(route, self._link)
         if proposed_here and route.purpose.in_graph:
             self.listed.add(spec.identity)
@@ -127,9 +127,9 @@ class RouteTable(Extension):
             self.propose(route, acting_operator())
         return route
 
-    def check_add(self, spec: Topic, proposal: wire.Propose, key: str, instead_of: Route | None = None) -> None:
+    def check_add(self, spec: Topic, proposal: wire.Propose, instead_of: Route | None = None) -> None:
         """Raise `LinkError` if a topic cannot be added, or cannot replace a route."""
-        if self._link.routes.get(key, instead_of) is not instead_of:
+        if self._link.routes.get(route_key(self._link.name, proposal), instead_of) is not instead_of:
             raise LinkError(Denied.EDIT_THAT_ROUTE(topic=proposal.topic))
         others = (each for each in self._link.routes.values() if each is not instead_of)
         if clash := overlap(spec, (each.spec for each in others if each.id or each.proposed_here)):
@@ -145,18 +145,23 @@ class RouteTable(Extension):
     def remove(self, route: Route, reason: str, *, anonymous: bool = False) -> None:
         """Remove a route on both sides; `anonymous` keeps the operator's name from the other side."""
         self.listed.discard(route.spec.identity)
-        self._tell_end(route, EndCode.REMOVED, reason, "" if anonymous else acting_operator())
-        self._forget(route, EventCode.ROUTE_REMOVED, reason)
+        who = "" if anonymous else acting_operator()
+        self._forget(route, EventCode.ROUTE_REMOVED, reason, tell=EndCode.REMOVED, who=who)
 
     def change(self, route: Route, spec: Topic, proposal: wire.Propose) -> Route:
-        """Replace a route that this side proposes."""
+        """Replace a route; this side proposes the new one.
+
+        Raises:
+            LinkError: there is such a route; the old one stays.
+        """
+        self.check_add(spec, proposal, instead_of=route)
         at = list(self._link.routes).index(route.key)
         self.listed.discard(route.spec.identity)
         same_name = route_key(self._link.name, proposal) == route.key
-        self._tell_end(route, EndCode.EDITED if same_name else EndCode.REMOVED, "edited")
         if route.arming.held:
             route.disarm(Disarmed.EDITED)
-        self._forget(route, EventCode.ROUTE_REMOVED, "edited")
+        tell = EndCode.EDITED if same_name else EndCode.REMOVED
+        self._forget(route, EventCode.ROUTE_REMOVED, "edited", tell=tell)
         new = self.add(spec, proposal, proposed_here=True)
         new.arming.follow(route.arming)
         # A session lists its topics in this order.
@@ -183,12 +188,16 @@ class RouteTable(Extension):
             self._link.send(wire.Limit(route=route.id, max_rate=route.limit.here))
 
     def _tell_end(self, route: Route, code: EndCode, reason: str, who: str = "") -> None:
-        """Tell the peer how a route ends; a closed one is named by its last id, which `_forget` forgets."""
+        """Tell the peer how a route ends; a closed one is named by its last id."""
         if route_id := self._link.ids.last_of(route):
             self._link.send(wire.Close(route=route_id, reason=sanitize_text(reason), code=code, who=who))
 
-    def _forget(self, route: Route, code: EventCode, reason: str) -> None:
-        """Remove a route on this side."""
+    def _forget(
+        self, route: Route, code: EventCode, reason: str, *, tell: EndCode | None = None, who: str = ""
+    ) -> None:
+        """Remove a route on this side, and tell the peer of that end, unless it is None."""
+        if tell is not None:
+            self._tell_end(route, tell, reason, who)
         self._link.routes.pop(route.key, None)
         if route.pattern:
             self.listed.discard(route.spec.identity)
@@ -422,8 +431,7 @@ class RouteTable(Extension):
         link, named = self._link, known.listed
         named_there = purposes()[theirs.purpose].in_graph and not theirs.by_pattern
         if not named and (named_there or not link.is_client):
-            self._tell_end(known, EndCode.REMOVED, "the other side lists it")
-            self._forget(known, EventCode.ROUTE_REPLACED, "the other side lists it")
+            self._forget(known, EventCode.ROUTE_REPLACED, "the other side lists it", tell=EndCode.REMOVED)
             return
         if named and named_there:
             if text := listed_differently(known.spec, known.proposal, theirs, self._link):
@@ -458,10 +466,9 @@ class RouteTable(Extension):
         """Remove a route that the peer has removed; this side may have closed or reopened it before."""
         if (route := self._link.ids.find(message.route)) is None:  # both sides removed it
             return
-        reason = f"removed by the other side: {message.reason}"
-        if route.id != message.route:  # a newer opening, of which the peer hears later, would bring it back
-            self._tell_end(route, EndCode.REMOVED, reason)
-        self._forget(route, EventCode.ROUTE_REMOVED, reason)
+        # A newer opening, of which the peer hears later, would bring it back.
+        tell = EndCode.REMOVED if route.id != message.route else None
+        self._forget(route, EventCode.ROUTE_REMOVED, f"removed by the other side: {message.reason}", tell=tell)
         if message.who:
             self.peer_operators.removed(route, message.who)
             self.on_removed(route)
