@@ -131,8 +131,8 @@ class RouteTable(Extension):
         """Raise `LinkError` if a topic cannot be added, or cannot replace a route."""
         if self._link.routes.get(route_key(self._link.name, proposal), instead_of) is not instead_of:
             raise LinkError(Denied.EDIT_THAT_ROUTE(topic=proposal.topic))
-        others = (each for each in self._link.routes.values() if each is not instead_of)
-        if clash := overlap(spec, (each.spec for each in others if each.id or each.proposed_here)):
+        others = [each for each in self._link.routes.values() if each is not instead_of]
+        if clash := overlap(spec, [each.spec for each in others if each.id or each.proposed_here]):
             raise LinkError(clash)
 
     def keep_demand(self, spec: Topic, key: str) -> None:
