@@ -285,8 +285,10 @@ def check_room(link: BaseLink) -> None:
     routes = link.routes.values()
     if len(routes) >= ROUTES_PER_LINK:
         raise LinkError(Denied.TOO_MANY_ROUTES(limit=ROUTES_PER_LINK))
+    if not link.is_client:
+        return
     proposed = sum(1 for route in routes if not route.proposed_here)
-    if link.is_client and proposed >= ROUTES_PROPOSED_BY_SERVER:
+    if proposed >= ROUTES_PROPOSED_BY_SERVER:
         raise LinkError(Denied.TOO_MANY_OF_SERVER(client=link.name, count=proposed))
 
 
