@@ -103,7 +103,7 @@ async def _send(port: int, rate: int, size: int) -> tuple[float, int]:
     channel = ClientUdpChannel(connection, udp.Udp(), (_HOST, port))
     await connection.ready.wait()
     route = Route(outgoing=True)
-    sender = datagram_channel(channel, route, keys, connection.scheduler)
+    sender = datagram_channel(channel, route, keys)
     assert isinstance(sender, DatagramSender)
     route.sender = sender
     content, before, began, due = os.urandom(size), _cpu(), time.monotonic(), 0
@@ -160,7 +160,7 @@ class Connection:
     def new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel:
         assert self._route is not None
         channel = ServerUdpChannel(self, socket, _HOST)
-        datagram_channel(channel, self._route, self._keys, self.scheduler)
+        datagram_channel(channel, self._route, self._keys)
         return channel
 
     def udp_ready(self) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.datagram_channel import datagram_channel
 from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.transport.transport import RECEIVE_BUFFER, SendPath
-from rsb_bridge.wire.datagram import by_addressee
+from rsb_bridge.wire.datagram import Probe, by_addressee
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -88,6 +88,9 @@ class RadioChannel(UdpChannel):
         self.ready = True
         self.air = socket
 
+    def _probed(self, probe: Probe, address: Address) -> bool:
+        return True
+
     def _silence(self) -> str:
         return ""
 
@@ -100,7 +103,7 @@ def datagrams_between(near: Side, far: Side, radio: Radio, *numbers: int, queue:
     for number in numbers:
         for side, channel in ((far, ends[1]), (near, ends[0])):
             route = side.routes[number]
-            route.channel = datagram_channel(channel, route, side.keys, side.scheduler)
+            route.channel = datagram_channel(channel, route, side.keys)
     return ends[0]
 
 

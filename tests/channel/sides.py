@@ -131,7 +131,7 @@ class Side:
 
     def carry(self, *numbers: int) -> None:
         for number in numbers:
-            self.routes[number].channel = stream_channel(self.pair, self.routes[number], self.keys)
+            self.routes[number].channel = stream_channel(self.pair, self.routes[number])
         self.pair.resume()
 
     def in_transit(self) -> int:

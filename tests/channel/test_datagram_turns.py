@@ -12,6 +12,7 @@ from tests.channel.datagram_radio import RadioChannel, datagrams_between, pass_t
 from tests.channel.sides import Radio, Route, Side, connected
 
 from rsb_bridge.channel.datagram_carrier import DatagramCarrier
+from rsb_bridge.wire.datagram import Receipt
 
 pytestmark = pytest.mark.usefixtures("loop")
 _TUNNEL = 5_000
@@ -175,5 +176,5 @@ async def test_late_receipt_may_lower_missing_count_only() -> None:
         carrier = DatagramCarrier(Mock(), near.scheduler)
         for datagrams, missing in ((10, 5), (0, -1)):
             carrier.count(datagrams, missing)
-            carrier.receipt(1_000_000, 0.0)
+            carrier.receipt(Receipt(1_000_000, 0, ()))
         assert near.scheduler.arrived == 0

@@ -7,7 +7,7 @@ from collections import deque
 
 import pytest
 
-from rsb_bridge.channel.datagram_carrier import WINDOW, Pacer
+from rsb_bridge.channel.pacing import WINDOW, Pacer
 
 DATAGRAM = 1400
 STEP = 0.0002

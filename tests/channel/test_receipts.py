@@ -43,9 +43,9 @@ async def test_sender_soon_hears_of_larger_buffer() -> None:
         there.air.receive_buffer = there.receive_buffer = _SMALL
         route.send(bytes(1000))
         await pass_time(1.0, near, far, channel)
-        assert channel.sending(near.scheduler).window == _SMALL // 2
+        assert channel.sending().pacer.window == _SMALL // 2
         there.air.receive_buffer = RECEIVE_BUFFER
         await pass_time(1.0, near, far, channel)
         route.send(bytes(1000))
         await pass_time(1.0, near, far, channel)
-        assert channel.sending(near.scheduler).window == RECEIVE_BUFFER // 2
+        assert channel.sending().pacer.window == RECEIVE_BUFFER // 2

@@ -14,7 +14,7 @@ from tests.channel.sides import Route
 from tests.support.acceptors import Accepting
 from tests.support.coroutines import until
 from tests.support.held import held_by
-from tests.support.schedulers import LoneConnection, lone_scheduler
+from tests.support.schedulers import LoneConnection
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
@@ -173,8 +173,8 @@ async def one_way(server: Server) -> tuple[Lossy, Route, DatagramSender]:
     there = server.channels[b"link one"]
     await ready(there)
     route = Route(1, outgoing=False)
-    datagram_channel(there, route, server.keys[b"link one"], lone_scheduler())
-    sender = datagram_channel(client, Route(1, outgoing=True), keys, lone_scheduler())
+    datagram_channel(there, route, server.keys[b"link one"])
+    sender = datagram_channel(client, Route(1, outgoing=True), keys)
     assert isinstance(sender, DatagramSender)
     return client, route, sender
 
@@ -222,10 +222,10 @@ async def test_datagrams_reach_routes_of_named_connection() -> None:
             arrived[link_id] = (up, down)
             there = server.channels[link_id]
             await ready(there)
-            datagram_channel(there, up, server.keys[link_id], lone_scheduler())
-            datagram_channel(client, down, keys, lone_scheduler())
+            datagram_channel(there, up, server.keys[link_id])
+            datagram_channel(client, down, keys)
             for channel, number, codec in ((client, 1, keys), (there, 2, server.keys[link_id])):
-                sender = datagram_channel(channel, Route(number, outgoing=True), codec, lone_scheduler())
+                sender = datagram_channel(channel, Route(number, outgoing=True), codec)
                 assert isinstance(sender, DatagramSender)
                 sender.send([(link_id * (10 * number), 0, 0), (b"x" * 100_000, 0, 0)])
         await until(lambda: all(len(route.arrived) == 2 for pair in arrived.values() for route in pair))
@@ -381,9 +381,7 @@ async def test_closing_old_channel_twice_keeps_new_one() -> None:
 async def test_the_last_route_closes_it() -> None:
     async with serving() as server:
         client, keys = server.connect(b"link one")
-        routes = [
-            datagram_channel(client, Route(number, outgoing=number == 1), keys, lone_scheduler()) for number in (1, 2)
-        ]
+        routes = [datagram_channel(client, Route(number, outgoing=number == 1), keys) for number in (1, 2)]
         routes[0].close("removed")
         assert not client.over
         routes[1].close("removed")
@@ -397,7 +395,7 @@ async def test_a_route_that_sends_takes_no_datagrams() -> None:
         await until(lambda: client.ready)
         there = server.channels[b"link one"]
         outgoing = Route(1, outgoing=True)
-        datagram_channel(there, outgoing, server.keys[b"link one"], lone_scheduler())
+        datagram_channel(there, outgoing, server.keys[b"link one"])
         client.send(DatagramWriter(keys.keys.route_sealer(1, "client"), b"link one", 1).write(b"hello", 0, 0, 1000))
         before = there.received_bytes
         client.tick()

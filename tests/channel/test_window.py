@@ -47,6 +47,10 @@ class Path:
         self.most_under_way = 0
 
     @property
+    def _way_back(self) -> float:
+        return self.credit * (self.delay + self.behind)
+
+    @property
     def under_way(self) -> int:
         return self.sent - self.arrived
 
@@ -76,7 +80,7 @@ class Path:
                 self._looked = self.time
                 if self.counter.has_news:
                     self._give()
-                self.window.check(self.sent, self.time)
+                self.window.check(self.sent, self.time, self._way_back)
             self.most_under_way = max(self.most_under_way, self.under_way)
         return self.sent - before
 
@@ -100,8 +104,7 @@ class Path:
                 self.ages.append(self.time - first[2])
                 self._on_the_way.popleft()
         while self._back and self._back[0][0] <= self.time:
-            self.window.back = self.credit * (self.delay + self.behind)
-            self.window.acknowledge(self._back.popleft()[1], self.sent, self.time)
+            self.window.acknowledge(self._back.popleft()[1], self.sent, self.time, self._way_back)
             every = self.window.every
             if every >= 2 * self._asked or 2 * every <= self._asked:
                 self._asked = every

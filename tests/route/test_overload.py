@@ -18,7 +18,7 @@ from rsb_bridge.wire.messages import Propose
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.channel.channel import SendingChannel
+    from rsb_bridge.channel.scheduler import SendingChannel
     from rsb_bridge.wire.framing import Message
 
 AUTO = Qos(depth=500)

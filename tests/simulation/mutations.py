@@ -126,10 +126,10 @@ async def _delay(world: World) -> None:
     await delayed(world, 60.0)
 
 
-def _took_in_time(self: Any, count: int, sent: int, now: float) -> None:
+def _took_in_time(self: Any, *receipt: float) -> None:
     """Replace `Window.acknowledge` by a form that takes everything in flight for new."""
     self._marks.clear()
-    _took(self, count, sent, now)
+    _took(self, *receipt)  # type: ignore[arg-type]
 
 
 def _end_for_nothing(self: Any, number: int) -> Any:

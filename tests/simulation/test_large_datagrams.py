@@ -78,7 +78,7 @@ def test_a_limit_that_is_raised_counts_at_once() -> None:
         assert run is not None
         (half,) = run.links()[0].routes.values()
         assert isinstance(half.channel, DatagramSender)
-        return half.channel.via.window
+        return half.channel.via.pacer.window
 
     async def live() -> None:
         await asyncio.sleep(20.0)

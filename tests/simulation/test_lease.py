@@ -23,7 +23,7 @@ from tests.support import replaced
 from tests.support.long import long_cases
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.channel import datagram_carrier, window
+from rsb_bridge.channel import pacing, window
 from rsb_bridge.link.link_arming import LinkLease
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed
 from rsb_bridge.model.session import Topic
@@ -547,7 +547,7 @@ def test_each_rule_is_needed(what: str, change: Any, episode: Any, finds: str) -
     # The link's window, and that of the path, would keep a burst from being sent at once.
     is_burst = episode is stalled_with_a_backlog
     armed = Armed(3, "udp" if is_burst else "tcp", "transmit")
-    wide = ((window, "FIRST", 1 << 20), (datagram_carrier, "LEAST_ON_PATH", 1 << 20)) if is_burst else ()
+    wide = ((window, "FIRST", 1 << 20), (pacing, "LEAST_ON_PATH", 1 << 20)) if is_burst else ()
     mutation = Mutation(what, (change, *wide), finds, _CONDITIONS, 3, 0.02)
     with mutation.made(), pytest.raises(Violation, match=mutation.finds):
         armed.play(episode(armed))

@@ -1,4 +1,4 @@
-"""The scheduler of a link without streams, and the owner of its channels."""
+"""The owner of a link's UDP channels where the link has no streams."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ class LoneConnection:
         self.ready = 0
         self.urgent: list[bytes] = []
         self.book = ReceiptBook(loop, self)
+        self.scheduler = Scheduler(self.book, Window())
 
     def udp_ready(self) -> None:
         self.ready += 1
@@ -49,7 +50,3 @@ class LoneConnection:
 
     def way_back(self) -> float:
         return 0.0
-
-
-def lone_scheduler() -> Scheduler:
-    return Scheduler(LoneConnection().book, Window())

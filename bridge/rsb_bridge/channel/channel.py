@@ -1,15 +1,17 @@
-"""The interfaces between a route and its channel."""
+"""What a route and its channel know of each other; the sending end is `rsb_bridge.channel.scheduler.SendingChannel`."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from rsb_bridge.model.reason import Reason
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.wire.framing import Message
+
 REOPENS = "the link opens its data connection again"
 
 
@@ -62,68 +64,26 @@ class Counts(NamedTuple):
     lost: int = 0
 
 
-class DataChannel(Protocol):
+class DataChannel(ABC):
     """Carries the messages of one incarnation of a route."""
 
     @property
+    @abstractmethod
     def ready(self) -> bool:
         """Whether messages get through."""
 
+    @abstractmethod
     def trouble(self) -> Verdict | None:
         """Return the verdict on a channel over which nothing gets through now, or None."""
 
+    @abstractmethod
     def close(self, reason: str) -> None:
         """Free it. The route hears no more of it."""
 
 
-class SendingChannel(DataChannel, Protocol):
-    """The sending end of a channel."""
-
-    @property
-    def congested(self) -> bool:
-        """Whether messages have to wait now: then `ask`."""
-
-    @property
-    def free(self) -> bool:
-        """Whether it accepts messages now or in a round trip or two."""
-
-    def ask(self) -> None:
-        """Have `RouteSink.flush` called once messages may be sent. Calling it again while they wait changes nothing."""
-
-    def takes(self, size: int) -> bool:
-        """Whether messages of `size` bytes together may be sent now, past the queue."""
-
-    @property
-    def batch_bytes(self) -> int:
-        """Bytes to send at once; a single message may be longer."""
-
-    def send(self, batch: Sequence[Message]) -> None:
-        """Send messages, oldest first."""
-
-    @property
-    def moves(self) -> bool:
-        """Whether what it sends on delivers."""
-
-    def datagrams(self, size: int) -> int:
-        """Return how many datagrams a message of `size` bytes takes now, or 0 on a stream; only once it is ready."""
-
-    def still(self, now: float) -> float:
-        """Return for how long (s) no receipt has come on the link, at `now` (s)."""
-
-    def behind(self, now: float) -> bool:
-        """Whether its turns have not been enough for a second, at `now` (s)."""
-
-    @property
-    def unheard_for(self) -> float:
-        """Seconds since a receipt told of further datagrams; infinite before the first, and on a stream."""
-
-
-class ReceivingChannel(DataChannel, Protocol):
+class ReceivingChannel(DataChannel):
     """The receiving end of a channel."""
 
+    @abstractmethod
     def counts(self) -> Counts:
         """Counts of missing messages."""
-
-
-class DuplexChannel(SendingChannel, ReceivingChannel, Protocol):
-    """An end of a channel that carries messages both ways."""

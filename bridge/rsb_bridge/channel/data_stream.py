@@ -16,11 +16,12 @@ channel that is the control connection's.
 from __future__ import annotations
 
 import struct
+from abc import abstractmethod
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.channel.channel import REOPENS, Counts
-from rsb_bridge.channel.scheduler import SendingEnd
+from rsb_bridge.channel.channel import REOPENS, Counts, DataChannel, ReceivingChannel
+from rsb_bridge.channel.scheduler import Carrier, SendingChannel
 from rsb_bridge.channel.window import ReceiptBook, ReceiptCounter
 from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
 from rsb_bridge.model.snapshot import State
@@ -83,7 +84,7 @@ class StreamsOwner(Protocol):
         """Open the streams that routes with that port lack; a server waits for its client."""
 
 
-class DataStream(StreamHandler):
+class DataStream(Carrier, StreamHandler):
     """A stream, whose bytes in both directions are counted for the link's window.
 
     Args:
@@ -91,7 +92,6 @@ class DataStream(StreamHandler):
         number: names it in receipts.
 
     Attributes:
-        queue: see `rsb_bridge.channel.scheduler.Carrier`, and so for `time`, `behind` and `moved_at`.
         acknowledged: bytes that have arrived.
         over: whether it is lost or closed.
         resumed: bytes with which routes have said that they go on on it.
@@ -99,43 +99,37 @@ class DataStream(StreamHandler):
     """
 
     def __init__(self, stream: Stream, number: int, pair: StreamPair) -> None:
+        super().__init__(pair.scheduler)
         self.stream = stream
         self.number = number
-        self.queue: list[tuple[int, int, SendingEnd]] = []
-        self.time = self.behind = 0
-        self.moved_at = float("-inf")
-        self.sent = self.acknowledged = 0
+        self.sent = self.acknowledged = self.resumed = 0
         self.over = False
-        self.resumed = 0
-        self._written_off = 0  # the first bytes, which count as acknowledged in the window
-        self._pair = pair
-        self._frames = FrameReader(CONTROL_LIMIT, pair.keys.budget)
         self.counter = ReceiptCounter()
-        pair.book.add(number, self.counter)
+        self._pair = pair
+        self._settled = 0  # bytes that are not in transit: acknowledged or written off
+        self._frames = FrameReader(CONTROL_LIMIT, pair.keys.budget)
         self._held: Sequence[memoryview] = ()
         self._asked = 0
+        pair.book.add(number, self.counter)
 
     @property
     def congested(self) -> bool:
-        return self.stream.congested or self.over or self.acknowledged < self._written_off
+        return self.stream.congested or self.over or self.acknowledged < self._settled
 
     @property
     def in_transit(self) -> int:
-        return self.sent - max(self.acknowledged, self._written_off)
+        return self.sent - self._settled
 
     def write_off(self) -> None:
-        self._written_off = self.sent
+        self._settled = self.sent
 
     def write(self, data: bytes | memoryview, now: float) -> None:
-        if self.sent <= max(self.acknowledged, self._written_off):
+        if self.sent == self._settled:
             self.moved_at = now
         self.sent += len(data)
         self.stream.write(data)
         if self.stream.congested and isinstance(data, memoryview):
             self._pair.keys.scratch.lost()  # the stream's, until it has sent it
-
-    def writable(self) -> None:
-        self._pair.scheduler.run()
 
     def closed(self, reason: Reason) -> None:
         # Its routes have lost it, also if this side gave it up.
@@ -160,6 +154,11 @@ class DataStream(StreamHandler):
                 self.receive(frames)
         except (ProtocolError, SealError) as error:
             self._pair.lost(self, Reason(str(error), EndCode.BROKE))
+
+    def received_frame(self, frame: memoryview) -> None:
+        """Take a frame that came on a control connection, without its length; raises as `receive`."""
+        self.count(LENGTH.size + len(frame))
+        self.receive((frame,))
 
     def receive(self, frames: Sequence[memoryview]) -> None:
         """Hand frames to their routes, and hold frames that have to wait for another stream, or for their route.
@@ -222,9 +221,11 @@ class DataStream(StreamHandler):
         acknowledged = min(count, self.sent)  # a peer that claims more gains nothing
         if acknowledged <= self.acknowledged:
             return 0
-        before, self.acknowledged = self.in_transit, acknowledged
+        self.acknowledged = acknowledged
         self.moved_at = self._pair.book.now()
-        return before - self.in_transit
+        gained = max(0, acknowledged - self._settled)
+        self._settled += gained
+        return gained
 
     def ask(self, every: int) -> None:
         """Have the peer send a receipt after every `every` bytes from now on."""
@@ -271,13 +272,13 @@ class StreamPair:
         self.over = False
         self.kept = True
         self.scheduler, self.book, self.keys = owner.scheduler, owner.book, owner.keys
+        self.ends: dict[int, _StreamEnd] = {}
         self._owner, self._transport, self._port = owner, transport, port
         self._lost_at = self._asked_at = float("-inf")
         self._unheard_at = float("-inf")  # when the control connection was silent last
         self._lost_for = NO_REASON
         self._pause = _SHORTEST_PAUSE
         self._cuts: deque[float] = deque(maxlen=_MOST_CUTS)  # the times (s)
-        self.ends: dict[int, StreamSender | StreamReceiver] = {}
 
     @property
     def ready(self) -> bool:
@@ -294,16 +295,11 @@ class StreamPair:
             self.small = added
         if large:
             self.large = added
-        self.scheduler.add(added)
         return added
 
     def streams(self) -> tuple[DataStream, ...]:
         """Return the open streams, each once: on RFCOMM one stream is both."""
         return tuple(dict.fromkeys([each for each in (self.small, self.large) if each is not None and not each.over]))
-
-    def carry(self, route_id: int, end: StreamSender | StreamReceiver) -> None:
-        """Add a route. Its first frames may have come already: call `resume` once its channel takes them."""
-        self.ends[route_id] = end
 
     def forget(self, route_id: int) -> None:
         """Forget a route, which is closed; the last one closes streams that are not the link's own."""
@@ -360,24 +356,19 @@ class StreamPair:
         if self.over or stream.over:
             return
         self._lost_at, self._lost_for = self.book.now(), reason
-        ended = self.streams() if stream is self.small else (stream,)
-        for each in ended:  # all before the first ends, which gives its room in the window to the others
-            each.over = True
-        for each in ended:
-            self._end(each, reason.text)
+        self._end(self.streams() if stream is self.small else (stream,), reason.text)
         for end in tuple(self.ends.values()):  # each one that is lost leaves
             if end.uses(stream):
                 if resumes and end.route.resumes:
                     end.cut()
                 else:
-                    end.lost(reason)
-        if stream is self.small and not self._waits:
+                    end.route.channel_lost(reason)
+        if stream is self.small and not self._waiting():
             self.over = True
 
-    @property
-    def _waits(self) -> bool:
-        """Whether routes wait for a stream in place of a lost one."""
-        return any(end.is_cut for end in self.ends.values())
+    def _waiting(self) -> list[_StreamEnd]:
+        """Return the routes that wait for a stream in place of a lost one."""
+        return [end for end in self.ends.values() if end.is_cut]
 
     def go_on(self) -> Reason:
         """Have the routes whose streams were lost go on, if both are open now.
@@ -385,21 +376,20 @@ class StreamPair:
         Returns:
             Why they were lost, or an empty reason if none was.
         """
-        if not (self.ready and self._waits):
+        waiting = self._waiting()
+        if not waiting or not self.ready:
             return NO_REASON
-        for end in tuple(self.ends.values()):
-            if end.is_cut:
-                end.go_on()
+        for end in waiting:
+            end.go_on()
         self.resume()
         self.scheduler.run()
         return self._lost_for
 
     def give_up(self, reason: Reason) -> None:
         """Close the routes that wait for a stream in place of a lost one."""
-        for end in tuple(self.ends.values()):
-            if end.is_cut:
-                end.ready = False  # it is no longer connected, and is shown so
-                end.lost(reason)
+        for end in self._waiting():
+            end.ready = False  # it is no longer connected, and is shown so
+            end.route.channel_lost(reason)
 
     def tick(self, control_quiet: float = 0.0) -> None:
         """Go on with held frames, and give up streams that pass nothing or do not come. Called once a second.
@@ -418,7 +408,7 @@ class StreamPair:
                 self.cut(each, Reason("nothing got through for 10 s, check firewalls and proxies", EndCode.BROKE))
         if not self.ends or self.ready:
             return
-        if self._waits and now - self._lost_at > _AWAITED_FOR:
+        if self._waiting() and now - self._lost_at > _AWAITED_FOR:
             self.give_up(self._lost_for)
         elif now - max(self._lost_at, self._asked_at) > self._pause:
             # Nobody waits for it, or it was lost too soon. A route of the other side may need it.
@@ -427,32 +417,39 @@ class StreamPair:
 
     def end(self, reason: str) -> None:
         """End both streams; the routes hear nothing."""
-        ended, self.over = self.streams(), True
-        for stream in ended:
-            stream.over = True
-            self._end(stream, reason)
+        self.over = True
+        self._end(self.streams(), reason)
 
-    def _end(self, stream: DataStream, reason: str) -> None:
-        stream.end(reason)
-        self.book.forget(stream.number)
-        self.scheduler.remove(stream)
+    def _end(self, streams: Sequence[DataStream], reason: str) -> None:
+        for each in streams:  # all before the first ends, which gives its room in the window to the others
+            each.over = True
+        for each in streams:
+            each.end(reason)
+            self.book.forget(each.number)
+            self.scheduler.remove(each)
 
 
-class _StreamEnd:
+class _StreamEnd(DataChannel):
     """The base of both ends.
 
     Args:
-        pair: the streams, which are ready.
+        pair: the streams, which are ready. Frames may have come already: call `StreamPair.resume` once the route has
+            this channel.
+
+    Attributes:
+        is_cut: whether its stream is lost, and it waits for the next one.
     """
 
     ready = True
 
-    def __init__(self, pair: StreamPair, route: RouteSink, keys: DataKeys) -> None:
+    def __init__(self, pair: StreamPair, route: RouteSink) -> None:
         assert pair.small is not None
+        self.route = route
+        self.is_cut = False
         self._pair = pair
         self._small = pair.small
-        self.route = route
         self._route_id = route.id
+        pair.ends[route.id] = self
 
     def trouble(self) -> Verdict | None:
         if self.is_cut:
@@ -465,25 +462,18 @@ class _StreamEnd:
     def close(self, reason: str) -> None:
         self._pair.forget(self._route_id)
 
-    def lost(self, reason: Reason) -> None:
-        self.route.channel_lost(reason)
-
     def uses(self, stream: DataStream) -> bool:
         """Whether the route's messages are on a stream."""
         return stream is self._small
 
-    @property
-    def is_cut(self) -> bool:
-        """Whether its stream is lost."""
-        return False
-
     def cut(self) -> None:
         """Wait for a stream in place of the lost one."""
+        self.is_cut = True
 
     def go_on(self) -> None:
         """Go on on the new stream."""
         assert self._pair.small is not None
-        self._small = self._pair.small
+        self._small, self.is_cut = self._pair.small, False
 
     def _next_stream(self) -> DataStream:
         """Return the stream in place of the lost one. After the loss of both, a route begins on the small one again."""
@@ -491,17 +481,25 @@ class _StreamEnd:
         assert found is not None
         return found
 
+    @abstractmethod
+    def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
+        """Take the route's frames of one kind from a stream; return False if they have to wait for another stream.
 
-class StreamSender(_StreamEnd, SendingEnd):
+        Raises:
+            ProtocolError: they break the format.
+            SealError: a seal is invalid.
+        """
+
+
+class StreamSender(_StreamEnd, SendingChannel):
     """The sending end: it gives the scheduler what the route's queue holds, when its turn comes."""
 
     via: DataStream
 
-    def __init__(self, pair: StreamPair, route: RouteSink, keys: DataKeys) -> None:
-        super().__init__(pair, route, keys)
-        SendingEnd.__init__(self, pair.scheduler, route, self._small)
-        self._writer = keys.stream_writer(route.id)
-        self._scratch = keys.scratch
+    def __init__(self, pair: StreamPair, route: RouteSink) -> None:
+        super().__init__(pair, route)
+        SendingChannel.__init__(self, route, self._small)
+        self._writer = pair.keys.stream_writer(route.id)
         self._at = 0  # bytes of the first message that are sent
 
     def send(self, batch: Sequence[Message]) -> None:
@@ -551,12 +549,18 @@ class StreamSender(_StreamEnd, SendingEnd):
         """Seal the next `limit` bytes of the first message in memory that is used again."""
         payload, stamp, flags = self._messages[0]
         room = self._writer.piece_size(limit, limit)
-        piece = memoryview(self._scratch.lend(room))[:room]
+        piece = memoryview(self._pair.keys.scratch.lend(room))[:room]
         used, self._at = self._writer.write_piece(memoryview(payload), self._at, stamp, flags, limit, piece)
         if self._at >= len(payload):
             self._messages.popleft()
             self._at = 0
         return piece[:used]
+
+    def ask(self) -> None:
+        if self.via.over:
+            self._asked = True  # `go_on` takes the turn
+        else:
+            super().ask()
 
     def close(self, reason: str) -> None:
         self.leave()
@@ -564,16 +568,6 @@ class StreamSender(_StreamEnd, SendingEnd):
 
     def uses(self, stream: DataStream) -> bool:
         return stream is self.via or super().uses(stream)
-
-    @property
-    def is_cut(self) -> bool:
-        return self.via.over or super().is_cut
-
-    def ask(self) -> None:
-        if self.via.over:
-            self._asked = True  # `go_on` takes the turn
-        else:
-            super().ask()
 
     def cut(self) -> None:
         super().cut()
@@ -591,31 +585,27 @@ class StreamSender(_StreamEnd, SendingEnd):
         super().go_on()
 
     def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
-        """Refuse frames: the peer sends nothing on this route.
-
-        Raises:
-            ProtocolError: always.
-        """
+        """Refuse frames: the peer sends nothing on this route."""
         raise ProtocolError(Broken.DATA_AGAINST_ROUTE(route=self._route_id))
 
 
-class StreamReceiver(_StreamEnd):
+class StreamReceiver(_StreamEnd, ReceivingChannel):
     """The receiving end."""
 
-    def __init__(self, pair: StreamPair, route: RouteSink, keys: DataKeys) -> None:
-        super().__init__(pair, route, keys)
-        self._reader = keys.stream_reader(route.id)
+    def __init__(self, pair: StreamPair, route: RouteSink) -> None:
+        super().__init__(pair, route)
+        self._reader = pair.keys.stream_reader(route.id)
         self._from = self._small
 
     def counts(self) -> Counts:
         return Counts(newest=None, lost=self._reader.lost)
 
+    def close(self, reason: str) -> None:
+        self._reader.close()
+        super().close(reason)
+
     def uses(self, stream: DataStream) -> bool:
         return stream is self._from or super().uses(stream)
-
-    @property
-    def is_cut(self) -> bool:
-        return self._from.over or super().is_cut
 
     def cut(self) -> None:
         super().cut()
@@ -629,50 +619,29 @@ class StreamReceiver(_StreamEnd):
     def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
         if stream is not self._from:
             return False  # the last frame on the other stream has not come yet, and order holds across the two
-        if kind != DATA:
-            return self._moved(frames) if kind == MOVED else self._resumed(frames)
-        messages = self._reader.open_frames(frames)
-        if messages:
-            self.route.deliver(messages)
+        if kind == DATA:
+            if messages := self._reader.open_frames(frames):
+                self.route.deliver(messages)
+        elif kind == MOVED:
+            large = self._pair.large
+            # A route moves once, and only where there are two streams.
+            if self._from is not self._small or large is None or large is self._small or len(frames) > 1:
+                raise ProtocolError(Broken.DATA_AGAINST_ROUTE(route=self._route_id))
+            self._reader.open_moved(frames[0])
+            self._from = large
+            large.resume()
+        else:
+            for frame in frames:
+                self._reader.open_resumed(frame)
         return True
-
-    def _moved(self, frames: Sequence[memoryview]) -> bool:
-        large = self._pair.large
-        # A route moves once, and only where there are two streams.
-        if self._from is not self._small or large is None or large is self._small or len(frames) > 1:
-            raise ProtocolError(Broken.DATA_AGAINST_ROUTE(route=self._route_id))
-        self._reader.open_moved(frames[0])
-        self._from = large
-        large.resume()
-        return True
-
-    def _resumed(self, frames: Sequence[memoryview]) -> bool:
-        for frame in frames:
-            self._reader.open_resumed(frame)
-        return True
-
-    def close(self, reason: str) -> None:
-        self._reader.close()
-        super().close(reason)
 
 
 class StreamDuplex(StreamReceiver, StreamSender):
     """Either end of a route that sends both ways. The receiving end's methods come first: what arrives is taken."""
 
 
-def stream_channel(pair: StreamPair, route: RouteSink, keys: DataKeys) -> StreamSender | StreamReceiver:
+def stream_channel(pair: StreamPair, route: RouteSink) -> StreamSender | StreamReceiver:
     """Return this side's end of a route's channel on streams that are ready."""
-    end: StreamSender | StreamReceiver
     if route.duplex:
-        end = StreamDuplex(pair, route, keys)
-    elif route.outgoing:
-        end = StreamSender(pair, route, keys)
-    else:
-        end = StreamReceiver(pair, route, keys)
-    pair.carry(route.id, end)
-    return end
-
-
-def frame_size(frame: memoryview) -> int:
-    """Return the bytes of a frame on its stream."""
-    return LENGTH.size + len(frame)
+        return StreamDuplex(pair, route)
+    return StreamSender(pair, route) if route.outgoing else StreamReceiver(pair, route)

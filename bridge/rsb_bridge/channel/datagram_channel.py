@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.channel import Counts
-from rsb_bridge.channel.datagram_carrier import WINDOW
-from rsb_bridge.channel.scheduler import SendingEnd
+from rsb_bridge.channel.channel import Counts, DataChannel, ReceivingChannel
+from rsb_bridge.channel.pacing import WINDOW
+from rsb_bridge.channel.scheduler import SendingChannel
 from rsb_bridge.channel.udp_channel import EXPIRE, NEWEST_EXPIRES, TIMES, BufferShortage
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.channel import RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
     from rsb_bridge.channel.datagram_carrier import DatagramCarrier
-    from rsb_bridge.channel.scheduler import Scheduler
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.wire.datagram import Cut, DatagramReader, DatagramWriter
     from rsb_bridge.wire.framing import Message
@@ -33,27 +32,27 @@ _REPEATS, _REPEATED_AFTER = 5, 0.1
 link that loses 30 %, its first two copies get lost once in 11 times, and all seven once in 4,500."""
 
 
-class _DatagramChannel:
+class _DatagramChannel(DataChannel):
     """The part that both ends share."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink) -> None:
-        self.carrier = udp_channel
         self.route = route
+        self._udp_channel = udp_channel
         self._route_id = route.id
 
     @property
     def ready(self) -> bool:
-        return self.carrier.ready
+        return self._udp_channel.ready
 
     def trouble(self) -> Verdict | None:
-        text = self.carrier.trouble
+        text = self._udp_channel.trouble
         return Verdict(State.DOWN, Cause.NO_PATH, text) if text else None
 
     def close(self, reason: str) -> None:
-        self.carrier.remove(self._route_id)
+        self._udp_channel.remove(self._route_id)
 
 
-class DatagramSender(_DatagramChannel, SendingEnd):
+class DatagramSender(_DatagramChannel, SendingChannel):
     """The sending end, a `DatagramSource`.
 
     A message that has begun is sent whole, unless its beginning was written off.
@@ -61,9 +60,9 @@ class DatagramSender(_DatagramChannel, SendingEnd):
 
     via: DatagramCarrier
 
-    def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramWriter, scheduler: Scheduler) -> None:
+    def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramWriter) -> None:
         super().__init__(udp_channel, route)
-        SendingEnd.__init__(self, scheduler, route, udp_channel.sending(scheduler))
+        SendingChannel.__init__(self, route, udp_channel.sending())
         self._codec = codec
         self._loop = asyncio.get_running_loop()
         self._cut: Cut | None = None  # of a message that takes several turns
@@ -75,7 +74,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         self._repeats = 0  # of it, that are left
         self._repeat_at = 0.0
         self._repeating: asyncio.TimerHandle | None = None
-        udp_channel.senders[route.id] = self
+        self.via.senders[route.id] = self
 
     @property
     def congested(self) -> bool:
@@ -87,14 +86,14 @@ class DatagramSender(_DatagramChannel, SendingEnd):
 
     @property
     def free(self) -> bool:
-        return self.via.is_new or (super().free and not (self.congested and self.via.knows_its_rate))
+        return self.via.is_new or (super().free and not (self.congested and self.via.pacer.path.known))
 
     @property
     def moves(self) -> bool:
         return self.via.proven and super().moves
 
     def datagrams(self, size: int) -> int:
-        return self._codec.datagrams(size, self.carrier.datagram_size())
+        return self._codec.datagrams(size, self._udp_channel.datagram_size())
 
     def send(self, batch: Sequence[Message]) -> None:
         if self._in_turn:
@@ -116,7 +115,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         batch: list[Message] = []
         size = 0
         # A message that fits into one datagram is not cut, however little room is left.
-        most = max(limit, self._codec.room(self.carrier.datagram_size()))
+        most = max(limit, self._codec.room(self._udp_channel.datagram_size()))
         while self._messages and size < limit:
             length = len(self._messages[0][0])
             if length > most or (batch and size + length > limit):
@@ -127,7 +126,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
             return self._send(batch, size)
         if not self._messages:
             return 0
-        self._cut = self._codec.cut(self._messages.popleft(), self.carrier.datagram_size())
+        self._cut = self._codec.cut(self._messages.popleft(), self._udp_channel.datagram_size())
         return self._go_on(self._cut, limit)
 
     def _go_on(self, cut: Cut, limit: int) -> int:
@@ -140,9 +139,9 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         return self._pass(datagrams)
 
     def _send(self, batch: Sequence[Message], size: int) -> int:
-        datagrams = self._codec.write_many(batch, self.carrier.datagram_size(), asks=self.via.asks(size))
+        datagrams = self._codec.write_many(batch, self._udp_channel.datagram_size(), asks=self.via.asks(size))
         # A network of routers, whose sockets have no port, loses them where it is congested, which more make worse.
-        is_command = len(datagrams) == 1 and batch[0][2] & LEASED and self.carrier.socket.port
+        is_command = len(datagrams) == 1 and batch[0][2] & LEASED and self._udp_channel.socket.port
         if not is_command:
             return self._pass(datagrams)
         passed = self._pass(datagrams, TIMES)
@@ -158,7 +157,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
             return
         now = self._loop.time()
         if now >= self._repeat_at:
-            self.carrier.send(self._command)
+            self._udp_channel.send(self._command)
             self._repeats -= 1
             self._repeat_at = now + _REPEATED_AFTER
         self._repeating = self._loop.call_at(self._repeat_at, self._repeat)
@@ -189,7 +188,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         # After a write-off, more are counted than a late receipt tells of.
         self._count(max(newest + 1, self._counted), newest + 1 - opened)
         if buffer < RECEIVE_BUFFER and self._codec.largest > buffer // WINDOW:
-            self.carrier.shortages[False] = BufferShortage(buffer, self._codec.largest)
+            self._udp_channel.shortages[False] = BufferShortage(buffer, self._codec.largest)
 
     def _count(self, counted: int, missing: int) -> None:
         self.via.count(counted - self._counted, missing - self._missing)
@@ -211,7 +210,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         return PacketCounts(newest + 1, max(0, newest + 1 - opened), newest + 1, 0, 0)
 
 
-class DatagramReceiver(_DatagramChannel):
+class DatagramReceiver(_DatagramChannel, ReceivingChannel):
     """The receiving end, a `DatagramSink`."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramReader) -> None:
@@ -220,7 +219,7 @@ class DatagramReceiver(_DatagramChannel):
         self._told = 0  # opened datagrams, at the last receipt
         udp_channel.receivers[route.id] = self
 
-    def counts(self) -> Counts | None:
+    def counts(self) -> Counts:
         return Counts(self._codec.newest, self._codec.pending, self._codec.expired)
 
     def close(self, reason: str) -> None:
@@ -236,14 +235,14 @@ class DatagramReceiver(_DatagramChannel):
                 whole.append(message)
         if self._codec.asked:
             self._codec.asked = False
-            self.carrier.asked()
+            self._udp_channel.asked()
         if not whole:
             return False
-        buffer = self.carrier.receive_buffer
+        buffer = self._udp_channel.receive_buffer
         if buffer < RECEIVE_BUFFER:
             largest = max(len(payload) for payload, _, _ in whole)
             if largest > buffer // WINDOW:
-                self.carrier.shortages[True] = BufferShortage(buffer, largest)
+                self._udp_channel.shortages[True] = BufferShortage(buffer, largest)
         self.route.deliver(whole)
         return True
 
@@ -259,10 +258,8 @@ class DatagramReceiver(_DatagramChannel):
         self._codec.expire(now, EXPIRE, NEWEST_EXPIRES)
 
 
-def datagram_channel(
-    udp_channel: UdpChannel, route: RouteSink, keys: DataKeys, scheduler: Scheduler
-) -> DatagramSender | DatagramReceiver:
+def datagram_channel(udp_channel: UdpChannel, route: RouteSink, keys: DataKeys) -> DatagramSender | DatagramReceiver:
     """Return this side's end of a route's channel on a UDP channel."""
     if route.outgoing:
-        return DatagramSender(udp_channel, route, keys.datagram_writer(route.id), scheduler)
+        return DatagramSender(udp_channel, route, keys.datagram_writer(route.id))
     return DatagramReceiver(udp_channel, route, keys.datagram_reader(route.id))

@@ -19,8 +19,11 @@ from __future__ import annotations
 import asyncio
 import heapq
 import math
+from abc import ABC, abstractmethod
 from collections import deque
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING
+
+from rsb_bridge.channel.channel import DataChannel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,7 +47,7 @@ _STALLED = 1.5  # s without a receipt after which nothing gets through: the last
 _BEHIND = 1.0  # s of turns without an end after which a route seems to get less than it asks for
 
 
-class Carrier(Protocol):
+class Carrier(ABC):
     """A stream or socket that takes the bytes of turns.
 
     Attributes:
@@ -54,28 +57,34 @@ class Carrier(Protocol):
         moved_at: time (s) of its last receipt, or of its oldest unacknowledged byte if that came later.
     """
 
-    queue: list[tuple[int, int, SendingEnd]]
-    time: int
-    behind: int
-    moved_at: float
+    def __init__(self, scheduler: Scheduler) -> None:
+        self.scheduler = scheduler
+        self.queue: list[tuple[int, int, SendingChannel]] = []
+        self.time = self.behind = 0
+        self.moved_at = -math.inf
+        scheduler.add(self)
 
     @property
+    @abstractmethod
     def in_transit(self) -> int:
         """Bytes that count in the window."""
 
-    def write_off(self) -> None:
-        """Count these no longer, and take nothing more until all of them have arrived."""
-
     @property
+    @abstractmethod
     def congested(self) -> bool:
         """Whether it takes nothing now."""
 
-
-class StreamCarrier(Carrier, Protocol):
-    """A stream, on which the bytes of several turns are joined."""
+    @abstractmethod
+    def write_off(self) -> None:
+        """Count what is in transit no longer, and take little or nothing more until receipts come again."""
 
     def write(self, data: bytes | memoryview, now: float) -> None:
-        """Send, at `now` (s)."""
+        """Send the joined bytes of turns at `now` (s). Datagrams do not come here: they are sent in their turns."""
+        raise NotImplementedError
+
+    def writable(self) -> None:
+        """Give turns: it takes bytes again."""
+        self.scheduler.run()
 
 
 class Scheduler:
@@ -91,17 +100,16 @@ class Scheduler:
     """
 
     def __init__(self, book: ReceiptBook, window: Window) -> None:
-        self.sent = 0
+        self.sent = self.acknowledged = self.arrived = 0
+        self.acknowledged_at = -math.inf
+        self.waits_since = math.inf
         self.chunk = LEAST_CHUNK
         self._write = _LEAST_WRITE
         self._book = book
         self._now = book.now
         self._window = window
-        self.acknowledged = self.arrived = 0
-        self.acknowledged_at = float("-inf")
         self._carriers: list[Carrier] = []
-        self._waiting = 0
-        self.waits_since = math.inf
+        self._waiting = 0  # routes that wait for a turn
         self._order = 0
         self._time = 0  # virtual: bytes
         self._passing = False
@@ -117,8 +125,7 @@ class Scheduler:
         """Forget a stream that is lost, and its bytes in transit, which no receipt will ever count."""
         self._carriers.remove(carrier)
         for _, _, end in carrier.queue:
-            if end.queued:
-                self.leave(end)
+            self.leave(end)
         carrier.queue.clear()
         self.written_off(carrier.in_transit)
 
@@ -141,16 +148,15 @@ class Scheduler:
         # In a pass, turns are sealed and not yet written: a later message of their route would overtake them.
         return not self._waiting and not self._passing and self.sent < self._window.limit and not carrier.congested
 
-    def join(self, end: SendingEnd) -> None:
+    def join(self, end: SendingChannel) -> None:
         """Queue a route's end for a turn; one that had nothing to send does not make up for that."""
-        if end.queued:
-            return
-        # What waits on a congested stream is behind the link's time, and so is what joins it.
-        via = end.via
-        end.start = max(end.start, via.time if via.congested else self._time - via.behind)
-        self._push(end)
+        if not end.queued:
+            # What waits on a congested stream is behind the link's time, and so is what joins it.
+            via = end.via
+            end.start = max(end.start, via.time if via.congested else self._time - via.behind)
+            self._push(end)
 
-    def _push(self, end: SendingEnd) -> None:
+    def _push(self, end: SendingChannel) -> None:
         end.queued = True
         self._waiting += 1
         if self.waits_since == math.inf:
@@ -161,12 +167,12 @@ class Scheduler:
         self._order += 1
         heapq.heappush(end.via.queue, (end.start, self._order, end))
 
-    def leave(self, end: SendingEnd) -> None:
+    def leave(self, end: SendingChannel) -> None:
         if end.queued:
             end.queued = False  # its entry stays in the heap, which gives only its first one: `_next` drops it
             self._waiting -= 1
 
-    def charge(self, end: SendingEnd, size: int) -> None:
+    def charge(self, end: SendingChannel, size: int) -> None:
         """Move the start of a route's next turn by `size` bytes that it sends without waiting, as nothing waits.
 
         The link's time moves, too: else the route would pay for these bytes once others wait.
@@ -177,7 +183,7 @@ class Scheduler:
         self._time = start + via.behind
         end.start = start + size * _UNIT // end.route.weight
 
-    def write(self, carrier: StreamCarrier, data: bytes | memoryview) -> None:
+    def write(self, carrier: Carrier, data: bytes | memoryview) -> None:
         carrier.write(data, self.count(len(data)))
 
     def count(self, size: int) -> float:
@@ -195,16 +201,14 @@ class Scheduler:
         # wait for the other links' work.
         if self._passing or self._next_pass is not None:
             return
-        if not self._waiting:
-            self._emptied()
-            return
-        self._passing = True
         left = _A_PASS
-        try:
-            while left > 0 and (found := self._next()) is not None:
-                left -= self._give_turns(*found)
-        finally:
-            self._passing = False
+        if self._waiting:
+            self._passing = True
+            try:
+                while left > 0 and (found := self._next()) is not None:
+                    left -= self._give_turns(*found)
+            finally:
+                self._passing = False
         if not self._waiting:  # and not whenever none is queued: a route alone leaves the queue in each of its turns
             self._emptied()
         elif left <= 0:
@@ -229,8 +233,8 @@ class Scheduler:
         """
         if not self._waiting or self.sent >= self._window.limit:
             return None
-        first: tuple[int, Carrier] | None = None
-        second = math.inf
+        found: Carrier | None = None
+        first = second = math.inf
         for carrier in self._carriers:
             queue = carrier.queue
             while queue and not queue[0][2].queued:
@@ -240,16 +244,14 @@ class Scheduler:
                 if start < self._time:  # it was congested, and does not make up for that
                     carrier.behind += self._time - start
                     start = self._time
-                if first is None:
-                    first = start, carrier
-                elif start < first[0]:
-                    first, second = (start, carrier), first[0]
+                if start < first:
+                    found, first, second = carrier, start, first
                 else:
                     second = min(second, start)
-        if first is None:
+        if found is None:
             return None
-        self._time, carrier = first
-        return carrier, second - carrier.behind
+        self._time = int(first)
+        return found, second - found.behind
 
     def _give_turns(self, carrier: Carrier, until: float) -> int:
         """Give turns on one stream until they are worth a write, or others come first; return the bytes, at least 1."""
@@ -278,16 +280,15 @@ class Scheduler:
             if isinstance(data, bytes):
                 parts.append(data)
             elif isinstance(data, memoryview):  # memory that the next piece uses again
-                stream = cast("StreamCarrier", carrier)
                 if parts:
-                    self.write(stream, b"".join(parts))
+                    self.write(carrier, b"".join(parts))
                     parts.clear()
-                self.write(stream, data)
+                self.write(carrier, data)
                 break
             elif carrier.congested:
                 break
         if parts:
-            self.write(cast("StreamCarrier", carrier), parts[0] if len(parts) == 1 else b"".join(parts))
+            self.write(carrier, parts[0] if len(parts) == 1 else b"".join(parts))
         return max(1, size)  # turns without bytes have to end a pass, too
 
     # --- receipts
@@ -304,8 +305,7 @@ class Scheduler:
         if gained:
             self.acknowledged_at = now
         window = self._window
-        window.back = self._book.way_back()
-        window.acknowledge(self.acknowledged, self.sent, now)
+        window.acknowledge(self.acknowledged, self.sent, now, self._book.way_back())
         size, least = window.size, _LEAST_WRITE
         if self._waiting:
             size, least = min(size, int(window.rate * _BUSY_WINDOW)), LEAST_CHUNK
@@ -316,17 +316,13 @@ class Scheduler:
 
     def tick(self) -> None:
         """Close the window while the path is stalled, and open it if only a stream is. Called once a second."""
-        if self._window.awaits_receipts:
-            self._window.back = self._book.way_back()
-            self._window.check(self.sent, self._now())
-            if self._waiting and self.sent >= self._window.limit:
-                self._pass_by_stuck_streams()
-
-    def _pass_by_stuck_streams(self) -> None:
-        """Write off the streams on which nothing gets through, if another one waits for the window that they fill."""
+        self._window.check(self.sent, self._now(), self._book.way_back())
+        if not self._waiting or self.sent < self._window.limit:
+            return
         latest = self._now() - self.stalls_after
         stuck = [each for each in self._carriers if each.in_transit and each.moved_at < latest]
         others = (each for each in self._carriers if each not in stuck)
+        # Nothing gets through on them, and another one waits for the window that they fill.
         if stuck and any(end.queued for each in others for _, _, end in each.queue):
             for each in stuck:
                 size = each.in_transit
@@ -364,7 +360,7 @@ class Scheduler:
         return not self._window.slow
 
 
-class SendingEnd:
+class SendingChannel(DataChannel):
     """The sending end of a route's channel, as far as it does not depend on what carries the messages.
 
     Args:
@@ -379,68 +375,85 @@ class SendingEnd:
 
     via: Carrier
 
-    def __init__(self, scheduler: Scheduler, route: RouteSink, via: Carrier) -> None:
+    def __init__(self, route: RouteSink, via: Carrier) -> None:
         self.start = 0
         self.queued = False
         self.waits_since: float | None = None
         self.turned = False
         self.via = via
-        self._scheduler = scheduler
         self.route = route
+        self._scheduler = via.scheduler
         self._messages: deque[Message] = deque()  # of the present turn, or of a large message's further ones
         self._asked = False  # more waits in the route's queue
         self._in_turn = False
 
     @property
     def congested(self) -> bool:
-        """See `rsb_bridge.channel.channel.SendingChannel`, and so for the other members of that protocol."""
+        """Whether messages have to wait now: then `ask`."""
         # In its turn a route gives one batch: the rest stays in its queue, where newer messages replace it.
         if self._in_turn:
             return bool(self._messages)
         return not self.takes(0)
 
+    @property
+    def free(self) -> bool:
+        """Whether it accepts messages now or in a round trip or two."""
+        # What waits in a window that grows is no sign of an overload; in the kernel, the path may have stalled.
+        return not self.congested or (self._scheduler.grows and not self.via.congested)
+
     def takes(self, size: int) -> bool:
+        """Whether messages of `size` bytes together may be sent now, past the queue."""
         scheduler = self._scheduler
         return size <= scheduler.chunk and not self.queued and not self._messages and scheduler.is_free(self.via)
 
     @property
     def batch_bytes(self) -> int:
+        """Bytes to send at once; a single message may be longer."""
         return self._scheduler.chunk
+
+    @property
+    def moves(self) -> bool:
+        """Whether what it sends on delivers."""
+        return self._scheduler.delivers(self.via)
+
+    def still(self, now: float) -> float:
+        """Return for how long (s) no receipt has come on the link, at `now` (s)."""
+        return now - self._scheduler.acknowledged_at
+
+    def behind(self, now: float) -> bool:
+        """Whether it has had turns, and something was left each time, for a second, at `now` (s)."""
+        return self.turned and self.waits_since is not None and now - self.waits_since >= _BEHIND
+
+    def datagrams(self, size: int) -> int:
+        """Return how many datagrams a message of `size` bytes takes now, or 0 on a stream; only once it is ready."""
+        return 0
+
+    @property
+    def unheard_for(self) -> float:
+        """Seconds since a receipt told of further datagrams; infinite before the first, and on a stream."""
+        return math.inf
+
+    @abstractmethod
+    def send(self, batch: Sequence[Message]) -> None:
+        """Send messages, oldest first."""
+
+    def ask(self) -> None:
+        """Have `RouteSink.flush` called once messages may be sent. Calling it again while they wait changes nothing."""
+        self._asked = True
+        if not self._in_turn:
+            self._scheduler.join(self)
+            self._scheduler.run()
+
+    # --- turns
 
     @property
     def waits(self) -> bool:
         """Whether it has more to send after a turn."""
         return self._asked or bool(self._messages)
 
-    @property
-    def moves(self) -> bool:
-        return self._scheduler.delivers(self.via)
-
-    def still(self, now: float) -> float:
-        return now - self._scheduler.acknowledged_at
-
-    def behind(self, now: float) -> bool:
-        """Whether it has had turns, and something was left each time, for a second."""
-        return self.turned and self.waits_since is not None and now - self.waits_since >= _BEHIND
-
-    @property
-    def free(self) -> bool:
-        # What waits in a window that grows is no sign of an overload; in the kernel, the path may have stalled.
-        return not self.congested or (self._scheduler.grows and not self.via.congested)
-
-    def datagrams(self, size: int) -> int:
-        return 0
-
-    @property
-    def unheard_for(self) -> float:
-        return math.inf
-
-    def ask(self) -> None:
-        """Wait for a turn with what the route's queue holds."""
-        self._asked = True
-        if not self._in_turn:
-            self._scheduler.join(self)
-            self._scheduler.run()
+    @abstractmethod
+    def take_turn(self, limit: int) -> bytes | memoryview | int:
+        """Return at most about `limit` bytes to send now, or nothing; or how many it has sent by itself."""
 
     def _wait(self, batch: Sequence[Message]) -> None:
         """Wait for a turn with messages that the queue has given already."""
@@ -459,10 +472,6 @@ class SendingEnd:
             return True
         self._asked = False  # a route that asks and gives nothing would get turns without end
         return False
-
-    def take_turn(self, limit: int) -> bytes | memoryview | int:
-        """Return at most about `limit` bytes to send now, or nothing; or how many it has sent by itself."""
-        raise NotImplementedError
 
     def leave(self) -> None:
         self._messages.clear()

@@ -7,6 +7,7 @@ is the channel's own), and by route id (`UdpChannel`).
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rsb_bridge.channel.datagram_carrier import DatagramCarrier
@@ -101,19 +102,6 @@ class BufferShortage(NamedTuple):
     message: int
 
 
-class DatagramSource(Protocol):
-    """The sending end of a route's channel."""
-
-    def receipt(self, arrived: Arrived, buffer: int) -> None:
-        """Take the route's part of a receipt; the receiver's buffer has so many bytes."""
-
-    def written_off(self) -> None:
-        """Count all datagrams that were sent as no longer in transit."""
-
-    def given_up(self) -> None:
-        """Drop the rest of a message whose beginning has probably not arrived."""
-
-
 class DatagramSink(Protocol):
     """The receiving end of a route's channel."""
 
@@ -131,10 +119,12 @@ class UdpOwner(Protocol):
     """The connection that UDP channels belong to.
 
     Attributes:
+        scheduler: gives turns to what is sent.
         book: sends receipts of its streams.
         probe: of all its UDP channels.
     """
 
+    scheduler: Scheduler
     book: ReceiptBook
     probe: PathProbe
 
@@ -149,7 +139,7 @@ class UdpOwner(Protocol):
         """Take a control message, as it was encoded, that came as a datagram."""
 
 
-class UdpChannel:
+class UdpChannel(ABC):
     """One end of a UDP channel: the parts that client and server share.
 
     Attributes:
@@ -158,8 +148,7 @@ class UdpChannel:
         trouble: the reason why no datagrams arrive, for an operator, or an empty string.
         received_at: time (s) of the last authentic datagram, or of the channel's start.
         on_close: called at its end, or None.
-        senders: sending ends of its routes, which take their receipts, by the route's id.
-        receivers: receiving ends, by the route's id.
+        receivers: receiving ends of its routes, by the route's id; the carrier has the sending ends.
         shortages: shortages of receive buffers; the key is whether this side lacks the memory.
         receive_buffer: bytes that the kernel grants of this socket's receive buffer, as of the last second.
     """
@@ -169,10 +158,11 @@ class UdpChannel:
         self.ready = False
         self.over = False
         self.trouble = ""
-        self.received_bytes = 0
-        self.sent_bytes = 0
+        self.received_bytes = self.sent_bytes = 0
         self.on_close: Callable[[], object] | None = None
+        self.receivers: dict[int, DatagramSink] = {}
         self.shortages: dict[bool, BufferShortage] = {}
+        self.receive_buffer = socket.receive_buffer
         self._owner = owner
         self._probe = owner.probe
         self._now = owner.now
@@ -180,31 +170,20 @@ class UdpChannel:
         self._path: SendPath | None = None
         self._began = self.received_at = self._now()
         self._heard: float | None = None
-        self.receive_buffer = socket.receive_buffer
         self._carrier: DatagramCarrier | None = None
-        self.senders: dict[int, DatagramSource] = {}
-        self.receivers: dict[int, DatagramSink] = {}
 
-    def sending(self, scheduler: Scheduler) -> DatagramCarrier:
-        """Return the carrier of what is sent on this channel."""
+    def sending(self) -> DatagramCarrier:
+        """Return the carrier of what is sent on this channel; from the first call on it takes part in turns."""
         if self._carrier is None:
-            self._carrier = DatagramCarrier(self, scheduler)
-            self.socket.when_writable.add(self._carrier.writable)
+            self._carrier = DatagramCarrier(self, self._owner.scheduler)
         return self._carrier
-
-    def written_off(self) -> None:
-        for sender in self.senders.values():
-            sender.written_off()
-
-    def given_up(self) -> None:
-        for sender in self.senders.values():
-            sender.given_up()
 
     def remove(self, route_id: int) -> None:
         """Remove a route; the last one closes the UDP channel."""
-        self.senders.pop(route_id, None)
         self.receivers.pop(route_id, None)
-        if not self.senders and not self.receivers:
+        senders = {} if self._carrier is None else self._carrier.senders
+        senders.pop(route_id, None)
+        if not senders and not self.receivers:
             self.close()
 
     def send(self, datagrams: Sequence[bytes]) -> None:
@@ -257,7 +236,8 @@ class UdpChannel:
             probe = self._probe.read(datagram, now)
             if isinstance(probe, Receipt):
                 self._heard_authentic(address, now)
-                self._receipted(probe)
+                if self._carrier is not None:
+                    self._carrier.receipt(probe)
             elif isinstance(probe, Urgent):
                 self._heard_authentic(address, now)
                 self._owner.take_urgent(probe.content)
@@ -273,17 +253,13 @@ class UdpChannel:
         if self._heard is not None and address == self._peer:
             self._heard = now
 
-    def _receipted(self, receipt: Receipt) -> None:
-        for each in receipt.arrived:
-            sender = self.senders.get(each.route)
-            if sender is not None:
-                sender.receipt(each, receipt.buffer)
-        if self._carrier is not None:
-            self._carrier.receipt(receipt.buffer, receipt.at / 1e6)
-
+    @abstractmethod
     def _probed(self, probe: Probe, address: Address) -> bool:
         """Take an authentic probe; return whether it came from the peer's own address."""
-        raise NotImplementedError
+
+    @abstractmethod
+    def _silence(self) -> str:
+        """Return the reason why nothing is heard of the peer."""
 
     def tick(self) -> None:
         """Look whether the peer is silent, and give up messages whose fragments did not come."""
@@ -299,15 +275,11 @@ class UdpChannel:
         if self._carrier is not None:
             self._carrier.tick()
 
-    def _silence(self) -> str:
-        raise NotImplementedError
-
     def close(self) -> None:
         """Free what is its own. May be called twice."""
         if not self.over:
             self.over = True
             if self._carrier is not None:
-                self.socket.when_writable.discard(self._carrier.writable)
                 self._carrier.close()
             self._probe.forget()
             if self.on_close is not None:

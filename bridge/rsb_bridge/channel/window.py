@@ -52,27 +52,25 @@ class Window:
         size: bytes that may be in transit.
         rate: bytes/s that were acknowledged during the last second.
         slow: whether messages wait on the path.
-        back: s that a receipt takes to come back now; what waits in the other direction is not held against this one.
     """
 
     def __init__(self, ages: Ages = QUEUES_LITTLE) -> None:
-        self._ages = ages
         self.slow = False
-        self.rate = self.back = 0.0
+        self.rate = 0.0
+        self._ages = ages
         self._acknowledged = 0
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = 0, float("-inf")
         self._receipts: deque[tuple[int, float]] = deque(maxlen=_LAST_RECEIPTS)
-        self.expect(0.0)
         self._before_shrinking: tuple[int, float] | None = None  # bytes sent until then, and s that data took
+        self._back = 0.0  # s that receipts take to come back, as far as that is trusted
+        self.expect(0.0)
 
     def expect(self, ping: float) -> None:
         """Begin on a path with that shortest ping (s), or 0 if it is unknown. Call it before anything is written."""
         self._ping = min(ping, _FARTHEST_PINGED)
-        # s, the shortest round trip so far, less what receipts took to come back
-        self._shortest = max(_FARTHEST, self._ping)
-        self.size = int(FIRST * max(1.0, self._ping / _FIRST_LASTS))
-        self.limit = self.size
+        self._shortest = max(_FARTHEST, self._ping)  # s, the shortest round trip so far, less `_back`
+        self.size = self.limit = int(FIRST * max(1.0, self._ping / _FIRST_LASTS))
 
     def wrote(self, before: int, now: float) -> None:
         """Record that data is written at `now` (s), after `before` bytes."""
@@ -88,12 +86,14 @@ class Window:
             marks.append((before, now))
             self._last_mark, self._last_mark_at = before, now
 
-    def acknowledge(self, count: int, sent: int, now: float) -> None:
+    def acknowledge(self, count: int, sent: int, now: float, back: float = 0.0) -> None:
         """Adapt to a receipt.
 
         Args:
             count: bytes of the channel that the peer claims to have received.
+            back: s that a receipt takes to come back now: what waits in the other direction does not count in this one.
         """
+        self._back = min(back, _LONGEST_BACK)
         acknowledged = min(count, sent)
         gained = acknowledged - self._acknowledged
         if gained <= 0:
@@ -103,7 +103,7 @@ class Window:
         limited = 2 * (sent - self._acknowledged) >= self.size
         written_at = self._pass_marks(acknowledged, sent)
         if written_at is not None:
-            took = max(0.0, now - written_at - self._credit)
+            took = max(0.0, now - written_at - self._back)
             self._shortest = min(self._shortest, took)
             self._accept_delay(took, acknowledged)
         self._acknowledged = acknowledged
@@ -112,8 +112,8 @@ class Window:
         if waits > self._ages.late:
             self.slow = True
             if self._before_shrinking is None:
-                self._before_shrinking = sent, self._age(now) - self._credit
-            crosses = self._ages.aim + min(self._ping, self._shortest + self._credit)
+                self._before_shrinking = sent, self._age(now) - self._back
+            crosses = self._ages.aim + min(self._ping, self._shortest + self._back)
             # After a stall the rate is nearly 0. So half of what is in transit stays, as TCP halves its window.
             self.size = max(LEAST, int(rate * crosses), min(self.size, (sent - acknowledged) // 2))
         elif waits < self._ages.fresh:
@@ -150,17 +150,9 @@ class Window:
         if took >= _NOT_SHORTER * before:
             self._shortest = max(self._shortest, min(took, _LONGEST_OTHER))
 
-    @property
-    def _credit(self) -> float:
-        """The s that receipts take to come back, as far as they are trusted."""
-        return min(self.back, _LONGEST_BACK)
-
-    @property
-    def awaits_receipts(self) -> bool:
-        return bool(self._marks)
-
-    def check(self, sent: int, now: float) -> None:
-        """Close the window while the path is stalled. Called once a second."""
+    def check(self, sent: int, now: float, back: float = 0.0) -> None:
+        """Close the window while the path is stalled. Called once a second, with `back` as for `acknowledge`."""
+        self._back = min(back, _LONGEST_BACK)
         if self._waits(now) > _SILENT:
             self.slow = True
             self.limit = min(self.limit, max(sent, self._acknowledged + LEAST))
@@ -172,7 +164,7 @@ class Window:
 
     def _waits(self, now: float) -> float:
         """Return how long (s) the oldest unacknowledged byte has waited, beyond the way there and back."""
-        return self._age(now) - self._shortest - self._credit
+        return self._age(now) - self._shortest - self._back
 
     def _age(self, now: float) -> float:
         """Return the age (s) of the oldest unacknowledged byte, or 0 if all are acknowledged."""
@@ -183,13 +175,10 @@ class Window:
         receipts = self._receipts
         while len(receipts) > 1 and receipts[1][1] <= now - _MEASURED_OVER:
             receipts.popleft()
-        rate = 0.0
-        if receipts:
-            first, at = receipts[0]
-            # The first receipts may come in the moment in which the first bytes were written.
-            rate = (acknowledged - first) / max(now - at, 0.05)
+        first, at = receipts[0] if receipts else (acknowledged, now)
         receipts.append((acknowledged, now))
-        return rate
+        # The first receipts may come in the moment in which the first bytes were written.
+        return (acknowledged - first) / max(now - at, 0.05)
 
 
 class ReceiptCounter:
@@ -200,25 +189,24 @@ class ReceiptCounter:
         due: count at which the next receipt is due.
     """
 
-    def __init__(self, every: float = FIRST_RECEIPT) -> None:
-        self.count = self._sent = 0
-        self._every = every
-        self.due = every
+    def __init__(self, every: int = FIRST_RECEIPT) -> None:
+        self.count = self._told = 0
+        self._every = self.due = every
 
     def set_interval(self, every: int) -> None:
         """Have a receipt sent after every `every` bytes from now on."""
         self._every = max(1, every)  # a peer may ask for 0
-        self.due = self._sent + self._every
+        self.due = self._told + self._every
 
     def next_receipt(self) -> int:
         """Return the count for a receipt that is sent now."""
-        self._sent = self.count
+        self._told = self.count
         self.due = self.count + self._every
         return self.count
 
     @property
     def has_news(self) -> bool:
-        return self.count != self._sent
+        return self.count != self._told
 
 
 class ReceiptsOwner(Protocol):
@@ -279,28 +267,25 @@ class ReceiptBook:
         self._every.pop(stream, None)
 
     def close(self) -> None:
+        """Send nothing more. All streams are forgotten already."""
         self._given_up.clear()
-        self._counters.clear()
-        self._received.clear()
-        self._every.clear()
         if self._timer is not None:
             self._timer.cancel()
-            self._timer = None
 
     def _soon(self) -> None:
-        if self._timer is None:
-            # The first one goes at once: what it waits would count as the path's round trip.
-            wait = self._sent_at + _RECEIPTS_APART - self.now()
-            if wait <= 0:
-                self._flush()
-            else:
-                self._timer = self._loop.call_later(wait, self._flush)
+        if self._timer is not None:
+            return
+        # The first one goes at once: what it waits would count as the path's round trip.
+        wait = self._sent_at + _RECEIPTS_APART - self.now()
+        if wait <= 0:
+            self._flush()
+        else:
+            self._timer = self._loop.call_later(wait, self._flush)
 
     def _flush(self) -> None:
         self._timer = None
         self._sent_at = self.now()
-        received, every = tuple(self._received.items()), tuple(self._every.items())
-        given_up = tuple(self._given_up)
+        received, every, given_up = tuple(self._received.items()), tuple(self._every.items()), tuple(self._given_up)
         self._received.clear()
         self._every.clear()
         self._given_up.clear()

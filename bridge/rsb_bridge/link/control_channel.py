@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import msgspec
 
-from rsb_bridge.channel.data_stream import frame_size
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode
@@ -240,8 +239,7 @@ class ControlChannel(StreamHandler):
             case DataFrame(frame):
                 assert self.data is not None  # they come on multiplexed connections only
                 try:
-                    self.data.count(frame_size(frame))
-                    self.data.receive((frame,))
+                    self.data.received_frame(frame)
                 except (ProtocolError, SealError) as error:
                     self.broken(error)
             case Failed(reason):

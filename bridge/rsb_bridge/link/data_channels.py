@@ -134,10 +134,10 @@ class DataChannels:
             channel = self._open_udp(transport, port)
         # Without one, a client tries again, and a server waits for its client's probe; both then call `udp_ready`.
         if channel is not None:
-            route.channel = datagram_channel(channel, route, self.keys, self.scheduler)
+            route.channel = datagram_channel(channel, route, self.keys)
 
     def _carry(self, route: Route, pair: StreamPair) -> None:
-        route.channel = stream_channel(pair, route, self.keys)
+        route.channel = stream_channel(pair, route)
         pair.resume()  # its first frames may have overtaken the control message that has opened it
 
     def _take_awaiting(self, transport: str, port: int) -> Iterator[Route]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 
 from rsb_bridge.cdr.description import TypeVersion
-from rsb_bridge.channel.channel import SendingChannel
+from rsb_bridge.channel.scheduler import SendingChannel
 from rsb_bridge.model.audience import NOBODY, Audience, Deaf
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import expand_type_name

@@ -25,7 +25,7 @@ from rsb_bridge.wire.framing import CONTENT_LIMIT, HISTORY, MESSAGE_LIMIT, ZSTD,
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.channel.channel import SendingChannel
+    from rsb_bridge.channel.scheduler import SendingChannel
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.gates import Sieve
     from rsb_bridge.route.history_depth import Histories, Sample

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Mapping, Sequence
 
-    from rsb_bridge.channel.channel import SendingChannel
+    from rsb_bridge.channel.scheduler import SendingChannel
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription, TopicSpec
     from rsb_bridge.route.history_depth import Bounds

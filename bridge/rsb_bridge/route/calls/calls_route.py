@@ -46,7 +46,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.cdr.description import TypeVersion
-    from rsb_bridge.channel.channel import DuplexChannel, SendingChannel
+    from rsb_bridge.channel.data_stream import StreamDuplex
+    from rsb_bridge.channel.scheduler import SendingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Stage
@@ -214,7 +215,7 @@ class CallsRoute(Route):
 
     peer_report = CallsReport
     duplex: ClassVar[bool] = True
-    channel: DuplexChannel | None
+    channel: StreamDuplex | None
     came = False
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
