@@ -168,8 +168,7 @@ class UdpChannel(ABC):
         self._now = owner.now
         self._peer: Address | None = None
         self._path: SendPath | None = None
-        self._began = self.received_at = self._now()
-        self._heard: float | None = None
+        self.received_at = self._heard_at = self._now()  # the second one of the peer's own address only
         self._carrier: DatagramCarrier | None = None
 
     def sending(self) -> DatagramCarrier:
@@ -232,6 +231,7 @@ class UdpChannel(ABC):
         # else the route was closed before the datagrams arrived, or the peer may not send on it
 
     def _received_probes(self, datagrams: Sequence[Buffer], address: Address, now: float) -> None:
+        was_ready = self.ready
         for datagram in datagrams:
             probe = self._probe.read(datagram, now)
             if isinstance(probe, Receipt):
@@ -242,16 +242,16 @@ class UdpChannel(ABC):
                 self._heard_authentic(address, now)
                 self._owner.take_urgent(probe.content)
             elif probe is not None and self._probed(probe, address):
-                self._heard = self.received_at = now
-        if self._heard is not None and not self.ready:
-            self.ready = True
+                self._heard_at = self.received_at = now
+                self.ready = True
+        if self.ready and not was_ready:
             self._owner.udp_ready()
 
     def _heard_authentic(self, address: Address, now: float) -> None:
         """Note a message or a receipt; from the peer's own address it counts as a probe, which a full link may lose."""
         self.received_at = now
-        if self._heard is not None and address == self._peer:
-            self._heard = now
+        if self.ready and address == self._peer:
+            self._heard_at = now
 
     @abstractmethod
     def _probed(self, probe: Probe, address: Address) -> bool:
@@ -262,10 +262,9 @@ class UdpChannel(ABC):
         """Return the reason why nothing is heard of the peer."""
 
     def tick(self) -> None:
-        """Look whether the peer is silent, and give up messages whose fragments did not come."""
+        """Judge the peer's silence, and give up messages whose fragments did not come. Called once a second."""
         now = self._now()
-        quiet = now - (self._began if self._heard is None else self._heard)
-        self.trouble = self._silence() if quiet > _SILENT else ""
+        self.trouble = self._silence() if now - self._heard_at > _SILENT else ""
         if self.receive_buffer < RECEIVE_BUFFER:
             self.receive_buffer = self.socket.receive_buffer  # its limit may have been raised
         self._probe.expire(now)
@@ -340,7 +339,7 @@ class ServerUdpChannel(UdpChannel):
         self._challenges: dict[Address, _Challenge] = {}  # the oldest first
 
     def send(self, datagrams: Sequence[bytes]) -> None:
-        if self._heard is not None and self._now() - self._heard <= _SILENT:  # else somebody else may have the address
+        if self.ready and self._now() - self._heard_at <= _SILENT:  # else somebody else may have the address
             super().send(datagrams)
 
     def _probed(self, probe: Probe, address: Address) -> bool:
