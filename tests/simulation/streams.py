@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVarTuple
 
 from tests.simulation.machine import os_error
 
-from rsb_bridge.transport.streams import TCP_RTO_MAX_MS
+from rsb_bridge.transport.tcp import TCP_RTO_MAX_MS
 
 if TYPE_CHECKING:
     from collections.abc import Callable

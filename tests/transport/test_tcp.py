@@ -22,7 +22,7 @@ from tests.support.inside import socket_of
 from tests.support.ports import free_port
 from tests.support.wording import pattern, says
 
-from rsb_bridge.transport import streams
+from rsb_bridge.transport import tcp
 from rsb_bridge.transport.listening import LookUpProblem, bind
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
 from rsb_bridge.transport.tcp import Tcp, TcpStream, congestion_control, prefer_bbr
@@ -259,12 +259,12 @@ async def test_slow_path_is_no_reason_to_send_again() -> None:
         for round_trip in (0.03, 1.7, 90.0, 0.03):
             near.round_trip_is(round_trip)
             try:
-                waits.append(sock.getsockopt(socket.IPPROTO_TCP, streams.TCP_RTO_MAX_MS) / 1000)
+                waits.append(sock.getsockopt(socket.IPPROTO_TCP, tcp.TCP_RTO_MAX_MS) / 1000)
             except OSError:
                 pytest.skip("Linux has this option since 6.15")
         assert waits[1] > 3 * 1.7
         assert waits[2] < 10.0
-        assert waits[3] == streams.RETRIED_AFTER
+        assert waits[3] == tcp.RETRIED_AFTER
 
 
 @pytest.mark.parametrize("size", [4, 10_000_000], ids=["sent", "waiting"])

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import os
 import socket
-import struct
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
@@ -28,27 +26,7 @@ _STRANGER_READS = 4096  # bytes that are read at a time from a stranger, so that
 # nothing (bench/README.md, *Where the time goes*).
 _READS = 256 * 1024
 _LINGER = 2.0  # s, of the protocol (PROTOCOL.md, 1)
-
-# Of TCP.
-RETRIED_AFTER = 1
-"""s, the longest wait between retransmissions: the kernel alone would wait ever longer, and so long after the network
-is back."""
-# Round trips and s that it waits at most on a slow path. In a tunnel of 5 kB/s with round trips of 1 to 2 s, a wait of
-# 1 s had the kernel send every second byte twice, and end a connection after 14 s (`bench.robot`); 8 s, none.
-_ROUND_TRIPS, _MOST_RETRIED_AFTER = 4, 8
 _IN_VAIN = 4  # times, which take 2.4 s at least: by then a path that loses every third packet counts as lossy
-TCP_RTO_MAX_MS = 44
-"""An option since Linux 6.15."""
-# The kernel's tcp_info (linux/tcp.h), in part: `tcpi_retransmits`, `tcpi_total_retrans`, `tcpi_bytes_acked`,
-# `tcpi_data_segs_out`, `tcpi_bytes_sent`, `tcpi_bytes_retrans` and `tcpi_dsack_dups`. Linux has the last ones since
-# 4.19; without them there are no counts.
-_TCP_INFO = struct.Struct("=2xB 97x I 16x Q 28x I 40x Q Q I")
-
-
-def retry_after(sock: socket.socket | None, seconds: int) -> None:
-    """Have the kernel wait for so long at most between retransmissions, if it is TCP and allows that."""
-    with contextlib.suppress(OSError, AttributeError):
-        sock.setsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS, seconds * 1000)  # type: ignore[union-attr]
 
 
 class PacketCounts(NamedTuple):
@@ -161,19 +139,18 @@ class Stream(asyncio.Protocol):
         self.handler = handler
         self.congested = False
         self.received_at = 0.0
-        self.received_bytes = 0
-        self.sent_bytes = 0
+        self.received_bytes = self.sent_bytes = 0
         self.address: Address = ("?", 0)
         self.own_address = ""
+        self.when_gone: Callable[[], None] | None = None
         self._transport: asyncio.Transport | None = None
         self._now: Callable[[], float] = float  # until it is connected
-        self.when_gone: Callable[[], None] | None = None
         self._reason = NO_REASON
-        self._given_up_after = 0.0
-        self._retried_after = RETRIED_AFTER
         self._closing = False
         self._resuming: asyncio.Handle | None = None
         self._lingering: asyncio.TimerHandle | None = None
+
+    # --- what its user asks of it
 
     def write(self, data: bytes | memoryview) -> None:
         """Send, or keep until the socket takes it. Nothing happens on a stream that is over.
@@ -195,12 +172,11 @@ class Stream(asyncio.Protocol):
         # A peer that takes nothing would hold the descriptor. Not the transport's own abort: on one that has ended, it
         # would end it a second time.
         self._lingering = asyncio.get_running_loop().call_later(_LINGER, self.abort, reason)
-        self._end()
+        self._end(self._transport)
 
-    def _end(self) -> None:
+    def _end(self, transport: asyncio.Transport) -> None:
         """Close the transport, which sends what waits; called by `close`, once."""
-        assert self._transport is not None
-        self._transport.close()
+        transport.close()
 
     def abort(self, reason: str) -> None:
         """Close now; what waits is lost."""
@@ -208,17 +184,39 @@ class Stream(asyncio.Protocol):
             self._reason = self._reason or Reason(reason)
             self._transport.abort()
 
+    @property
+    def over(self) -> bool:
+        """Whether it is closed or closing."""
+        return self._transport is None or self._closing or self._transport.is_closing()
+
+    @property
+    def gone(self) -> bool:
+        """Whether it is closed, and all that was written has left or is lost."""
+        return self._transport is None
+
     def pause_reading(self) -> None:
         """Leave what the peer sends in the kernel, until `resume_reading`."""
-        if not self.over:
-            assert self._transport is not None
+        if self._transport is not None and not self.over:
             self._transport.pause_reading()
 
     def resume_reading(self) -> None:
         """Take in again what the peer sends."""
-        if not self.over:
-            assert self._transport is not None
+        if self._transport is not None and not self.over:
             self._transport.resume_reading()
+
+    @property
+    def peer(self) -> str:
+        """The other end's address, as an operator reads it."""
+        return format_address(self.address)
+
+    @property
+    def host(self) -> str:
+        """The other end's host or adapter in numbers, without port or channel; a link-local one has its interface."""
+        host = str(self.address[0])
+        scope = self.address[3] if len(self.address) == 4 else 0
+        return f"{host}%{scope}" if scope and "%" not in host else host
+
+    # --- what only some transports do
 
     def trust(self) -> None:
         """Read as much as comes: the other end has proven that it has the key. Until then, little is read at a time."""
@@ -240,44 +238,13 @@ class Stream(asyncio.Protocol):
 
     def give_up_after(self, seconds: float) -> None:
         """Have the kernel give it up once nothing is acknowledged for so long; only TCP does. May be called again."""
-        if seconds == self._given_up_after or self._transport is None:  # it is called each second
-            return
-        self._given_up_after = seconds
-        sock = self._transport.get_extra_info("socket")
-        with contextlib.suppress(OSError, AttributeError):
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(seconds * 1000))
 
     def round_trip_is(self, seconds: float) -> None:
-        """Have the kernel wait for acknowledgements longer than so long; only TCP does. May be called again.
-
-        Its longest wait is short, so that it sends soon once the network is back. If that is less than a round trip, as
-        in a tunnel of 5 kB/s, it sends all packets twice, takes the link for broken, and ends the connection.
-        """
-        wanted = min(_MOST_RETRIED_AFTER, max(RETRIED_AFTER, int(_ROUND_TRIPS * seconds)))
-        if wanted == self._retried_after or self._transport is None:
-            return
-        self._retried_after = wanted
-        retry_after(self._transport.get_extra_info("socket"), wanted)
-
-    @property
-    def over(self) -> bool:
-        """Whether it is closed or closing."""
-        return self._transport is None or self._closing or self._transport.is_closing()
+        """Have the kernel wait for acknowledgements longer than so long; only TCP does. May be called again."""
 
     def packets(self) -> PacketCounts | None:
         """Return the kernel's counts of packets, or None if it has none; only TCP's are known."""
-        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
-        if sock is None:
-            return None
-        try:
-            info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
-        except OSError:
-            return None
-        if len(info) != _TCP_INFO.size:
-            return None
-        in_vain, repeated, acknowledged, segments, sent, again, needless = _TCP_INFO.unpack(info)
-        lost, waiting = max(0, repeated - needless), max(0, sent - again - acknowledged)
-        return PacketCounts(segments, lost, acknowledged, waiting, in_vain)
+        return None
 
     @property
     def stuck(self) -> bool:
@@ -285,33 +252,18 @@ class Stream(asyncio.Protocol):
         counts = self.packets()
         return counts is not None and counts.tries >= _IN_VAIN
 
-    @property
-    def gone(self) -> bool:
-        """Whether it is closed, and all that was written has left or is lost."""
-        return self._transport is None
+    # --- what its transport calls
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self._now = asyncio.get_running_loop().time
         self.received_at = self._now()
-        self._transport.set_write_buffer_limits(high=self.high_water)
+        transport.set_write_buffer_limits(high=self.high_water)
         self.address = transport.get_extra_info("peername") or self.address
         self.own_address = str((transport.get_extra_info("sockname") or [""])[0])  # a socketpair has no name
         _read_at_a_time(transport, _STRANGER_READS)
         self.handler.connected(self)
-
-    @property
-    def peer(self) -> str:
-        """The other end's address, as an operator reads it."""
-        return format_address(self.address)
-
-    @property
-    def host(self) -> str:
-        """The other end's host or adapter in numbers, without port or channel; a link-local one has its interface."""
-        host = str(self.address[0])
-        scope = self.address[3] if len(self.address) == 4 else 0
-        return f"{host}%{scope}" if scope and "%" not in host else host
 
     def data_received(self, data: bytes) -> None:
         self.received_at = self._now()
@@ -338,7 +290,8 @@ class Stream(asyncio.Protocol):
     def connection_lost(self, error: Exception | None) -> None:
         if self._lingering is not None:
             self._lingering.cancel()
-        _free(self._transport)
+        if self._transport is not None and hasattr(self._transport, "_read_ready_cb"):
+            self._transport._read_ready_cb = None  # asyncio's own method, bound: a cycle, which would be freed late
         self._transport = None
         if self.when_gone is not None:
             self.when_gone()
@@ -351,12 +304,6 @@ def _read_at_a_time(transport: asyncio.BaseTransport | None, size: int) -> None:
     """Limit what asyncio reads from a socket in one call. Transports of other kinds have limits of their own."""
     if transport is not None and hasattr(transport, "max_size"):
         transport.max_size = size
-
-
-def _free(transport: asyncio.Transport | None) -> None:
-    """Have a socket's transport freed at once: asyncio leaves a method of its own bound in it, which is a cycle."""
-    if transport is not None and hasattr(transport, "_read_ready_cb"):
-        transport._read_ready_cb = None
 
 
 def format_address(address: Address) -> str:

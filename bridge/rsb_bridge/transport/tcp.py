@@ -16,13 +16,12 @@ from aiohappyeyeballs import start_connection
 from rsb_bridge.model.transport_traits import TcpTraits
 from rsb_bridge.transport.listening import LookUpProblem, StreamListener, bind, look_up
 from rsb_bridge.transport.streams import (
-    RETRIED_AFTER,
     Address,
+    PacketCounts,
     Stream,
     StreamHandler,
     StreamProblem,
     os_error_message,
-    retry_after,
 )
 from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
@@ -41,12 +40,24 @@ _NOT_SENT_LOW_WATER = 32 * 1024
 _MOST_DISCARDED = 4 << 20  # bytes that a peer may go on to send to a closed connection (PROTOCOL.md, 1)
 _IDLE, _KEEPALIVE_EVERY = 20, 5  # s; the stingiest NATs forget an idle connection within a minute
 _GIVEN_UP_AFTER_MS = 6_000  # a second after the link itself is given up (`link.keepalive.DEAD_AFTER`)
+RETRIED_AFTER = 1
+"""s, the longest wait between retransmissions: the kernel alone would wait ever longer, and so long after the network
+is back."""
+# Round trips and s that it waits at most on a slow path. In a tunnel of 5 kB/s with round trips of 1 to 2 s, a wait of
+# 1 s had the kernel send every second byte twice, and end a connection after 14 s (`bench.robot`); 8 s, none.
+_ROUND_TRIPS, _MOST_RETRIED_AFTER = 4, 8
 BBR = "bbr"
 """The congestion control that does not take a radio's lost packets for a full link (bench/README.md, *Thin links*)."""
 
 # Of Linux.
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
 _TCP_CONGESTION = getattr(socket, "TCP_CONGESTION", 13)
+TCP_RTO_MAX_MS = 44
+"""An option since Linux 6.15."""
+# The kernel's tcp_info (linux/tcp.h), in part: `tcpi_retransmits`, `tcpi_total_retrans`, `tcpi_bytes_acked`,
+# `tcpi_data_segs_out`, `tcpi_bytes_sent`, `tcpi_bytes_retrans` and `tcpi_dsack_dups`. Linux has the last ones since
+# 4.19; without them there are no counts.
+_TCP_INFO = struct.Struct("=2xB 97x I 16x Q 28x I 40x Q Q I")
 _NAME_SIZE = 16  # bytes of the name of a congestion control: TCP_CA_NAME_MAX
 _RESETS = struct.pack("ii", 1, 0)  # SO_LINGER of a socket whose `close` resets the connection
 
@@ -80,33 +91,66 @@ class TcpStream(Stream):
     def __init__(self, handler: StreamHandler, ending: set[TcpStream]) -> None:
         super().__init__(handler)
         self._ending = ending
+        self._given_up_after = 0.0
+        self._retried_after = RETRIED_AFTER
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         set_options(transport.get_extra_info("socket"))
         super().connection_made(transport)
 
-    def _end(self) -> None:
+    def _end(self, transport: asyncio.Transport) -> None:
         self._ending.add(self)
         self.handler = _Discarding(self, self.handler)
         # While bytes wait, asyncio would end the direction later, and an error of that would be an internal one.
         if not self.congested:
-            self._end_sending()
+            self._end_sending(transport)
 
     def _go_on(self) -> None:
         super()._go_on()
         if self._closing and self._transport is not None:
-            self._end_sending()
+            self._end_sending(self._transport)
 
-    def _end_sending(self) -> None:
-        assert self._transport is not None
+    def _end_sending(self, transport: asyncio.Transport) -> None:
         try:
-            self._transport.write_eof()
+            transport.write_eof()
         except OSError as error:  # the peer has reset the connection
             self.abort(os_error_message(error))
 
     def connection_lost(self, error: Exception | None) -> None:
         self._ending.discard(self)
         super().connection_lost(error)
+
+    def give_up_after(self, seconds: float) -> None:
+        if self._transport is not None and seconds != self._given_up_after:  # it is called each second
+            self._given_up_after = seconds
+            with contextlib.suppress(OSError):
+                sock = self._transport.get_extra_info("socket")
+                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(seconds * 1000))
+
+    def round_trip_is(self, seconds: float) -> None:
+        """Have the kernel wait for acknowledgements longer than so long.
+
+        Its longest wait is short, so that it sends soon once the network is back. If that is less than a round trip, as
+        in a tunnel of 5 kB/s, it sends all packets twice, takes the link for broken, and ends the connection.
+        """
+        wanted = min(_MOST_RETRIED_AFTER, max(RETRIED_AFTER, int(_ROUND_TRIPS * seconds)))
+        if self._transport is not None and wanted != self._retried_after:
+            self._retried_after = wanted
+            _retry_after(self._transport.get_extra_info("socket"), wanted)
+
+    def packets(self) -> PacketCounts | None:
+        if self._transport is None:
+            return None
+        try:
+            sock = self._transport.get_extra_info("socket")
+            info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
+        except OSError:
+            return None
+        if len(info) != _TCP_INFO.size:
+            return None
+        in_vain, repeated, acknowledged, segments, sent, again, needless = _TCP_INFO.unpack(info)
+        lost, waiting = max(0, repeated - needless), max(0, sent - again - acknowledged)
+        return PacketCounts(segments, lost, acknowledged, waiting, in_vain)
 
 
 class Tcp(TcpTraits, StreamTransport):
@@ -177,8 +221,14 @@ def set_options(sock: socket.socket) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _IDLE)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEPALIVE_EVERY)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _GIVEN_UP_AFTER_MS)
-    retry_after(sock, RETRIED_AFTER)
+    _retry_after(sock, RETRIED_AFTER)
     prefer_bbr(sock)
+
+
+def _retry_after(sock: socket.socket, seconds: int) -> None:
+    """Have the kernel wait for so long at most between retransmissions, if it allows that."""
+    with contextlib.suppress(OSError):
+        sock.setsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS, seconds * 1000)
 
 
 def prefer_bbr(sock: socket.socket) -> None:

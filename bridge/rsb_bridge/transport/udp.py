@@ -170,18 +170,14 @@ class UdpSocket:
         while begin < count:
             together = self._segments and begin + 1 < count and self._loop.time() >= self._one_by_one_until
             end = end_of_run(datagrams, begin) if together else begin + 1
+            control, address = ([], None) if path is None else (path.control, path.address)
+            if end - begin > 1:  # the kernel cuts them
+                control = [*control, (socket.SOL_UDP, _UDP_SEGMENT, _SEGMENT_SIZE.pack(len(datagrams[begin])))]
             try:
-                if end - begin > 1:
-                    run = datagrams[begin:end]
-                    cut = segment_control(len(run[0]))
-                    if path is None:
-                        self._sock.sendmsg(run, [cut])
-                    else:
-                        self._sock.sendmsg(run, [*path.control, cut], 0, path.address)
-                elif path is None:
-                    self._sock.send(datagrams[begin])
+                if control:
+                    self._sock.sendmsg(datagrams[begin:end], control, 0, address)
                 else:
-                    self._sock.sendmsg(datagrams[begin:end], path.control, 0, path.address)
+                    self._sock.send(datagrams[begin])
             except BlockingIOError:
                 return begin
             except OSError:
@@ -281,11 +277,6 @@ def end_of_run(datagrams: Sequence[bytes], begin: int) -> int:
             return end + 1 if 0 < length < size else end  # an empty one would vanish in the buffer
         end += 1
     return end
-
-
-def segment_control(size: int) -> tuple[int, int, bytes]:
-    """Return the ancillary data for the kernel to cut a buffer into datagrams of `size` bytes."""
-    return socket.SOL_UDP, _UDP_SEGMENT, _SEGMENT_SIZE.pack(size)
 
 
 def split_run(data: bytes, control: Sequence[tuple[int, int, bytes]]) -> list[bytes | memoryview]:
