@@ -39,11 +39,8 @@ class DatagramSource(Protocol):
     def receipt(self, arrived: Arrived, buffer: int) -> None:
         """Take the route's part of a receipt; the receiver's buffer has so many bytes."""
 
-    def written_off(self) -> None:
-        """Count all datagrams that were sent as no longer in transit."""
-
-    def given_up(self) -> None:
-        """Drop the rest of a message whose beginning has probably not arrived."""
+    def written_off(self, *, drop_rest: bool) -> None:
+        """Count all datagrams that were sent as no longer in transit, and `drop_rest` of a message that has begun."""
 
 
 class DatagramCarrier(Carrier):
@@ -157,16 +154,14 @@ class DatagramCarrier(Carrier):
     def write_off(self) -> None:
         """Count what is in transit no longer, and send little until a receipt comes."""
         for sender in self.senders.values():
-            sender.written_off()
-            if self._tried:
-                sender.given_up()
+            sender.written_off(drop_rest=self._tried)  # its beginning has probably not arrived
         self._tried = not self.proven  # a first datagram may only be late, and its message goes on
         self.proven = False
         self.pacer.write_off()
 
     def tick(self) -> None:
         """Write off bytes that no receipt has covered. Called once a second."""
-        if self.in_transit and self._loop.time() - self.moved_at > self.scheduler.stalls_after:
+        if self.is_stuck(self._loop.time()):
             self._give_up()
 
     def _give_up(self) -> None:

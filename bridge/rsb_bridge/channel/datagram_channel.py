@@ -169,11 +169,10 @@ class DatagramSender(_DatagramChannel, SendingChannel):
         return size
 
     def close(self, reason: str) -> None:
-        self._cut, self._at = None, 0
         if self._repeating is not None:
             self._repeating.cancel()
         self.leave()
-        self.written_off()  # no receipt tells of a route that is closed: its bytes would stay in transit
+        self.written_off(drop_rest=True)  # no receipt tells of a route that is closed: its bytes would stay in transit
         super().close(reason)
 
     def receipt(self, arrived: Arrived, buffer: int) -> None:
@@ -194,11 +193,10 @@ class DatagramSender(_DatagramChannel, SendingChannel):
         self.via.count(counted - self._counted, missing - self._missing)
         self._counted, self._missing = counted, missing
 
-    def written_off(self) -> None:
+    def written_off(self, *, drop_rest: bool) -> None:
         self._count(self._codec.sequence, self._missing)
-
-    def given_up(self) -> None:
-        self._cut, self._at = None, 0
+        if drop_rest:
+            self._cut, self._at = None, 0
 
     @property
     def unheard_for(self) -> float:

@@ -78,6 +78,10 @@ class Carrier(ABC):
     def write_off(self) -> None:
         """Count what is in transit no longer, and take little or nothing more until receipts come again."""
 
+    def is_stuck(self, now: float) -> bool:
+        """Whether what is in transit gets no further, at `now` (s)."""
+        return self.in_transit > 0 and now - self.moved_at > self.scheduler.stalls_after
+
     def write(self, data: bytes | memoryview, now: float) -> None:
         """Send the joined bytes of turns at `now` (s). Datagrams do not come here: they are sent in their turns."""
         raise NotImplementedError
@@ -106,7 +110,7 @@ class Scheduler:
         self.chunk = LEAST_CHUNK
         self._write = _LEAST_WRITE
         self._book = book
-        self._now = book.now
+        self.now = book.now
         self._window = window
         self._carriers: list[Carrier] = []
         self._waiting = 0  # routes that wait for a turn
@@ -160,9 +164,9 @@ class Scheduler:
         end.queued = True
         self._waiting += 1
         if self.waits_since == math.inf:
-            self.waits_since = self._now()
+            self.waits_since = self.now()
         if end.waits_since is None:
-            end.waits_since, end.turned = self._now(), False
+            end.waits_since, end.turned = self.now(), False
         # Ends that begin at the same time take turns as they came. Without a number, heapq would compare the ends.
         self._order += 1
         heapq.heappush(end.via.queue, (end.start, self._order, end))
@@ -190,7 +194,7 @@ class Scheduler:
         """Count bytes that are sent next, and return the time (s)."""
         if not self.sent:
             self._window.expect(self._book.ping())  # known by now: when the connection began, it was not
-        now = self._now()
+        now = self.now()
         self._window.wrote(self.sent, now)
         self.sent += size
         return now
@@ -299,7 +303,7 @@ class Scheduler:
         Returns:
             The bytes after which the next receipt is wanted.
         """
-        now = self._now()
+        now = self.now()
         self.acknowledged += gained
         self.arrived += gained - lost
         if gained:
@@ -316,13 +320,13 @@ class Scheduler:
 
     def tick(self) -> None:
         """Close the window while the path is stalled, and open it if only a stream is. Called once a second."""
-        self._window.check(self.sent, self._now(), self._book.way_back())
+        self._window.check(self.sent, self.now(), self._book.way_back())
         if not self._waiting or self.sent < self._window.limit:
             return
-        latest = self._now() - self.stalls_after
-        stuck = [each for each in self._carriers if each.in_transit and each.moved_at < latest]
+        now = self.now()
+        stuck = [each for each in self._carriers if each.is_stuck(now)]
         others = (each for each in self._carriers if each not in stuck)
-        # Nothing gets through on them, and another one waits for the window that they fill.
+        # Another one waits for the window that they fill.
         if stuck and any(end.queued for each in others for _, _, end in each.queue):
             for each in stuck:
                 size = each.in_transit
@@ -344,10 +348,6 @@ class Scheduler:
     def every(self) -> int:
         """Bytes after which the next receipt is wanted."""
         return self._window.every
-
-    def delivers(self, carrier: Carrier) -> bool:
-        """Whether what is sent on a stream or socket still gets through."""
-        return not carrier.in_transit or self._now() - carrier.moved_at < self.stalls_after
 
     @property
     def held_by_growing_window(self) -> bool:
@@ -414,7 +414,7 @@ class SendingChannel(DataChannel):
     @property
     def moves(self) -> bool:
         """Whether what it sends on delivers."""
-        return self._scheduler.delivers(self.via)
+        return not self.via.is_stuck(self._scheduler.now())
 
     def still(self, now: float) -> float:
         """Return for how long (s) no receipt has come on the link, at `now` (s)."""

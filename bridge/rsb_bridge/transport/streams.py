@@ -80,8 +80,8 @@ class StreamHandler:
 class OpenNetworkTransport(asyncio.Transport):
     """An asyncio transport over a network in which any member may send in the name of another.
 
-    Both ends find out by their handshake who is there, and mark from then on what they send. `Stream` has the same
-    methods.
+    Both ends find out by their handshake who is there, and mark from then on what they send. The methods are those of
+    `Stream`. During a trial, the protocol is given each answer as if no other had come.
 
     Attributes:
         network: the network's name, for operators.
@@ -92,27 +92,15 @@ class OpenNetworkTransport(asyncio.Transport):
     when_doubted: Callable[[], None]
 
     def trust(self) -> None:
-        """Take as much as of any peer: the other end has proven that it has the key."""
         raise NotImplementedError
 
     def begin_trial(self) -> None:
-        """Take several answers to this side's first data, until `adopt`: strangers may answer it, too.
-
-        The protocol is given each of them, as if no other had come.
-        """
         raise NotImplementedError
 
     def adopt(self) -> None:
-        """Accept the answer that the protocol has just been given, which proves the key, and end the trial."""
         raise NotImplementedError
 
     def authenticate(self, secret: bytes, *, opener: bool) -> None:
-        """Mark all data from now on, and take only what the peer has marked.
-
-        Args:
-            secret: of both sides (`rsb_bridge.wire.sealing`).
-            opener: this side opened the stream.
-        """
         raise NotImplementedError
 
 

@@ -89,7 +89,7 @@ class UdpSocket:
         """The granted size; a refused one is asked for again."""
         granted = granted_receive_buffer(self._sock)
         if granted < RECEIVE_BUFFER:
-            _enlarge(self._sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)
+            _enlarge(self._sock, *_RECEIVE_BUFFER)
             granted = granted_receive_buffer(self._sock)
         return granted
 
@@ -237,8 +237,8 @@ class Udp(UdpTraits, DatagramTransport):
 
 def enlarge_buffers(sock: socket.socket) -> None:
     """Ask the kernel for `RECEIVE_BUFFER` bytes in each direction; it may grant less."""
-    _enlarge(sock, *_SEND_BUFFER, RECEIVE_BUFFER)
-    _enlarge(sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)
+    _enlarge(sock, *_SEND_BUFFER)
+    _enlarge(sock, *_RECEIVE_BUFFER)
 
 
 def granted_receive_buffer(sock: socket.socket) -> int:
@@ -290,11 +290,11 @@ def split_run(data: bytes, control: Sequence[tuple[int, int, bytes]]) -> list[by
     return [data]
 
 
-def _enlarge(sock: socket.socket, forced: int, asked: int, size: int) -> None:
+def _enlarge(sock: socket.socket, forced: int, asked: int) -> None:
     try:
-        sock.setsockopt(socket.SOL_SOCKET, forced, size)  # beyond net.core.?mem_max: with CAP_NET_ADMIN only
+        sock.setsockopt(socket.SOL_SOCKET, forced, RECEIVE_BUFFER)  # beyond net.core.?mem_max: with CAP_NET_ADMIN only
     except OSError:
-        sock.setsockopt(socket.SOL_SOCKET, asked, size)
+        sock.setsockopt(socket.SOL_SOCKET, asked, RECEIVE_BUFFER)
 
 
 def _path_mtu(family: int, address: Address) -> int:

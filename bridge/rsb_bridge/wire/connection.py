@@ -157,10 +157,10 @@ class ClientConnection(_Control, ConnectingStream):
 
     def _on_accept(self, message: bytes) -> None:
         welcome = decode_welcome(self._read_answer(message, RefusalText.ANSWER_SEALED_WITH_ANOTHER_KEY()))
-        keys = self._handshake.split()
         self.proven, self.at = self._key is not None, welcome.at
-        self._start_sealing(self.suite, keys)
-        self._confirm()  # also where it is refused: only then does the server know that it has the key
+        keys = self._establish(
+            self.suite
+        )  # also where it is refused: only then does the server know that it has the key
         if welcome.taken:
             raise Refusal(RefusalCode.NAME_TAKEN, welcome.taken)
         if welcome.shut_down:
@@ -328,8 +328,7 @@ class OperatorConsole(_Records, ConnectingStream):
         wrong_key = RefusalText.ENGINE_SEALED_WITH_ANOTHER_KEY(fingerprint=format_fingerprint(self._mark))
         self.at = self._read_answer(message, wrong_key)[:_AT_BYTES].decode(errors="replace")
         self.proven = True
-        self._start_sealing(OPERATOR_SUITE, self._handshake.split())
-        self._confirm()
+        self._establish(OPERATOR_SUITE)
         self._events.append(Admitted())
 
 

@@ -336,7 +336,7 @@ class PreambleStream(ABC):
             self._refuse(refusal.code, refusal.message)
             self._end(StreamRefused(refusal.code, refusal.message))
         except (ProtocolError, SealError) as error:
-            if self._is(PreamblePhase.PREAMBLE):  # later, the peer expects sealed frames only
+            if self._phase is PreamblePhase.PREAMBLE:  # later, the peer expects sealed frames only
                 self._refuse(RefusalCode.BAD_FORMAT, str(error))
             foreign = error.protocol if isinstance(error, ForeignProtocolError) else None
             self._end(Failed(str(error), foreign))
@@ -353,14 +353,11 @@ class PreambleStream(ABC):
         return data
 
     def _take_in(self, data: Buffer) -> None:
-        if self._is(PreamblePhase.OVER):
+        if self._phase is PreamblePhase.OVER:
             return
         self._inbox += data
-        while self._is(PreamblePhase.PREAMBLE) and (frame := take_frame(self._inbox)) is not None:
+        while self._phase is PreamblePhase.PREAMBLE and (frame := take_frame(self._inbox)) is not None:
             self._on_preamble(*parse_preamble(frame), frame)
-
-    def _is(self, phase: PreamblePhase) -> bool:
-        return self._phase is phase
 
     @abstractmethod
     def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:

@@ -234,7 +234,7 @@ class SealedStream(PreambleStream):
 
     def _take_in(self, data: Buffer) -> None:
         super()._take_in(data)
-        if self._is(PreamblePhase.SEALED):
+        if self._phase is PreamblePhase.SEALED:
             self._open_frames()
 
     def _open_frames(self) -> None:
@@ -243,7 +243,7 @@ class SealedStream(PreambleStream):
                 self._on_content(self._open(frame))
             else:
                 self._on_other_frame(frame)
-                if not self._is(PreamblePhase.SEALED):  # it was a REFUSE, which ends the stream
+                if self._phase is not PreamblePhase.SEALED:  # it was a REFUSE, which ends the stream
                     return
 
     @abstractmethod
@@ -299,9 +299,12 @@ class ConnectingStream(SealedStream):
         except SealError:
             raise Refusal(RefusalCode.WRONG_KEY, wrong_key) from None
 
-    def _confirm(self) -> None:
-        """Confirm the handshake, which a replay of a recorded first message can't do."""
+    def _establish(self, suite: CipherSuite) -> HandshakeKeys:
+        """Seal from now on, and confirm the handshake, which a replay of a recorded first message can't do."""
+        keys = self._handshake.split()
+        self._start_sealing(suite, keys)
         self._outbox += self._seal(b"")
+        return keys
 
     def _end(self, event: Event) -> None:
         if isinstance(event, Failed):
@@ -334,7 +337,7 @@ class AcceptingStream(SealedStream):
     @property
     def accepted(self) -> bool:
         """Whether the first message opens under the key. Somebody may have recorded and sent it again."""
-        return self._is(PreamblePhase.SEALED)
+        return self._phase is PreamblePhase.SEALED
 
     def refuse(self, code: RefusalCode, message: str) -> bytes:
         """Refuse the stream: the bytes to write before closing it."""
@@ -361,7 +364,7 @@ class AcceptingStream(SealedStream):
     def _open_frames(self) -> None:
         if self._unconfirmed is not None and not self._take_confirmation(self._unconfirmed):
             return
-        if self._is(PreamblePhase.SEALED):
+        if self._phase is PreamblePhase.SEALED:
             super()._open_frames()
 
     def _take_confirmation(self, outcome: Event) -> bool:
