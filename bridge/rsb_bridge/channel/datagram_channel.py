@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.channel import Counts, DataChannel, ReceivingChannel
 from rsb_bridge.channel.pacing import WINDOW
 from rsb_bridge.channel.scheduler import SendingChannel
-from rsb_bridge.channel.udp_channel import EXPIRE, NEWEST_EXPIRES, TIMES, BufferShortage
+from rsb_bridge.channel.udp_channel import TIMES, BufferShortage
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.transport.streams import PacketCounts
@@ -252,8 +252,7 @@ class DatagramReceiver(_DatagramChannel, ReceivingChannel):
         return Arrived(self._route_id, codec.newest_sequence, codec.opened)
 
     def expire(self, now: float) -> None:
-        """Give up messages whose fragments did not come in time."""
-        self._codec.expire(now, EXPIRE, NEWEST_EXPIRES)
+        self._codec.expire(now)
 
 
 def datagram_channel(udp_channel: UdpChannel, route: RouteSink, keys: DataKeys) -> DatagramSender | DatagramReceiver:

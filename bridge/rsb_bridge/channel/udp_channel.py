@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.datagram import Arrived, OfProbeRoute
     from rsb_bridge.wire.sealing import Buffer
 
-# s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns. Both
-# are of the protocol (PROTOCOL.md, 2).
-EXPIRE, NEWEST_EXPIRES = 1.0, 5.0
 # s; more than a whole link may be silent (`keepalive.DEAD_AFTER`), or a firewall would be blamed for a cut cable.
 _SILENT = 6.0
 # How often an urgent message is sent, and a command of an armed topic that is one datagram: a link that loses every
@@ -68,7 +65,7 @@ class PathProbe:
 
     def expire(self, now: float) -> None:
         """Give up messages whose fragments did not come in time."""
-        self._reader.expire(now, EXPIRE, NEWEST_EXPIRES)
+        self._reader.expire(now)
 
     def forget(self) -> None:
         """Give up all messages that are incomplete: none of an honest peer's is cut."""

@@ -25,6 +25,8 @@ _PROBE = struct.Struct(">?Q")
 _RECEIPT, _ARRIVED = struct.Struct(">BIQ"), struct.Struct(">IQQ")
 _RECEIPT_KIND, _URGENT_KIND = 2, 3
 MOST_ARRIVED = 50  # routes of one receipt, which fits into a datagram of 1,200 bytes
+# s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns.
+_EXPIRES, _NEWEST_EXPIRES = 1.0, 5.0
 _FRAGMENT_COST = 400
 """Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted. The only
 fragment of a message takes the most, some 390 in CPython 3.11 (`sys.getsizeof` of its record, dict and bytes)."""
@@ -321,18 +323,11 @@ class DatagramReader:
             self._handed_on = number
         return content, stamp, flags
 
-    def expire(self, now: float, older_than: float = 1.0, newest_older_than: float | None = None) -> None:
-        """Give up the incomplete messages of which nothing has come for more than `older_than` s.
-
-        Args:
-            newest_older_than: s for the newest message, whose next datagram may wait for its turn.
-        """
+    def expire(self, now: float) -> None:
+        """Give up messages whose fragments did not come in time."""
         # All of them: the newest one, which may wait longer, can be anywhere among them.
         for number, message in tuple(self._incomplete.items()):
-            patience = older_than
-            if newest_older_than is not None and number == self.newest:
-                patience = newest_older_than
-            if now - message.last_seen > patience:
+            if now - message.last_seen > (_NEWEST_EXPIRES if number == self.newest else _EXPIRES):
                 self._give_up(number)
 
     def close(self) -> None:
