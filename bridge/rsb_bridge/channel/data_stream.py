@@ -77,8 +77,7 @@ class StreamsOwner(Protocol):
     book: ReceiptBook
 
     @property
-    def ids(self) -> RouteNumbers:
-        """The ids of its link's routes."""
+    def ids(self) -> RouteNumbers: ...
 
     def open_streams(self, transport: StreamTransport, port: int) -> None:
         """Open the streams that routes with that port lack; a server waits for its client."""

@@ -29,8 +29,7 @@ class Datagrams(Protocol):
 
     socket: DatagramSocket
 
-    def send(self, datagrams: Sequence[bytes]) -> None:
-        """Send datagrams."""
+    def send(self, datagrams: Sequence[bytes]) -> None: ...
 
 
 class DatagramSource(Protocol):

@@ -108,26 +108,18 @@ class DatagramSink(Protocol):
     def news(self) -> Arrived | None:
         """Return the route's part of a receipt, or None if nothing came since the last one."""
 
-    def expire(self, now: float) -> None:
-        """Give up messages whose fragments did not come in time."""
+    def expire(self, now: float) -> None: ...
 
 
 class UdpOwner(Protocol):
-    """The connection that UDP channels belong to.
-
-    Attributes:
-        scheduler: gives turns to what is sent.
-        book: sends receipts of its streams.
-        probe: of all its UDP channels.
-    """
+    """The connection that UDP channels belong to."""
 
     scheduler: Scheduler
     book: ReceiptBook
     probe: PathProbe
 
     @property
-    def now(self) -> Callable[[], float]:
-        """Gives the time on the clock that all timers use."""
+    def now(self) -> Callable[[], float]: ...
 
     def udp_ready(self) -> None:
         """Use a channel that has just found its path."""

@@ -212,8 +212,7 @@ class ReceiptCounter:
 class ReceiptsOwner(Protocol):
     """The connection that sends receipts, and measures how long its messages take."""
 
-    def send_receipts(self, receipts: Receipts) -> None:
-        """Send them to the peer."""
+    def send_receipts(self, receipts: Receipts) -> None: ...
 
     def ping(self) -> float:
         """Return the shortest ping, or 0 if it is unknown."""
