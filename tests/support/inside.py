@@ -48,7 +48,7 @@ def _bridge_of(engine: Engine) -> Bridge | None:
 
 def pretend_linked(link: Link, control: Any) -> None:
     """Let a link have a connection of which there is only a stand-in of its control channel."""
-    link._channels = SimpleNamespace(control=control, close=lambda: None)  # type: ignore[assignment]
+    link._channels = SimpleNamespace(control=control, is_silent=False, close=lambda: None)  # type: ignore[assignment]
 
 
 def renew_snapshot(engine: Engine) -> None:

@@ -116,7 +116,6 @@ class BaseLink(ABC):
         self.instance = ""  # process of the peer
         self.connections = 0
         self.linked_at = 0.0
-        self._is_silent = False
         self.status = LinkStatus(context.clock.steady())
         self.bridges: tuple[str, ...] = ()
         """Names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown."""
@@ -249,7 +248,6 @@ class BaseLink(ABC):
         peer = self.peer = event.peer
         self.instance = peer.instance
         self._channels = self.channels_class(self, control, event.keys)
-        self._is_silent = False
         self.connections += 1
         self.linked_at = self.context.now()
         self.keepalive = Keepalive(self, stream)
@@ -264,7 +262,7 @@ class BaseLink(ABC):
 
     def silent(self) -> None:
         """End the connection: nothing has come for as long as the patience lasts."""
-        self._is_silent = True
+        self.channels.is_silent = True
         control, quiet, alone = self.channels.control, self.keepalive.quiet, self.keepalive.control_quiet
         if alone < 2 * quiet:
             text = f"the peer is silent: nothing came for {quiet:.0f} s"
@@ -282,7 +280,7 @@ class BaseLink(ABC):
         # The most telling first: without its router a link is silent, too.
         if cause is LinkCause.LOST and self.transport.problem:
             cause, reason = LinkCause.ROUTER_LOST, self.transport.problem
-        elif cause is LinkCause.LOST and self._is_silent:
+        elif cause is LinkCause.LOST and channels.is_silent:
             cause = LinkCause.SILENT
         self.status.down(cause, reason)
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.

@@ -22,7 +22,7 @@ from rsb_bridge.link.connecting import (
 )
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, server_refusal, with_remedy
+from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, REMEDY, server_refusal
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode, Reason
@@ -315,10 +315,23 @@ class ClientLink(Link):
         return refusals[0] if refusals else failure_of_search(self.transport, hosts, failures)
 
     def _with_remedy(self, failure: Failure) -> Failure:
-        if failure.code is None:
-            return failure
-        text = with_remedy(failure.code, failure.reason, name=self.name, has_key=self.key is not None)
-        return failure._replace(reason=text)
+        match failure.code:
+            case RefusalCode.WRONG_KEY if self.key is not None:
+                remedy = "copy one side's key file to the other"
+            case RefusalCode.NAME_TAKEN:
+                remedy = REMEDY
+            case RefusalCode.SHUT_DOWN:
+                return failure._replace(reason=server_refusal(failure.reason))
+            case RefusalCode.UNKNOWN_NAME:
+                add = f"rsb-console client add {shlex.quote(self.name)}"
+                remedy = f"run {add} on the server, or correct name in this side's session"
+            case RefusalCode.ENCRYPTION_REQUIRED:
+                remedy = "set use_encryption and key_file"
+            case RefusalCode.ENCRYPTION_NOT_POSSIBLE:
+                remedy = "give the server the key, or set use_encryption: false here"
+            case _:
+                return failure
+        return failure._replace(reason=f"{failure.reason}: {remedy}")
 
     async def open(
         self,

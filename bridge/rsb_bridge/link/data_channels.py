@@ -39,9 +39,6 @@ if TYPE_CHECKING:
 
 _PROBE_EVERY, _QUICK_PROBES = 0.25, 8  # s, and how many: `tick` comes once a second only. Round figures
 CONTROL_NUMBER = 0  # of the control connection where it is a data stream, too
-OUT_OF_ORDER = 1024
-"""How far below the newest a stream's number may be (PROTOCOL.md, 1.3): the streams of several ports open at once, and
-arrive in any order. Older numbers are refused, so none of them is remembered."""
 
 
 class CarriedLink(Protocol):
@@ -71,6 +68,7 @@ class DataChannels:
 
     Attributes:
         control: the authenticated connection.
+        is_silent: whether it ends because nothing comes any more.
         session_keys: its keys.
         keys: seal and open the routes' messages.
         scheduler: shares the streams among the routes.
@@ -82,6 +80,7 @@ class DataChannels:
     def __init__(self, link: CarriedLink, control: ControlChannel, keys: SessionKeys) -> None:
         self._link = link
         self.control, self.session_keys = control, keys
+        self.is_silent = False
         # What its streams and UDP channels ask for.
         self.ids, self.now, self.send_receipts = link.ids, link.context.now, link.send
         self.book = ReceiptBook(link.context.loop, self)
@@ -91,8 +90,7 @@ class DataChannels:
         self.awaiting: dict[tuple[str, int], dict[int, Route]] = {}
         self._pairs: dict[tuple[str, int], StreamPair] = {}
         self._udp: dict[int, UdpChannel] = {}
-        self._newest = 0
-        self._taken: set[int] = set()
+        self._newest = 0  # number of a stream
         if link.transport.multiplexed:  # the stream carries the routes of its own port, too, as streams are scarce
             pair = self._pair(link.transport, link.shared_port())
             control.data = pair.add(control.stream, CONTROL_NUMBER, large=True, small=True)
@@ -169,10 +167,6 @@ class DataChannels:
 
     def attach(self, stream: Stream, name: StreamName, transport: StreamTransport, port: int, beginning: bytes) -> None:
         """Use an accepted stream; `beginning` are the bytes that arrived after its preamble."""
-        self._newest = max(self._newest, name.number)
-        self._taken.add(name.number)
-        if len(self._taken) > 2 * OUT_OF_ORDER:  # twice as many: it is rebuilt once in a thousand streams
-            self._taken = {each for each in self._taken if each > self._newest - OUT_OF_ORDER}
         pair = self._pair(transport, port)
         if (old := pair.large if name.large else pair.small) is not None:
             pair.cut(old, Reason("the other side opened it again", EndCode.BROKE))

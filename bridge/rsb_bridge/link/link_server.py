@@ -260,20 +260,6 @@ class Server:
             link.refused(stream, cause, message)
         return "" if link is None else link.name
 
-    def refused_proven(self, stream: Stream, code: RefusalCode, peer: Hello) -> None:
-        """Show on the link that there is a second client of its name, or that its client asks to come back."""
-        link = self.links.get(peer.name)
-        if link is not None and code is RefusalCode.NAME_TAKEN:
-            link.duplicate_tried(stream.host, peer.host)
-        elif link is not None:
-            link.asked(stream)
-
-    def remedy_for_unknown(self, name: str) -> str:
-        """Return the remedy for an unknown client name: for this side's operator only, not for the client."""
-        session = self.context.session
-        correct = "correct name" if session.clients is not None else f"set name to {session.name!r}"
-        return f"rsb-console client add {shlex.quote(name)}, or {correct} in the robot's session"
-
     def _link_of(self, link_id: bytes) -> ServerLink | None:
         linked = (link for link in self.links.values() if link.linked)
         return next((link for link in linked if link.channels.session_keys.link_id == link_id), None)
@@ -365,8 +351,12 @@ class _InboundStream(PendingConnection, StreamHandler):
             control.receive(more)
 
     def _refuse_proven(self, code: RefusalCode, message: str, peer: Hello) -> None:
-        """Refuse a client that has the key: that is no failed authentication."""
-        self._server.refused_proven(self._stream, code, peer)
+        """Refuse a client that has the key, which is no failed authentication, and show that on its link."""
+        link = self._server.links.get(peer.name)
+        if link is not None and code is RefusalCode.NAME_TAKEN:
+            link.duplicate_tried(self._stream.host, peer.host)
+        elif link is not None:
+            link.asked(self._stream)
         self._log(_CODES[code], message, link=self.name)
         self._stream.close(message)
 
@@ -390,11 +380,14 @@ class _InboundStream(PendingConnection, StreamHandler):
         self._stream.pause_reading()
 
     def _for_operator(self, code: RefusalCode, message: str) -> str:
+        """Return the refusal with the remedy for this side's operator, which the client does not get."""
         match code:
             case RefusalCode.WRONG_KEY:
                 remedy = "copy one side's key file to the other"
             case RefusalCode.UNKNOWN_NAME:
-                remedy = self._server.remedy_for_unknown(self.name)
+                session = self._server.context.session
+                correct = "correct name" if session.clients is not None else f"set name to {session.name!r}"
+                remedy = f"rsb-console client add {shlex.quote(self.name)}, or {correct} in the robot's session"
             case RefusalCode.ENCRYPTION_NOT_POSSIBLE:
                 remedy = "set use_encryption and its key_file here, or use_encryption: false there"
             case RefusalCode.ENCRYPTION_REQUIRED:

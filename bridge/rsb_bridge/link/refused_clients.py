@@ -34,26 +34,6 @@ MOST_OF_ONE_HOST = 4  # robots behind one router share an address; a program tha
 FORGOTTEN_AFTER = 30.0  # s without an attempt; a refused client tries again within 12 s
 
 
-def with_remedy(code: RefusalCode, message: str, *, name: str, has_key: bool) -> str:
-    """Return the server's message with the remedy for the client's operator."""
-    match code:
-        case RefusalCode.WRONG_KEY if has_key:
-            return f"{message}: copy one side's key file to the other"
-        case RefusalCode.NAME_TAKEN:
-            return f"{message}: {REMEDY}"
-        case RefusalCode.SHUT_DOWN:
-            return server_refusal(message)
-        case RefusalCode.UNKNOWN_NAME:
-            add = f"rsb-console client add {shlex.quote(name)}"
-            return f"{message}: run {add} on the server, or correct name in this side's session"
-        case RefusalCode.ENCRYPTION_REQUIRED:
-            return f"{message}: set use_encryption and key_file"
-        case RefusalCode.ENCRYPTION_NOT_POSSIBLE:
-            return f"{message}: give the server the key, or set use_encryption: false here"
-        case _:
-            return message
-
-
 class SameName(Wording):
     """Several clients that have one name."""
 

@@ -12,7 +12,7 @@ import msgspec
 
 from rsb_bridge.channel.udp_channel import ServerUdpChannel
 from rsb_bridge.config.keys import fingerprint
-from rsb_bridge.link.data_channels import OUT_OF_ORDER, DataChannels
+from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, FORGOTTEN_AFTER, LinkShutdown, name_taken
 from rsb_bridge.model.codes import EventCode
@@ -47,11 +47,15 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import DatagramSocket
     from rsb_bridge.wire.connection import ServerConnection
     from rsb_bridge.wire.events import Attach, Established
+    from rsb_bridge.wire.sealing import SessionKeys
 
 _NAMED = 12  # ports that a refusal lists
 _SILENT = 1.5
 """s without a byte (pings come every second) after which another process may take a client's name over
 (PROTOCOL.md, 1.1)."""
+_OUT_OF_ORDER = 1024
+"""How far below the newest a stream's number may be (PROTOCOL.md, 1.3): the streams of several ports open at once, and
+arrive in any order. Older numbers are refused, so none of them is remembered."""
 UNKNOWN_ROUTE = "unknown route"  # the same for all, so that a stranger does not learn which links exist
 
 
@@ -97,24 +101,6 @@ class ClientEntry:
     def fingerprints(self) -> tuple[str, ...]:
         """Fingerprints of its keys, or one empty string without keys."""
         return tuple(map(fingerprint, self.keys)) or ("",)
-
-    def server_name(self, topic: str) -> str:
-        """Return the server's name of a topic, which may have the prefix already."""
-        name = self.client.name
-        return server_topic(topic, name) if self.use_name and client_topic(topic, name) is None else topic
-
-    def client_names(self, topic: Topic) -> Topic:
-        """Return a topic with the client's names, though an operator of the server may use the server's.
-
-        Where `use_name` is set, ``/robot1/scan`` is robot1's ``/scan``. A topic with a `remote_topic` has both names.
-        """
-        name = client_topic(topic.topic, self.client.name) if self.use_name and topic.remote_topic is None else None
-        return topic if name is None else msgspec.structs.replace(topic, topic=name)
-
-    def shows(self, topic: str, kind: Kind = "topic") -> bool:
-        """Whether the client may know of a topic or service of the server."""
-        reachable = not self.use_name or client_topic(topic, self.client.name) is not None
-        return reachable and self.rights.shows(topic, kind)
 
 
 class TopicPorts:
@@ -209,6 +195,10 @@ class ServerChannels(DataChannels):
 
     _link: ServerLink
 
+    def __init__(self, link: ServerLink, control: ControlChannel, keys: SessionKeys) -> None:
+        super().__init__(link, control, keys)
+        self._taken: set[int] = set()  # numbers of streams
+
     @property
     def streams_awaited(self) -> int:
         """Number of permitted streams that the client has yet to open."""
@@ -244,13 +234,17 @@ class ServerChannels(DataChannels):
             for (transport, at), waits in self._stream_users().items()
             if at == port and (port != shared or is_own == (transport is link.transport))
         ]
-        is_new = max(0, self._newest - OUT_OF_ORDER) < name.number and name.number not in self._taken
+        is_new = max(0, self._newest - _OUT_OF_ORDER) < name.number and name.number not in self._taken
         if not fitting or not is_new:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE, link.name)
         # Several transports may have the port: the choice must not depend on the order of the routes.
         transport, _ = min(fitting, key=lambda each: (not each[1], each[0] is not link.transport, each[0].name))
         if refusal := link.descriptors.refusal:
             raise Refusal(RefusalCode.BUSY, refusal, link.name)
+        self._newest = max(self._newest, name.number)
+        self._taken.add(name.number)
+        if len(self._taken) > 2 * _OUT_OF_ORDER:  # twice as many: it is rebuilt once in a thousand streams
+            self._taken = {each for each in self._taken if each > self._newest - _OUT_OF_ORDER}
         stream.when_gone = link.descriptors.take()
         stream.write(connection.accept_attach())
         self.attach(stream, name, transport, port, connection.leftover())
@@ -416,7 +410,9 @@ class ServerLink(Link):
         self.channels.control.abort(reason, EventCode.LINK_CLOSED_BY_PEER)
 
     def client_names(self, topic: Topic) -> Topic:
-        return self.entry.client_names(topic)
+        # Where `use_name` is set, ``/robot1/scan`` is robot1's ``/scan``. A topic with a `remote_topic` has both names.
+        name = client_topic(topic.topic, self.name) if self.use_name and topic.remote_topic is None else None
+        return topic if name is None else msgspec.structs.replace(topic, topic=name)
 
     def _on_duplicate(self, _: Duplicate) -> None:
         self.protocol_error("a client says that there is a second client")
@@ -426,13 +422,16 @@ class ServerLink(Link):
         return self.entry.rights
 
     def with_local_name(self, proposal: Propose) -> Propose:
-        """Prefix this side's name of the topic with the client's name if the entry wants that."""
         field = "remote_topic" if proposal.from_client else "topic"
-        name, here = getattr(proposal, field), self.entry.server_name(getattr(proposal, field))
-        return proposal if here == name else msgspec.structs.replace(proposal, **{field: here})
+        name = getattr(proposal, field)
+        if not self.use_name or client_topic(name, self.name) is not None:  # it has the client's prefix already
+            return proposal
+        return msgspec.structs.replace(proposal, **{field: server_topic(name, self.name)})
 
     def shows(self, topic: str, kind: Kind = "topic") -> bool:
-        return self.entry.shows(topic, kind)
+        entry = self.entry  # read once: it may be replaced while another thread asks
+        reachable = not entry.use_name or client_topic(topic, self.name) is not None
+        return reachable and entry.rights.shows(topic, kind)
 
     def change_entry(self, entry: ClientEntry) -> None:
         """Use another entry of the session.
