@@ -27,7 +27,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.link.connecting import Failure
-from rsb_bridge.link.server_link import PortDenied
+from rsb_bridge.link.topic_ports import PortDenied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic

@@ -12,7 +12,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link.server_link import PortDenied, TopicPorts, check_topic_port
+from rsb_bridge.link.topic_ports import PortDenied, TopicPorts, check_topic_port
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import DEFAULT_PORT, PORTS_PER_CLIENT, dds_ports, discovery_domain
 from rsb_bridge.model.reason import EndCode

@@ -16,7 +16,8 @@ from rsb_bridge.feature import feature_names
 from rsb_bridge.link.connecting import find_servers
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections, Rejected
 from rsb_bridge.link.refused_clients import CAUSES, RefusedClients
-from rsb_bridge.link.server_link import UNKNOWN_ROUTE, DescriptorShare, ServerLink
+from rsb_bridge.link.server_link import UNKNOWN_ROUTE, ServerLink
+from rsb_bridge.link.topic_ports import DescriptorShare
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
@@ -249,9 +250,8 @@ class Server:
         """
         link = self.links.get(name)
         if link is None and code is RefusalCode.WRONG_VERSION:
-            at_host = [each for each in self.links.values() if each.seen_host == stream.host] or list(
-                self.links.values()
-            )
+            links = self.links.values()
+            at_host = [each for each in links if each.seen_host == stream.host] or list(links)
             link = at_host[0] if len(at_host) == 1 else None
         cause = CAUSES.get(code, LinkCause.REFUSED)
         if link is None or link.linked:

@@ -1,8 +1,7 @@
-"""The server's end of a client's link: the client's entry, its link, and limits on its topics' ports and streams."""
+"""The server's end of a client's link, and the session's entry of that client."""
 
 from __future__ import annotations
 
-import resource
 import shlex
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,15 +14,12 @@ from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, FORGOTTEN_AFTER, LinkShutdown, name_taken
+from rsb_bridge.link.topic_ports import DescriptorShare, TopicPorts, check_topic_port
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports, discovery_domain
 from rsb_bridge.model.names import client_topic, format_fingerprint, server_topic
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.text import join_first
 from rsb_bridge.model.transports import profile_of
 from rsb_bridge.model.verdict import LinkCause
-from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.transport import ListenError, StreamTransport
 from rsb_bridge.wire.events import RefusalCode
 from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
@@ -32,14 +28,11 @@ from rsb_bridge.wire.sealed_stream import ReplayCache
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sized
-
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
-    from rsb_bridge.model.session import Client, Kind, Session, Topic
-    from rsb_bridge.model.transport_traits import TransportTraits
+    from rsb_bridge.model.session import Client, Kind, Topic
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.ports import Ports
@@ -49,7 +42,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Attach, Established
     from rsb_bridge.wire.sealing import SessionKeys
 
-_NAMED = 12  # ports that a refusal lists
 _SILENT = 1.5
 """s without a byte (pings come every second) after which another process may take a client's name over
 (PROTOCOL.md, 1.1)."""
@@ -57,35 +49,6 @@ _OUT_OF_ORDER = 1024
 """How far below the newest a stream's number may be (PROTOCOL.md, 1.3): the streams of several ports open at once, and
 arrive in any order. Older numbers are refused, so none of them is remembered."""
 UNKNOWN_ROUTE = "unknown route"  # the same for all, so that a stranger does not learn which links exist
-
-
-class PortDenied(Wording):
-    """Reasons why a client's topic gets no port of its own, or no stream."""
-
-    NOT_LISTED = (
-        "port {port}: the server's session has ports: {allowed}; leave the topic's port out, so that it shares the "
-        "link's, or add it there"
-    )
-    TOO_MANY = (
-        "{client}'s topics already have {limit} ports of their own: leave the topic's port out, so that it shares the "
-        "link's, or list the ports that clients may have under ports in the server's session file"
-    )
-    OUT_OF_RANGE = (
-        "{kind} {port}: topics may have {allowed}; give one of these, or leave the topic's port out, so that it shares "
-        "the link's"
-    )
-    DISCOVERY = (
-        "{kind} {port} is reserved for discovery in the server's ROS domain {domain} ({ports}): give another, or leave "
-        "the topic's port out, so that it shares the link's"
-    )
-    DISCOVERY_OF_OTHER = (
-        "{kind} {port} is reserved for discovery in ROS domain {domain}, which the server's machine may run, too: give "
-        "another, or leave the topic's port out, so that it shares the link's"
-    )
-    TOO_MANY_DESCRIPTORS = (
-        "{client}'s topics have used up their share of the server's {limit:,} file descriptors: {remedy} there, "
-        "or leave out ports of topics"
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,93 +64,6 @@ class ClientEntry:
     def fingerprints(self) -> tuple[str, ...]:
         """Fingerprints of its keys, or one empty string without keys."""
         return tuple(map(fingerprint, self.keys)) or ("",)
-
-
-class TopicPorts:
-    """The ports of one client's topics, across all its connections.
-
-    A port counts from the request, and not only once it is bound: a client may ask for many at once.
-    """
-
-    def __init__(self, client: str) -> None:
-        self._client = client
-        self._users: dict[tuple[str, int], int] = {}
-
-    def reserve(self, session: Session, transport: TransportTraits, port: int) -> Callable[[], None]:
-        """Count a port or channel that the client asks for, and return a function that a topic calls to release it.
-
-        Raises:
-            ListenError: the client may not have it, or has too many; the message names a remedy.
-        """
-        key = (transport.name, port)
-        if transport.ip_ports and session.ports is not None:
-            listed = () if session.ports == "none" else session.ports
-            if port not in listed:
-                allowed = join_first([str(each) for each in listed], _NAMED) or "none"
-                raise ListenError(PortDenied.NOT_LISTED(port=port, allowed=allowed))
-            return lambda: None  # the list itself limits their number
-        if key not in self._users and len(self._users) >= PORTS_PER_CLIENT:
-            raise ListenError(PortDenied.TOO_MANY(client=self._client, limit=PORTS_PER_CLIENT))
-        self._users[key] = self._users.get(key, 0) + 1
-
-        def release() -> None:
-            self._users[key] -= 1
-            if not self._users[key]:
-                del self._users[key]
-
-        return release
-
-
-def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None:
-    """Check that topics may have this port or channel; `domain` is this side's.
-
-    Raises:
-        ListenError: no topic may; the message names a remedy.
-    """
-    kind = transport.port_kind
-    if port not in transport.topic_ports:
-        raise ListenError(PortDenied.OUT_OF_RANGE(kind=kind, port=port, allowed=transport.topic_ports))
-    if transport.ip_ports and port in dds_ports(domain):
-        raise ListenError(PortDenied.DISCOVERY(kind=kind, port=port, domain=domain, ports=dds_ports(domain)))
-    if transport.ip_ports and (other := discovery_domain(port)) is not None:
-        raise ListenError(PortDenied.DISCOVERY_OF_OTHER(kind=kind, port=port, domain=other))
-
-
-class DescriptorShare:
-    """The descriptors that streams and ports of one client's topics hold on the server.
-
-    They are at most as many as remain free for all others. So one client alone may take half of all descriptors, and
-    clients that take as many as they can never keep the next one out. The rule fits any limit of the process.
-    """
-
-    def __init__(self, client: str, clients: Sized) -> None:
-        self.held = 0
-        self._client = client
-        self._clients = clients
-
-    @property
-    def room(self) -> int:
-        """Number of descriptors that it may still take."""
-        left = descriptors.left()  # with other clients, it may take one more while more are left than it holds
-        return left if len(self._clients) == 1 else (left - self.held + 1) // 2
-
-    @property
-    def refusal(self) -> str:
-        """The reason why it may take no more, for the operators of both sides, or an empty string."""
-        if descriptors.scarce():
-            return descriptors.scarcity_message("server")
-        if self.room > 0:
-            return ""
-        limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        return PortDenied.TOO_MANY_DESCRIPTORS(client=self._client, limit=limit, remedy=descriptors.MORE_DESCRIPTORS)
-
-    def take(self) -> Callable[[], None]:
-        """Count one more, and return a function to call once when it is closed."""
-        self.held += 1
-        return self._give
-
-    def _give(self) -> None:
-        self.held -= 1
 
 
 class ServerChannels(DataChannels):
