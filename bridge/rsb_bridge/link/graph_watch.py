@@ -48,6 +48,16 @@ Names = dict[Named, str]
 """The names of a graph, with their types."""
 
 
+async def _is_set_within(event: asyncio.Event, seconds: float | None) -> bool:
+    """Wait until an event is set, for a time or, with None, for ever."""
+    try:
+        async with asyncio.timeout(seconds):
+            await event.wait()
+    except TimeoutError:
+        return False
+    return True
+
+
 class GraphWatch:
     """Advances all open routes: soon after a change of the graph, again when it has settled, and now and then.
 
@@ -77,12 +87,7 @@ class GraphWatch:
         """Look again and again, for ever."""
         try:
             while True:
-                try:
-                    async with asyncio.timeout(FOR_ROUTES.always_after):
-                        await self._due.wait()
-                except TimeoutError:
-                    pass
-                else:
+                if await _is_set_within(self._due, FOR_ROUTES.always_after):
                     self._look_for_names()  # not after a timeout: `NameWatch` has one of its own
                 # Before the look: routes that have been asked already have to look again after a further change.
                 self._due.clear()
@@ -156,11 +161,7 @@ class NameWatch:
         """Search again and again, for ever."""
         now = self._context.now
         while True:
-            try:
-                async with asyncio.timeout(FOR_NAMES.always_after if self._asked else None):
-                    await self._due.wait()
-            except TimeoutError:
-                pass
+            await _is_set_within(self._due, FOR_NAMES.always_after if self._asked else None)
             self._due.clear()  # before the look: a change meanwhile calls for another one
             began = now()
             await self._search_graph()

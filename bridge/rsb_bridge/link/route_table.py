@@ -25,7 +25,6 @@ from rsb_bridge.link.proposals import (
     listed_differently,
     place_of,
     same_route,
-    topic_of,
 )
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
@@ -227,12 +226,12 @@ class RouteTable(Extension):
         route = self._link.ids.find(message.route)
         if route is None or route.proposed_here:  # it was removed here before the message arrived
             return
-        old = route.spec
-        spec = amended_topic(old, amended(route.proposal, message))
+        old, proposal = route.spec, amended(route.proposal, message)
+        spec = amended_topic(old, proposal)
         if route.own is not None:  # this side's entry changes with the peer's, but keeps the `max_age` of its own
             route.own = msgspec.structs.replace(amended(route.own, message), max_age=route.own.max_age)
             spec = msgspec.structs.replace(spec, max_age=old.max_age)
-        route.amend(spec, amended(route.proposal, message))
+        route.amend(spec, proposal)
         if message.who:
             self.peer_operators.edited(route, message.who, old)
 
@@ -400,7 +399,7 @@ class RouteTable(Extension):
                 route.amend(amended_topic(route.spec, ours), amended(route.proposal, ours))
             route.close("reopened")
         else:
-            route = self._changed_by_peer(known, ours)
+            route = self._changed_by_peer(known, ours, entry)
         if before is not None:
             route.arming.follow(before.arming)
         same_process = route.instance == link.instance  # before it is opened, which notes the present process
@@ -481,11 +480,11 @@ class RouteTable(Extension):
                 route.disarm(Disarmed.EDITED)
             route.close(message.reason)
 
-    def _changed_by_peer(self, known: Route, ours: wire.Propose) -> Route:
+    def _changed_by_peer(self, known: Route, ours: wire.Propose, entry: Topic) -> Route:
         """Put a changed proposal of the peer in the place of its earlier one; this side's entry of it follows."""
         self._forget(known, EventCode.ROUTE_REPLACED, "changed by the other side")
         if known.own is None:
-            return self.add(topic_of(ours), ours, proposed_here=False)
+            return self.add(entry, ours, proposed_here=False)
         spec = edited_entry(known.spec, known.proposal, ours, self._link)
         spec = msgspec.structs.replace(spec, max_age=known.spec.max_age)
         route = self.add(spec, ours, proposed_here=False)
