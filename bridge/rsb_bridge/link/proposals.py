@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.model.session import Identity, Kind, Session
+    from rsb_bridge.model.session import Kind, Session
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import Transport
@@ -111,12 +111,6 @@ def topic_of(proposal: Propose) -> Topic:
         limits=proposal.limits,
         timeout=proposal.timeout or None,
     )
-
-
-def identity_of(proposal: Propose) -> Identity:
-    """Return the identity of the entry that a proposal of a known kind is."""
-    on_client = proposal.topic if proposal.from_client else proposal.remote_topic
-    return KINDS[proposal.kind], on_client, "transmit" if proposal.from_client else "receive"
 
 
 def _known(names: Mapping[str, T], name: str) -> T:

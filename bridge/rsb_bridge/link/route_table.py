@@ -21,7 +21,6 @@ from rsb_bridge.link.proposals import (
     check_room,
     denied,
     edited_entry,
-    identity_of,
     listed_differently,
     place_of,
     same_route,
@@ -386,7 +385,7 @@ class RouteTable(Extension):
         """
         link = self._link
         ours, entry = authorized(proposal, link)
-        before = known = self._known(ours)
+        before = known = self._known(ours, entry)
         if known is not None and known.proposed_here:
             self._settle_double(known, ours)
             known = known if known.own is not None else None
@@ -410,12 +409,12 @@ class RouteTable(Extension):
         link.spawn(self._accept(route, proposal))
         self.peer_operators.proposed(route, proposal, edited=before is not None)
 
-    def _known(self, ours: wire.Propose) -> Route | None:
+    def _known(self, ours: wire.Propose, entry: Topic) -> Route | None:
         """Return the route that a proposal of the peer is about, or None."""
         if (known := self._link.routes.get(route_key(self._link.name, ours))) is not None:
             return known
         # What this side proposes of the same topic has another key if its name on the server is another one.
-        identity, routes = identity_of(ours), self._link.routes.values()
+        identity, routes = entry.identity, self._link.routes.values()
         return next((each for each in routes if each.proposed_here and each.spec.identity == identity), None)
 
     def _settle_double(self, known: Route, theirs: wire.Propose) -> None:
