@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.wire.framing import HEADER, MESSAGE_LIMIT, UNFINISHED_LIMIT, Budget, DataReader, FrameReader
+from rsb_bridge.wire.framing import HEADER, MESSAGE_LIMIT, MORE, UNFINISHED_LIMIT, Budget, DataReader, FrameReader
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.framing import DataWriter, Message
@@ -33,11 +33,10 @@ def write_frame(writer: DataWriter, payload: bytes, stamp: int, flags: int = 0) 
 
 
 def write_chunks(writer: DataWriter, payload: bytes, stamp: int, flags: int, chunk_size: int) -> list[bytes]:
-    """Return one message as frames of at most `chunk_size` bytes each."""
-    piece = bytearray(writer.piece_size(chunk_size, chunk_size))
+    """Return one message as frames of at most `chunk_size` bytes each, which were written in the same memory."""
+    memory = bytearray(writer.chunk_room(chunk_size))
     frames: list[bytes] = []
-    at = 0
-    while not frames or at < len(payload):
-        used, at = writer.write_piece(memoryview(payload), at, stamp, flags, chunk_size, piece)
-        frames.append(bytes(piece[:used]))
+    for at in range(0, max(1, len(payload)), chunk_size):
+        more = MORE if at + chunk_size < len(payload) else 0
+        frames.append(bytes(writer.write_chunk(payload[at : at + chunk_size], stamp, flags | more, memory)))
     return frames

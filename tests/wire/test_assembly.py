@@ -21,17 +21,10 @@ def ends(suite: CipherSuite, limit: int = 1 << 20, budget: Budget | None = None)
     return DataWriter(Sealer(suite, key), ROUTE), StreamedReader(StreamOpener(suite, key), limit, budget)
 
 
-def written(writer: DataWriter, message: Message, chunk: int, chunks: int) -> list[bytes]:
-    """A message in pieces of so many chunks, each written where the one before was."""
+def parts(message: Message, chunk: int) -> list[Message]:
     payload, stamp, flags = message
-    piece = bytearray(writer.piece_size(min(len(payload), chunks * chunk), chunk))
-    at, out = 0, []
-    while True:
-        used, at = writer.write_piece(memoryview(payload), at, stamp, flags, chunk, piece)
-        out.append(bytes(piece[:used]))
-        piece[:] = bytes(len(piece))
-        if at == len(payload):
-            return out
+    found = [(payload[at : at + chunk], stamp, flags | MORE) for at in range(0, max(1, len(payload)), chunk)]
+    return [*found[:-1], (found[-1][0], stamp, flags)]
 
 
 @SUITES
@@ -40,17 +33,16 @@ def written(writer: DataWriter, message: Message, chunk: int, chunks: int) -> li
         st.tuples(st.binary(max_size=300), st.integers(0, 2**64 - 1), st.sampled_from([0, ZSTD])), max_size=5
     ),
     chunk=st.integers(1, 100),
-    chunks=st.integers(1, 3),
     data=st.data(),
 )
 def test_pieces_are_the_chunks_of_their_message(
-    suite: CipherSuite, sent: list[Message], chunk: int, chunks: int, data: st.DataObject
+    suite: CipherSuite, sent: list[Message], chunk: int, data: st.DataObject
 ) -> None:
-    """Byte for byte what `write_chunks` says, and put together however the stream is cut."""
+    """Byte for byte what `write_many` makes of the parts, and put together however the stream is cut."""
     writer, reader = ends(suite)
     other, _ = ends(suite)
-    stream = b"".join(itertools.chain.from_iterable(written(writer, message, chunk, chunks) for message in sent))
-    assert stream == b"".join(frame for message in sent for frame in write_chunks(other, *message, chunk))
+    stream = b"".join(frame for message in sent for frame in write_chunks(writer, *message, chunk))
+    assert stream == b"".join(other.write_many(parts(message, chunk)) for message in sent)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
     pieces = [stream[a:b] for a, b in itertools.pairwise([0, *cuts, len(stream)])]
     assert [message for piece in pieces for message in reader.receive_data(piece)] == sent
@@ -63,7 +55,7 @@ def test_large_messages_are_exact(suite: CipherSuite, size: int) -> None:
     writer, reader = ends(suite, limit=8 << 20)
     for length, fill in ((size, b"abc"), (100_000, b"x"), (size, b"cba")):
         payload = (fill * (length // len(fill) + 1))[:length]
-        stream = b"".join(written(writer, (payload, 5, 0), 1 << 16, 2))
+        stream = b"".join(write_chunks(writer, payload, 5, 0, 1 << 16))
         assert reader.receive_data(stream) == [(payload, 5, 0)]
     assert reader.budget.held == 0
 
@@ -72,7 +64,7 @@ def test_large_messages_are_exact(suite: CipherSuite, size: int) -> None:
 def test_damage_in_a_chunk_is_never_delivered(suite: CipherSuite) -> None:
     for at in (5, 20, 60, -1):
         writer, reader = ends(suite)
-        stream = bytearray(b"".join(written(writer, (bytes(60), 0, 0), 30, 1)))
+        stream = bytearray(b"".join(write_chunks(writer, bytes(60), 0, 0, 30)))
         stream[at] ^= 1
         with pytest.raises((SealError, ProtocolError)):
             reader.receive_data(stream + bytes(200))

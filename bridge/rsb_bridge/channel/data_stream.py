@@ -27,7 +27,7 @@ from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, MOVED, RESUMED, FrameReader
+from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, MORE, MOVED, RESUMED, FrameReader
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
@@ -547,13 +547,15 @@ class StreamSender(_StreamEnd, SendingChannel):
     def _next_piece(self, limit: int) -> memoryview:
         """Seal the next `limit` bytes of the first message in memory that is used again."""
         payload, stamp, flags = self._messages[0]
-        room = self._writer.piece_size(limit, limit)
-        piece = memoryview(self._pair.keys.scratch.lend(room))[:room]
-        used, self._at = self._writer.write_piece(memoryview(payload), self._at, stamp, flags, limit, piece)
-        if self._at >= len(payload):
+        content = memoryview(payload)[self._at : self._at + limit]
+        self._at += len(content)
+        if self._at < len(payload):
+            flags |= MORE
+        else:
             self._messages.popleft()
             self._at = 0
-        return piece[:used]
+        memory = self._pair.keys.scratch.lend(self._writer.chunk_room(len(content)))
+        return self._writer.write_chunk(content, stamp, flags, memory)
 
     def ask(self) -> None:
         if self.via.over:

@@ -173,6 +173,7 @@ class DataWriter:
         self.messages = 0
         self._sealer = sealer
         self._route = route
+        self._overhead = _LENGTH_SIZE + _HEADER_SIZE + sealer.suite.tag_length  # bytes of a frame besides its content
 
     def write_many(self, messages: Sequence[tuple[Buffer, int, int]]) -> bytes:
         """Return several messages, each (payload, stamp, flags), as frames in one piece."""
@@ -185,43 +186,27 @@ class DataWriter:
             parts += (pack_length(_HEADER_SIZE + len(sealed)), header, sealed)
         return b"".join(parts)
 
-    def write_piece(
-        self, payload: memoryview, at: int, stamp: int, flags: int, chunk_size: int, piece: Buffer
-    ) -> tuple[int, int]:
-        """Seal the next chunks of a message into a piece of memory, so that the message is never copied whole.
+    def write_chunk(self, content: Buffer, stamp: int, flags: int, memory: bytearray) -> memoryview:
+        """Seal a part of a message in memory that the caller uses again, so that no long message is copied whole.
 
         Args:
-            at: the byte to begin with: 0, then the byte that the last call returned.
-            stamp: ns since the epoch.
-            flags: `ZSTD`, `HISTORY`.
-            chunk_size: bytes of the message in one frame.
-            piece: writable; gets as many chunks as it has room for (`piece_size`).
+            flags: have `MORE` if other parts of the message follow.
+            memory: has room for the frame (`chunk_room`).
 
         Returns:
-            Bytes of the piece to send, or 0 if not one chunk has room, and the byte to begin with next, which is the
-            message's length at its end.
+            The frame, in `memory`.
         """
-        room, tag, size, used = memoryview(piece), self._sealer.suite.tag_length, len(payload), 0
-        while True:
-            content = payload[at : at + chunk_size]
-            end = used + _LENGTH_SIZE + _HEADER_SIZE + len(content) + tag
-            if end > len(room):
-                return used, at
-            at += len(content)
-            header = HEADER.pack(DATA, flags | MORE if at < size else flags, self._route, stamp)
-            LENGTH.pack_into(room, used, end - used - _LENGTH_SIZE)
-            begin = used + _LENGTH_SIZE + _HEADER_SIZE
-            room[used + _LENGTH_SIZE : begin] = header
-            self._sealer.seal_into(content, header, room[begin:end])
-            used = end
-            if at >= size:
-                self.messages += 1
-                return used, at
+        begin, frame = _LENGTH_SIZE + _HEADER_SIZE, memoryview(memory)[: len(content) + self._overhead]
+        header = HEADER.pack(DATA, flags, self._route, stamp)
+        LENGTH.pack_into(frame, 0, len(frame) - _LENGTH_SIZE)
+        frame[_LENGTH_SIZE:begin] = header
+        self._sealer.seal_into(content, header, frame[begin:])
+        self.messages += not flags & MORE
+        return frame
 
-    def piece_size(self, size: int, chunk_size: int) -> int:
-        """Return the bytes that `size` bytes of a message take as chunks."""
-        frames = max(1, -(-size // chunk_size))  # an empty message has a frame, too
-        return size + frames * (_LENGTH_SIZE + _HEADER_SIZE + self._sealer.suite.tag_length)
+    def chunk_room(self, size: int) -> int:
+        """Return the bytes of a frame with `size` bytes of a message."""
+        return size + self._overhead
 
     def write_moved(self) -> bytes:
         """Return the frame after which the route goes on on another stream."""
