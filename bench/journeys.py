@@ -1,7 +1,7 @@
 """Calls of Python functions for what a bridge does most often: ``python -m bench.journeys``, in 10 s, without ROS.
 
-A robot and a server of the simulation bridge one topic. Counted are calls of functions of `rsb_bridge`, not those of
-Python's library or of C. They are the same on each machine.
+A robot and a server of the simulation bridge one topic, two others one service. Counted are calls of functions of
+`rsb_bridge`, not those of Python's library or of C. They are the same on each machine.
 """
 
 from __future__ import annotations
@@ -13,54 +13,59 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-from tests.simulation.beds import Yard, until
+from tests.simulation.beds import Yard
+from tests.simulation.call_harness import CallHarness
 from tests.simulation.ros import STRING, Reader, hash_of
 
-from rsb_bridge.model.commands import PauseTopics
+from rsb_bridge.model.commands import EditTopic, PauseTopics
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from contextlib import AbstractContextManager
     from types import FrameType
 
+    from tests.simulation.beds import Bed
+    from tests.simulation.engine_host import EngineHost
+
+    from rsb_bridge.model.commands import Command
     from rsb_bridge.route.route import Route
 
 _TOPIC = Topic("/chat", "transmit")
+_SETTLED_AFTER = 2.0  # s
+_counted: dict[str, Counter[str]] = {}
+"""Calls of each journey, by function."""
 
 
-class Counted:
-    """Calls of one journey, by function."""
+@contextmanager
+def _counting(name: str) -> Iterator[None]:
+    by_function = _counted[name] = Counter()
 
-    def __init__(self) -> None:
-        self.by_function: Counter[str] = Counter()
-
-    @contextmanager
-    def counting(self) -> Iterator[None]:
-        sys.setprofile(self._called)
-        try:
-            yield
-        finally:
-            sys.setprofile(None)
-
-    def _called(self, frame: FrameType, event: str, _: Any) -> None:
+    def called(frame: FrameType, event: str, _: Any) -> None:
         code = frame.f_code
         if event == "call" and "/rsb_bridge/" in code.co_filename:
             module = code.co_filename.rpartition("/rsb_bridge/")[2].removesuffix(".py")
-            self.by_function[f"{module}: {code.co_qualname}"] += 1
+            by_function[f"{module}: {code.co_qualname}"] += 1
+
+    sys.setprofile(called)
+    try:
+        yield
+    finally:
+        sys.setprofile(None)
 
 
-class Journeys(Yard):
+async def _command(name: str, host: EngineHost, command: Command[Any]) -> None:
+    assert host.run is not None
+    done = host.run.bridge.do(command)
+    with _counting(f"{name}, whole command"):
+        await host.run.command(done)
+    await asyncio.sleep(_SETTLED_AFTER)  # the other side takes part in it
+
+
+class TopicJourneys(Yard):
     def __init__(self) -> None:
         super().__init__(_TOPIC)
-        self.world.invariants.check = lambda: None  # type: ignore[method-assign]  # they count the world's own flows
-        self.counted: dict[str, Counted] = {}
         (self._writer,) = self.publish(_TOPIC.topic)
-
-    def _count(self, name: str) -> AbstractContextManager[None]:
-        self.counted[name] = Counted()
-        return self.counted[name].counting()
 
     async def measure(self) -> None:
         # As a topic that nobody hears is a fault.
@@ -71,25 +76,18 @@ class Journeys(Yard):
         for on_server, name in ((False, "tick, sending side"), (True, "tick, receiving side")):
             route = self._route(on_server=on_server)
             route.tick()
-            with self._count(name):
+            with _counting(name):
                 route.tick()
-            with self._count(name.replace("tick", "snapshot")):
+            with _counting(name.replace("tick", "snapshot")):
                 route.snapshot()
-        await self._pause()
+        key, spec = self._route().key, self._route().spec
+        await _command("pause", self.robot, PauseTopics(key, True))
+        await _command("resume", self.robot, PauseTopics(key, False))
         self._propose()
+        await _command("edit of max_rate", self.robot, EditTopic(key, msgspec.structs.replace(spec, max_rate=2.0)))
 
-    def _route(self, *, on_server: bool) -> Route:
+    def _route(self, *, on_server: bool = False) -> Route:
         return self.routes(on_server=on_server)[_TOPIC.topic]
-
-    async def _pause(self) -> None:
-        route, run = self._route(on_server=False), self.robot.run
-        assert run is not None
-        command = run.bridge.do(PauseTopics(route.key, True))
-        with self._count("pause, whole command"):
-            await run.command(command)
-        await until(lambda: self._route(on_server=True).pausing.paused, 5.0)
-        await run.command(run.bridge.do(PauseTopics(route.key, False)))
-        await asyncio.sleep(2.0)
 
     def _propose(self) -> None:
         """Have the server take a proposal of one more topic."""
@@ -98,19 +96,34 @@ class Journeys(Yard):
         message = msgspec.structs.replace(
             proposal, topic="/other", remote_topic=f"{proposal.remote_topic}_other", route=there.id + 2
         )
-        with self._count("proposal at the peer"):
+        with _counting("proposal at the peer"):
             link.table.handle(message)
 
 
+class ServiceJourneys(CallHarness):
+    async def measure(self) -> None:
+        self.server()
+        client = self.client()
+        await self.ready(client)
+        client.ask()
+        await asyncio.sleep(_SETTLED_AFTER)
+        asking, _ = self.halves()
+        with _counting("snapshot of a service, callers' side"):
+            asking.snapshot()
+        await _command("pause of a service", self.near, PauseTopics(asking.key, True))
+
+
 def main() -> None:
-    journeys = Journeys()
-    journeys.world.play(life=journeys.live(journeys.measure()))
-    for name, counted in journeys.counted.items():
-        print(f"{name:<24}{counted.by_function.total():>6,}")
+    journeys: Bed
+    for journeys in (TopicJourneys(), ServiceJourneys()):
+        journeys.world.invariants.check = lambda: None  # type: ignore[method-assign]  # they count the world's own flows
+        journeys.world.play(life=journeys.live(journeys.measure()))
+    for name, by_function in _counted.items():
+        print(f"{name:<38}{by_function.total():>6,}")
     if "--by-function" in sys.argv:
-        for name, counted in journeys.counted.items():
+        for name, by_function in _counted.items():
             print(f"\n{name}")
-            for function, count in counted.by_function.most_common():
+            for function, count in by_function.most_common():
                 print(f"{count:6,}  {function}")
 
 
