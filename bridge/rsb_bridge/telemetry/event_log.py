@@ -75,14 +75,15 @@ class EventLog:
 
         It goes to terminals and files from here, and may quote a peer: each text becomes one line of a limited length.
         """
-        # Outside of the lock, so that a long text holds up no other thread.
+        # Outside of the lock, so that a long text holds up no other thread. Nearly none has to be cleaned.
         cleaned: dict[str, Any] = {
-            name: _one_line(text, most) for name, most in _LENGTHS.items() if (text := getattr(event, name))
+            name: sanitize_text(encodable(text), most)
+            for name, most in _LENGTHS.items()
+            if not ((text := getattr(event, name)).isascii() and text.isprintable() and len(text) <= most)
         }
-        event = replace(event, **cleaned)
         with self._news:
             self.last = next(self._numbers)
-            self._events.append(replace(event, number=self.last))
+            self._events.append(replace(event, number=self.last, **cleaned))
             self.counts[event.level] += 1
             self._news.notify_all()
 
@@ -110,13 +111,6 @@ class EventLog:
         """Make all callers of `wait` check whether to stop."""
         with self._news:
             self._news.notify_all()
-
-
-def _one_line(text: str, limit: int) -> str:
-    return (
-        # Nearly all texts: they are neither encoded nor searched.
-        text if text.isascii() and text.isprintable() and len(text) <= limit else sanitize_text(encodable(text), limit)
-    )
 
 
 class RateLimitedEventLog:
