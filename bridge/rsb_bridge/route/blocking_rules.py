@@ -150,25 +150,28 @@ class LossyPath:
 
 def blocked(half: JudgedRoute, crossing: Crossing) -> Verdict | None:
     """Return the verdict that keeps the others from being known, or None."""
-    # Each loss of a channel refuses the route, too, so `_breaking` is asked before `_refused`: its text has the remedy.
-    return _link(half) or _breaking(half) or _refused(half) or _held_back(half, crossing)
-
-
-def stage(name: str, passed: bool, reason: str = "", *, failed: bool = False, note: str = "") -> Stage:
-    """Return a stage, with `note` if it has passed, or else with the reason."""
-    done = False if failed else passed or None
-    return Stage(name, done, note if done else reason)
+    if not half.peer.linked:
+        return Verdict(State.DOWN, Cause.LINK_DOWN, half.peer.down_reason or "the link is down")
+    # Each loss of a channel refuses the route, too. This comes first, because its text has the remedy.
+    if why := half.breaking:
+        text = (
+            f"its data connection ends before a message arrives ({why}), though the link is up: check "
+            "firewalls and NAT between the two sides"
+        )
+        return Verdict(State.DOWN, Cause.NO_PATH, text)
+    return _refused(half) or _held_back(half, crossing)
 
 
 def link_and_acceptance(half: JudgedRoute) -> tuple[Stage, Stage]:
     """Return the stages of the link, which needs a working channel, and of the peer's acceptance."""
     no_path, linked, refusal = half.trouble(), half.peer.linked, half.life.refusal
-    failed = not linked or (no_path is not None and no_path.state is State.DOWN)
-    trouble = no_path.text if no_path is not None else "" if linked else half.peer.down_reason
-    return (
-        stage(_LINK_STAGE, not failed and no_path is None, trouble, failed=failed),
-        stage(ACCEPTED, half.life.accepted, str(refusal), failed=bool(refusal)),
-    )
+    if no_path is None:
+        link = Stage(_LINK_STAGE, linked, "" if linked else half.peer.down_reason)
+    else:
+        link = Stage(_LINK_STAGE, False if not linked or no_path.state is State.DOWN else None, no_path.text)
+    if refusal.text:
+        return link, Stage(ACCEPTED, False, str(refusal))
+    return link, Stage(ACCEPTED, half.life.accepted or None)
 
 
 def as_known(half: JudgedRoute, stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
@@ -183,22 +186,6 @@ def first_missing(stages: Iterable[Stage]) -> str:
     missing = [each for each in stages if not each.done]
     first = next((each for each in missing if each.done is False), None) or next(iter(missing), None)
     return (first.detail or first.name) if first else ""
-
-
-def _link(half: JudgedRoute) -> Verdict | None:
-    if half.peer.linked:
-        return None
-    return Verdict(State.DOWN, Cause.LINK_DOWN, half.peer.down_reason or "the link is down")
-
-
-def _breaking(half: JudgedRoute) -> Verdict | None:
-    if not (why := half.breaking):
-        return None
-    text = (
-        f"its data connection ends before a message arrives ({why}), though the link is up: check "
-        "firewalls and NAT between the two sides"
-    )
-    return Verdict(State.DOWN, Cause.NO_PATH, text)
 
 
 def _refused(half: JudgedRoute) -> Verdict | None:

@@ -19,13 +19,13 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.qos import AUTO_DEPTH, match_subscriptions, parts_of_lease
 from rsb_bridge.model.reason import Reason
-from rsb_bridge.model.snapshot import Ledger, Level, State
+from rsb_bridge.model.snapshot import Ledger, Level, Stage, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import agreed_type, type_hint
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
-from rsb_bridge.route.blocking_rules import as_known, link_and_acceptance, stage
+from rsb_bridge.route.blocking_rules import as_known, link_and_acceptance
 from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.arming import Disarmed
@@ -631,24 +630,23 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             clash = peer.text
         failure = self.notices.loop or _failure_of(peer)
         undelivered = "" if self._received else self.notices.undelivered
+        seen = None if report is None else report.publishers != 0
+        heard = self.audience.count != 0
         stages = (
-            stage(
-                "publisher seen",
-                report is not None and report.publishers != 0,
-                "" if report is None else f"no publisher of {self.far_topic} on the other side",
-                failed=report is not None and report.publishers == 0,
+            Stage(
+                "publisher seen", seen, f"no publisher of {self.far_topic} on the other side" if seen is False else ""
             ),
-            stage("type known", known, peer.text, note=self.type_name),
-            stage("QoS compatible", known and not clash, clash, failed=known and bool(clash)),
-            stage("subscribed", report is not None and report.subscribed, failure, failed=bool(failure)),
+            Stage("type known", known or None, self.type_name or peer.text),
+            Stage("QoS compatible", not clash if known else None, clash),
+            Stage("subscribed", False if failure else (report is not None and report.subscribed) or None, failure),
             *link_and_acceptance(self),
-            stage("sent", (report is not None and report.offered > 0) or kept),
-            stage("received", self._received > 0 or kept, undelivered, note=undelivered),
-            stage("published", self._delivered > 0 or kept),
-            stage(
+            Stage("sent", (report is not None and report.offered > 0) or kept or None),
+            Stage("received", self._received > 0 or kept or None, undelivered),
+            Stage("published", self._delivered > 0 or kept or None),
+            Stage(
                 "subscriber seen",
-                self.audience.count != 0,
-                no_subscriber(self.local_topic, self.context.domain_id, self.audience.deaf),
+                heard or None,
+                "" if heard else no_subscriber(self.local_topic, self.context.domain_id, self.audience.deaf),
             ),
         )
         return as_known(self, stages)

@@ -16,11 +16,11 @@ from rsb_bridge.model.audience import NOBODY, Audience, Deaf
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.model.snapshot import Ledger, Level
+from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
-from rsb_bridge.route.blocking_rules import as_known, link_and_acceptance, stage
+from rsb_bridge.route.blocking_rules import as_known, link_and_acceptance
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.health import Health
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.blocking_rules import Rules
@@ -432,36 +431,30 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def stages(self) -> tuple[Stage, ...]:
         """Return the stages from the publisher to the subscriber, in order."""
         described, kept, counts, report = self.life.described, self.has_kept, self._ledger, self._report
-        looks = self.life.accepted and not self.pausing.paused
+        if self.endpoints:
+            seen = Stage("publisher seen", True, f"{len(self.endpoints)}{self._loop_filter.left_out()}")
+        else:
+            looks = self.life.accepted and not self.pausing.paused
+            seen = Stage("publisher seen", False if looks else None, self._resolver.no_publisher())
+        if described:
+            known = Stage("type known", True, self.type_name)
+        else:
+            known = Stage("type known", False if self.unresolved in _NO_TYPE else None, self._resolver.why())
         clash = self._qos_clash()
         failure = self.notices.loop or self._subscription.failure
-        undelivered = self.notices.undelivered
+        sent, undelivered = counts.sent_now > 0 or kept, self.notices.undelivered
+        heard = report is not None and report.subscribers != 0
+        unheard = "" if heard or report is None else no_subscriber(self.far_topic, None, report.deaf)
         stages = (
-            stage(
-                "publisher seen",
-                bool(self.endpoints),
-                self._resolver.no_publisher(),
-                failed=looks and not self.endpoints,
-                note=f"{len(self.endpoints)}{self._loop_filter.left_out()}",
-            ),
-            stage(
-                "type known",
-                described,
-                self._resolver.why(),
-                failed=not described and self.unresolved in _NO_TYPE,
-                note=self.type_name,
-            ),
-            stage("QoS compatible", described and not clash, clash, failed=described and bool(clash)),
-            stage("subscribed", self._subscription.receives, failure, failed=bool(failure)),
+            seen,
+            known,
+            Stage("QoS compatible", not clash if described else None, clash),
+            Stage("subscribed", False if failure else self._subscription.receives or None, failure),
             *link_and_acceptance(self),
-            stage("sent", counts.sent_now > 0 or kept, undelivered),
-            stage("received", counts.received_now > 0 or kept, undelivered, note=undelivered),
-            stage("published", counts.delivered_now > 0 or kept),
-            stage(
-                "subscriber seen",
-                report is not None and report.subscribers != 0,
-                "" if report is None else no_subscriber(self.far_topic, None, report.deaf),
-            ),
+            Stage("sent", sent or None, "" if sent else undelivered),
+            Stage("received", counts.received_now > 0 or kept or None, undelivered),
+            Stage("published", counts.delivered_now > 0 or kept or None),
+            Stage("subscriber seen", heard or None, unheard),
         )
         return as_known(self, stages)
 
@@ -469,8 +462,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         """Return the reason why its subscription misses messages of a publisher, or an empty string."""
         if self.qos is None:
             return ""
-        clashing = (incompatible(each.qos, self.qos) for each in self.endpoints if each.type_name == self.type_name)
-        return next(filter(None, clashing), "")
+        for each in self.endpoints:
+            if each.type_name == self.type_name and (why := incompatible(each.qos, self.qos)):
+                return why
+        return ""
 
     @property
     def similar(self) -> str:

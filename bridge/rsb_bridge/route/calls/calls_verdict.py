@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rsb_bridge.model.calls import Refused
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import LASTING, Cause, LinkCause, Verdict
-from rsb_bridge.route.blocking_rules import JudgedRoute, as_known, first_missing, link_and_acceptance, stage, worst
+from rsb_bridge.route.blocking_rules import JudgedRoute, as_known, first_missing, link_and_acceptance, worst
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.calls.calls_ledger import CallFailures, CallsLedger
     from rsb_bridge.route.crossing import Crossing
@@ -100,16 +99,22 @@ def judge_calls(half: JudgedCalls, crossing: Crossing) -> Verdict:
 
 def calls_stages(half: JudgedRoute, progress: CallsProgress) -> tuple[Stage, ...]:
     """Return the stages from the server to the caller that has its answer, in order."""
-    served, known = bool(progress.served), progress.type_known
-    untyped = not half.outgoing and served and not known  # else the other side knows why
-    providers = ", ".join(progress.providers)
+    if progress.type_known:
+        type_known = Stage("type known", True, progress.type_name)
+    elif progress.served and not half.outgoing:  # else the other side knows why
+        type_known = Stage("type known", False, progress.why_unserved)
+    else:
+        type_known = Stage("type known", None)
+    answered = progress.answered > 0
     stages = (
-        stage("server seen", served, progress.why_unserved, failed=progress.served is False, note=providers),
-        stage("type known", known, progress.why_unserved if untyped else "", failed=untyped, note=progress.type_name),
+        Stage(
+            "server seen", progress.served, ", ".join(progress.providers) if progress.served else progress.why_unserved
+        ),
+        type_known,
         *link_and_acceptance(half),
-        stage("offered", progress.offered, progress.why_not_offered, failed=progress.offer_failed),
-        stage("called", progress.asked > 0),
-        stage("answered", progress.answered > 0, progress.last_failure),
+        Stage("offered", False if progress.offer_failed else progress.offered or None, progress.why_not_offered),
+        Stage("called", progress.asked > 0 or None),
+        Stage("answered", answered or None, "" if answered else progress.last_failure),
     )
     return as_known(half, stages)
 
