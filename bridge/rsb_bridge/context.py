@@ -170,7 +170,7 @@ class Context:
 
     def wall(self) -> float:
         """Return the seconds since the epoch on the wall clock, which may be set at any time."""
-        return self.wall_ns() / 1e9
+        return self.clock.time_ns() / 1e9
 
     def wall_of(self, steady: float) -> float:
         """Return when something was (s since the epoch) by its time on the steady clock.

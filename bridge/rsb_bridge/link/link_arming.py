@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.budgets import TokenBucket
-from rsb_bridge.model.by_hand import can_end, end_text
+from rsb_bridge.model.by_hand import can_end, end_text, smallest_limits
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import account
 from rsb_bridge.model.demands import (
@@ -248,7 +248,7 @@ class LinkArming:
         peers = (PEER_DEMANDS,) if arming.required else ()
         arming.demanded_by = tuple(map(origin, arming.own.sources)) or peers
         found = [(origin(each), each.limits) for each in arming.own.limited_by] + [(PEER_DEMANDS, arming.peer_limits)]
-        whole = arming.limits
+        arming.limits = whole = smallest_limits((arming.own.limits, arming.peer_limits))
         arming.limited_by = tuple(line for line, each in found if whole and each and each.are_in(whole))
 
     # --- operators of this side

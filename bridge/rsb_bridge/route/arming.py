@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.model.by_hand import smallest_limits
 from rsb_bridge.model.demands import NO_DEMAND, Demand
 from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_bridge.route.crossing import Crossing
@@ -140,6 +139,7 @@ class Arming:
         self.peer_arm = False  # the other side's session demands arming
         self.peer_on_end = ""  # what that session wants when it ends, or empty if it does not say
         self.peer_limits: VelocityLimits | None = None  # of a hand in that session, or None for any velocity
+        self.limits: VelocityLimits | None = None  # the smallest of both sessions, armed or not
         self.limited_by: tuple[str, ...] = ()  # the lines that have a number of `limits`, in words
         self.demanded_by: tuple[str, ...] = ()  # the lines that demand arming, in words
         self.why = Disarmed.NOT_YET
@@ -187,11 +187,6 @@ class Arming:
     def follow(self, before: Arming) -> None:
         """Go on showing why the route is not armed in whose place this one's comes."""
         self.why, self.reason = before.why, before.reason
-
-    @property
-    def limits(self) -> VelocityLimits | None:
-        """The limits of messages by hand in both sides' sessions, armed or not, or None for any velocity."""
-        return smallest_limits((self.own.limits, self.peer_limits))
 
     # --- state
 
@@ -247,16 +242,12 @@ class Arming:
         is_open = self.question is not None and now < self.question.until + _QUESTION_LASTS
         return self.question if is_open else None
 
-    def snapshot(
-        self, now: float, on_end: str = "", velocity: tuple[float, float] | None = None
-    ) -> ArmingSnapshot | None:
-        """Return the state for user interfaces at `now` (s), or None if arming is not required.
+    def snapshot(self, now: float, on_end: str = "", velocity: tuple[float, float] | None = None) -> ArmingSnapshot:
+        """Return the state for user interfaces at `now` (s), of a topic that requires arming.
 
         Args:
             velocity: that the receiving side has published last.
         """
-        if not self.required:
-            return None
         armed, here = self.crossing(now).flows, self.console is not None
         why, reason = ("", "") if armed else self.why_at(now)
         grace = 0.0 if here else PEER_GRACE  # the other side's operator has that much less time

@@ -67,14 +67,10 @@ class RateLimit:
         self.switched: Callable[[], None] = lambda: None  # called whenever one of the next two has changed
         self.rate = self._max_rate = max_rate  # Hz, or 0 if all messages cross
         self.here = 0.0  # Hz that this side allows, or 0 for any
+        self.allowed = 0.0  # Hz that the rights of both sides allow: the lower rate, or 0 for any
         self._switched_at = self.rate, self.here
         self._there = self._there_before = self._profile = 0.0
         self._log = log
-
-    @property
-    def allowed(self) -> float:
-        """The lower one of the rates (Hz) that the two sides' rights allow, or 0 for any."""
-        return _lowest(self.here, self._there)
 
     @property
     def why(self) -> str:
@@ -121,6 +117,7 @@ class RateLimit:
             self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"the other side allows {_figure(rate)}")
 
     def _changed(self) -> None:
+        self.allowed = _lowest(self.here, self._there)
         rates = _lowest(self._max_rate, self.allowed, self._profile), self.here
         if rates != self._switched_at:
             self._switched_at = rates

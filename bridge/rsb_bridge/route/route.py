@@ -492,7 +492,7 @@ class Route:
 
     def common_snapshot(self) -> partial[RouteSnapshot]:
         """Return the part of the snapshot that topics and calls share."""
-        now = self.context.now()
+        now, wall = self.context.now(), self.context.wall()
         verdict, from_peer = self.judged.shown(self.verdict())
         return partial(
             RouteSnapshot,
@@ -503,7 +503,7 @@ class Route:
             outgoing=self.outgoing,
             spec=self.spec,
             state=verdict.state,
-            reason=verdict.said(now, self.context.wall()),
+            reason=verdict.said(now, wall),
             type_name=self.type_name,
             type_hash=self.type_hash,
             transport=self.transport.name,
@@ -520,8 +520,8 @@ class Route:
             last_error_at=self.notices.last_error_at,
             cause=verdict.cause,
             from_peer=from_peer,
-            since=self.context.wall() - (now - self.judged.since(verdict, now)),
-            arming=self.arming.snapshot(now, self.on_end, self.velocity),
+            since=wall - (now - self.judged.since(verdict, now)),
+            arming=self.arming.snapshot(now, self.on_end, self.velocity) if self.arming.required else None,
             allowed_rate=self.limit.allowed or None,
             pattern=self.pattern,
             messages_total=self.meter.count,
