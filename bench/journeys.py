@@ -83,8 +83,8 @@ class TopicJourneys(Yard):
         key, spec = self._route().key, self._route().spec
         await _command("pause", self.robot, PauseTopics(key, True))
         await _command("resume", self.robot, PauseTopics(key, False))
-        self._propose()
         await _command("edit of max_rate", self.robot, EditTopic(key, msgspec.structs.replace(spec, max_rate=2.0)))
+        self._propose()
 
     def _route(self, *, on_server: bool = False) -> Route:
         return self.routes(on_server=on_server)[_TOPIC.topic]

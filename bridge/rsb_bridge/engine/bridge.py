@@ -351,9 +351,11 @@ class Bridge:
 
     def _show_effect(self, command: Command[Any]) -> None:
         if isinstance(command, _OF_ONE_ROUTE):
-            with contextlib.suppress(LinkError):  # its key is a pattern's, or of a route that is gone
-                self._snapshots.refresh_route(self.role, *self.find(command.key))
-                return
+            for link in self.links():
+                if (route := link.routes.get(command.key)) is not None:
+                    self._snapshots.refresh_route(self.role, link, route)
+                    return
+        # The key may also be a pattern's, or of a route that is gone.
         self._snapshots.refresh_now(self.role)
 
     async def _acknowledge(self, command: commands.Acknowledge) -> None:

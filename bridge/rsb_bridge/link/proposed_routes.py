@@ -56,7 +56,7 @@ class ProposedTopics(Extension):
 
     def all(self) -> tuple[Topic, ...]:
         """Return the topics that the session lists by name, in its order. May be called from any thread."""
-        return tuple(route.spec for route in tuple(self._link.routes.values()) if route.listed)
+        return tuple([route.spec for route in tuple(self._link.routes.values()) if route.listed])
 
     def add(self, topic: Topic, *, by_pattern: bool = False) -> Route:
         """Bridge one more topic, which this side lists; it takes over a route that a pattern has made.
