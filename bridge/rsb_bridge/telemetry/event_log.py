@@ -76,11 +76,11 @@ class EventLog:
         It goes to terminals and files from here, and may quote a peer: each text becomes one line of a limited length.
         """
         # Outside of the lock, so that a long text holds up no other thread. Nearly none has to be cleaned.
-        cleaned: dict[str, Any] = {
-            name: sanitize_text(encodable(text), most)
-            for name, most in _LENGTHS.items()
-            if not ((text := getattr(event, name)).isascii() and text.isprintable() and len(text) <= most)
-        }
+        cleaned: dict[str, Any] = {}
+        for name, most in _LENGTHS.items():
+            text = getattr(event, name)
+            if not (text.isascii() and text.isprintable() and len(text) <= most):
+                cleaned[name] = sanitize_text(encodable(text), most)
         with self._news:
             self.last = next(self._numbers)
             self._events.append(replace(event, number=self.last, **cleaned))
@@ -140,7 +140,8 @@ class RateLimitedEventLog:
         quota = self._quotas.get((link, link_status))
         if quota is None:
             quota = self._quotas[link, link_status] = _Quota(now)
-        if not quota.passes(_Line(level, code, text, about), now):
+        if not quota.lines.take(1, now):
+            quota.leave_out(_Line(level, code, text, about), now)
             return
         if link_status:  # keep the order: earlier events that were left out come first
             self._report(link, link_status=False)
@@ -185,24 +186,22 @@ class _Quota:
     """A link's lines of one kind.
 
     Attributes:
-        left_out: lines beyond the quota since the last report.
+        lines: its room.
+        left_out: lines beyond it since the last report.
         newest: the newest of them.
     """
 
     def __init__(self, now: float) -> None:
         self.left_out = 0
         self.newest: _Line | None = None
-        self._lines = TokenBucket(AT_ONCE, A_SECOND, now)
+        self.lines = TokenBucket(AT_ONCE, A_SECOND, now)
         self._since = now
 
-    def passes(self, line: _Line, now: float) -> bool:
-        if self._lines.take(1, now):
-            return True
+    def leave_out(self, line: _Line, now: float) -> None:
         if not self.left_out:
             self._since = now
         self.left_out += 1
         self.newest = line
-        return False
 
     def due(self, now: float) -> bool:
-        return self.left_out > 0 and (self._lines.left(now) >= 1 or now - self._since >= _REPORTED_EVERY)
+        return self.left_out > 0 and (self.lines.left(now) >= 1 or now - self._since >= _REPORTED_EVERY)

@@ -54,6 +54,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealed_stream import ReplayCache
 
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
+# With the longer tag, so that a message that one link takes is not too long for another one.
+_LONGEST_CONTENT = CONTROL_LIMIT - HEADER.size - CipherSuite.AESGCM.tag_length
 # Of operators' connections, which are always encrypted, with one suite: a console transfers little
 OPERATOR_SUITE = CipherSuite.CHACHAPOLY
 RECORD_CONTENT = 16 << 10  # bytes of a record's content at most. A round figure: nothing was measured
@@ -79,8 +81,7 @@ class _Control(SealedStream):
             RuntimeError: the connection was never `Established`.
         """
         content = encode(message)
-        # With the longer tag, so that a message that one link takes is not too long for another one.
-        if HEADER.size + len(content) + CipherSuite.AESGCM.tag_length > CONTROL_LIMIT:
+        if len(content) > _LONGEST_CONTENT:
             kind = type(message).__name__
             raise ValueError(Misuse.CONTROL_MESSAGE_TOO_LONG(message=kind, length=len(content), limit=CONTROL_LIMIT))
         self._outbox += self._seal(content)
