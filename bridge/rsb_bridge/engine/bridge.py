@@ -351,7 +351,7 @@ class Bridge:
 
     def _show_effect(self, command: Command[Any]) -> None:
         if isinstance(command, _OF_ONE_ROUTE):
-            for link in self.links():
+            for link in self.role.links():
                 if (route := link.routes.get(command.key)) is not None:
                     self._snapshots.refresh_route(self.role, link, route)
                     return

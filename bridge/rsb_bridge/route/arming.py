@@ -437,9 +437,10 @@ class Settling:
 
     async def wait(self) -> None:
         """Return once nothing can be published any more."""
-        over = asyncio.Event()
-        self.then(over.set)
-        await over.wait()
+        if self._timer is not None:
+            over = asyncio.Event()
+            self._then.append(over.set)
+            await over.wait()
 
     def _end(self) -> None:
         self._timer = None
