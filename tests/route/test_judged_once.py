@@ -11,10 +11,10 @@ from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.route.blocking_rules import ACCEPTED
+from rsb_bridge.route.blocking_rules import ACCEPTED, judge
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.topic_verdict import judge, waits_for
+from rsb_bridge.route.topic_verdict import waits_for
 from rsb_bridge.wire.records import SentReport
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from rsb_bridge.model.audience import NOBODY
 from rsb_bridge.model.reason import NO_REASON
 from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.route.arming import Disarmed
-from rsb_bridge.route.blocking_rules import link_and_acceptance
-from rsb_bridge.route.calls.calls_verdict import judge_calls
+from rsb_bridge.route.blocking_rules import judge, stages_with_link
+from rsb_bridge.route.calls.calls_verdict import OF_CALLS
 from rsb_bridge.route.crossing import Crossing
-from rsb_bridge.route.topic_verdict import OF_RECEIVER, OF_SENDER, judge
+from rsb_bridge.route.topic_verdict import OF_RECEIVER, OF_SENDER
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,7 +99,7 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     half.notices.warning, half.notices.undelivered = known["left_out"], known["undelivered"]
     half.arming.required = known["armed"]
     half.life.described = known["described"]
-    half.stages = lambda: (*link_and_acceptance(half), Stage("sent", None))
+    half.stages = lambda: stages_with_link(half, (), (Stage("sent", None),))
     half.has_sent = known["sent"] > 0
     half.offered, half.report_now = known["qos"], None
     half.age = SimpleNamespace(late=lambda: known["expired"])
@@ -139,7 +139,7 @@ def calls_half(now: float = 0.0, **facts: Any) -> Any:
     half.last_malformed = lambda: known["malformed"]
     half.unavailable = _always(known["unavailable"])
     half.end_nodes = _always(((), known["providers"]))
-    half.stages = lambda: (*link_and_acceptance(half), Stage("offered", None))
+    half.stages = lambda: stages_with_link(half, (), (Stage("offered", None),))
     for name in ("offered", "warning", "waited"):
         setattr(half, name, known[name])
     return half
@@ -193,4 +193,4 @@ def topic_verdict(now: float = 0.0, **facts: Any) -> Verdict:
 
 
 def calls_verdict(now: float = 0.0, **facts: Any) -> Verdict:
-    return judge_calls(calls_half(now, **facts), facts.get("crossing", Crossing.NOT_OPEN))
+    return judge(calls_half(now, **facts), facts.get("crossing", Crossing.NOT_OPEN), OF_CALLS)

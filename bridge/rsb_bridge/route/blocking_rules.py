@@ -13,7 +13,7 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.crossing import Crossing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
+_SILENCE = frozenset({Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE})
+_EXPLAINS_SILENCE = frozenset({Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT})
+"""Where a publisher's messages are not taken, it is not silent."""
 # Of a lossy path.
 _SUFFERS_FOR = 20.0  # s for which a route suffers after its last trouble: at 30 % loss, good times took up to 15 s
 _STUCK_AFTER = 20.0  # s without a message after which it is stopped, and no longer slow: a round figure
@@ -84,14 +87,14 @@ Rules: TypeAlias = "tuple[Callable[[HalfT, Crossing], Verdict | None], ...]"
 The order counts: of equally bad verdicts, the first does."""
 
 
-def worst(half: HalfT, crossing: Crossing, rules: Rules[HalfT]) -> tuple[Verdict, list[Verdict]]:
-    """Return the verdict that counts, and all that were found.
+def judge(half: HalfT, crossing: Crossing, rules: Rules[HalfT]) -> Verdict:
+    """Return the verdict that counts.
 
     A blocking verdict counts alone, because it keeps the others from being known. Otherwise the worst one counts,
-    and of equally bad ones the first.
+    and of equally bad ones the first; instead of silence, its explanation.
     """
     if (blocking := blocked(half, crossing)) is not None:
-        return explained(half, blocking), [blocking]
+        return explained(half, blocking)
     # A stream of a full link only waits for its turn.
     no_path = half.trouble()
     found = [] if no_path is None or (half.transport.reliable and half.link_full is not None) else [no_path]
@@ -99,7 +102,13 @@ def worst(half: HalfT, crossing: Crossing, rules: Rules[HalfT]) -> tuple[Verdict
     found += [verdict for rule in rules if (verdict := rule(half, crossing)) is not None]
     if half.limit.rate:
         found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {half.limit.rate:g} Hz, {half.limit.why}"))
-    return explained(half, min(found, key=lambda verdict: verdict.state.rank)) if found else FINE, found
+    if not found:
+        return FINE
+    worst = explained(half, min(found, key=lambda verdict: verdict.state.rank))
+    if worst.cause not in _SILENCE:
+        return worst
+    explanation = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
+    return worst if explanation is None else replace(explanation, state=worst.state)
 
 
 def explained(half: JudgedRoute, verdict: Verdict) -> Verdict:
@@ -162,23 +171,22 @@ def blocked(half: JudgedRoute, crossing: Crossing) -> Verdict | None:
     return _refused(half) or _held_back(half, crossing)
 
 
-def link_and_acceptance(half: JudgedRoute) -> tuple[Stage, Stage]:
-    """Return the stages of the link, which needs a working channel, and of the peer's acceptance."""
-    no_path, linked, refusal = half.trouble(), half.peer.linked, half.life.refusal
+def stages_with_link(half: JudgedRoute, before: Sequence[Stage], after: Sequence[Stage]) -> tuple[Stage, ...]:
+    """Return a half's stages, with those of the link and of the peer's acceptance in the middle.
+
+    The link's needs a working channel. Without a link, no other one is known.
+    """
+    if not half.peer.linked:
+        link = Stage(_LINK_STAGE, False, half.peer.down_reason)
+        before, after = ([Stage(each.name, None) for each in part] for part in (before, after))
+        return (*before, link, Stage(ACCEPTED, None), *after)
+    no_path, refusal = half.trouble(), half.life.refusal
     if no_path is None:
-        link = Stage(_LINK_STAGE, linked, "" if linked else half.peer.down_reason)
+        link = Stage(_LINK_STAGE, True)
     else:
-        link = Stage(_LINK_STAGE, False if not linked or no_path.state is State.DOWN else None, no_path.text)
-    if refusal.text:
-        return link, Stage(ACCEPTED, False, str(refusal))
-    return link, Stage(ACCEPTED, half.life.accepted or None)
-
-
-def as_known(half: JudgedRoute, stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
-    """Return the stages as far as they are known: without a link, only the link's is."""
-    if half.peer.linked:
-        return stages
-    return tuple(each if each.name == _LINK_STAGE else Stage(each.name, None) for each in stages)
+        link = Stage(_LINK_STAGE, False if no_path.state is State.DOWN else None, no_path.text)
+    accepted = Stage(ACCEPTED, False, str(refusal)) if refusal.text else Stage(ACCEPTED, half.life.accepted or None)
+    return (*before, link, accepted, *after)
 
 
 def first_missing(stages: Iterable[Stage]) -> str:

@@ -13,7 +13,6 @@ from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.cdr.description import TypeClash, TypeVersion
 from rsb_bridge.cdr.known_types import CLOCK
 from rsb_bridge.channel.channel import Counts, ReceivingChannel
-from rsb_bridge.model.audience import NOBODY, Audience
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
@@ -25,7 +24,7 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import agreed_type, type_hint
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
-from rsb_bridge.route.blocking_rules import as_known, link_and_acceptance
+from rsb_bridge.route.blocking_rules import stages_with_link
 from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
@@ -120,7 +119,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         rest: follows the last message of an arming.
         offered: the QoS of the publishers here, or None if unknown.
         others: other publishers of the topic here, if a subscription does not match.
-        audience: the subscriptions here.
         report_now: the sender's last report on the present opening, or None.
         clocks: if it is a clock, the nodes and links that publish it here besides this link.
     """
@@ -147,7 +145,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._sender_ledger = Ledger()
         self.offered: Qos | None = None
         self._subscriber_qos: Qos | None = None
-        self.audience = NOBODY
         self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
         self.others: Collection[Endpoint] = ()
         self.clocks: frozenset[str] = frozenset()
@@ -623,33 +620,30 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def stages(self) -> tuple[Stage, ...]:
         """Return the stages from the publisher to the subscriber, in order."""
         report, peer, known, kept = self.report_now, self.judged.peer, bool(self.type_name), self.has_kept
+        if report is None or report.publishers:
+            seen = Stage("publisher seen", None if report is None else True)
+        else:
+            seen = Stage("publisher seen", False, f"no publisher of {self.far_topic} on the other side")
         # A subscription that does not match is no obstacle to others that do.
         deaf = () if self.audience.count else self.audience.deaf
         clash = next((each.reason for each in deaf if each.cause == Cause.QOS_INCOMPATIBLE), "")
         if not clash and peer.cause == Cause.QOS_INCOMPATIBLE:
             clash = peer.text
+        matches = Stage("QoS compatible", not clash if known else None, clash)
         failure = self.notices.loop or _failure_of(peer)
+        takes = report is not None and report.subscribed
+        subscribed = Stage("subscribed", False if failure else takes or None, failure)
+        sent = Stage("sent", (report is not None and report.offered > 0) or kept or None)
         undelivered = "" if self._received else self.notices.undelivered
-        seen = None if report is None else report.publishers != 0
-        heard = self.audience.count != 0
-        stages = (
-            Stage(
-                "publisher seen", seen, f"no publisher of {self.far_topic} on the other side" if seen is False else ""
-            ),
-            Stage("type known", known or None, self.type_name or peer.text),
-            Stage("QoS compatible", not clash if known else None, clash),
-            Stage("subscribed", False if failure else (report is not None and report.subscribed) or None, failure),
-            *link_and_acceptance(self),
-            Stage("sent", (report is not None and report.offered > 0) or kept or None),
-            Stage("received", self._received > 0 or kept or None, undelivered),
-            Stage("published", self._delivered > 0 or kept or None),
-            Stage(
-                "subscriber seen",
-                heard or None,
-                "" if heard else no_subscriber(self.local_topic, self.context.domain_id, self.audience.deaf),
-            ),
-        )
-        return as_known(self, stages)
+        received = Stage("received", self._received > 0 or kept or None, undelivered)
+        published = Stage("published", self._delivered > 0 or kept or None)
+        if self.audience.count:
+            heard = Stage("subscriber seen", True)
+        else:
+            why = no_subscriber(self.local_topic, self.context.domain_id, self.audience.deaf)
+            heard = Stage("subscriber seen", None, why)
+        before = seen, Stage("type known", known or None, self.type_name or peer.text), matches, subscribed
+        return stages_with_link(self, before, (sent, received, published, heard))
 
     @property
     def unmatched(self) -> bool:
@@ -671,8 +665,9 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         left = self._report is not None and not self._report.publishers
         return TypeVersion() if left else TypeVersion(self.type_name, self.type_hash)
 
-    def end_nodes(self) -> tuple[tuple[str, ...], Audience]:
-        return self._report.nodes if self._report else (), self.audience
+    @property
+    def publisher_nodes(self) -> tuple[str, ...]:
+        return self._report.nodes if self._report else ()
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._report.publisher_qos if self._report else None, self._subscriber_qos

@@ -20,7 +20,7 @@ from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
-from rsb_bridge.route.blocking_rules import as_known, link_and_acceptance
+from rsb_bridge.route.blocking_rules import stages_with_link
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.health import Health
@@ -251,7 +251,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._ledger.drop("link lost", self._path.clear())
         self._loop_filter.clear()
         self._ledger.closed()
-        self._report = None
+        self._report, self.audience = None, NOBODY
         super().close(reason)
 
     # --- messages
@@ -335,6 +335,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             text = f"malformed {self.type_name} to {self.peer.name}: {report.malformed}: see the node here that sent it"
             self.notices.message_error(EventCode.ROUTE_MALFORMED, text)
         self._report = report
+        deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)
+        self.audience = Audience(max(0, report.subscribers), report.nodes, deaf)
         self.judged.receive(report.verdict, self.context.now())
         delay = self.delays.with_report(self.peer.keepalive.ping_delay)
         if not self._ledger.reported(report, self.context.now(), delay):
@@ -419,12 +421,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._resolver.publisher_qos, self._report.subscriber_qos if self._report else None
 
-    def end_nodes(self) -> tuple[tuple[str, ...], Audience]:
-        publishers, report = node_names(self.endpoints), self._report
-        if report is None:
-            return publishers, NOBODY
-        deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)
-        return publishers, Audience(max(0, report.subscribers), report.nodes, deaf)
+    @property
+    def publisher_nodes(self) -> tuple[str, ...]:
+        return node_names(self.endpoints)
 
     # --- stages and verdict
 
@@ -441,22 +440,18 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         else:
             known = Stage("type known", False if self.unresolved in _NO_TYPE else None, self._resolver.why())
         clash = self._qos_clash()
+        matches = Stage("QoS compatible", not clash if described else None, clash)
         failure = self.notices.loop or self._subscription.failure
-        sent, undelivered = counts.sent_now > 0 or kept, self.notices.undelivered
-        heard = report is not None and report.subscribers != 0
-        unheard = "" if heard or report is None else no_subscriber(self.far_topic, None, report.deaf)
-        stages = (
-            seen,
-            known,
-            Stage("QoS compatible", not clash if described else None, clash),
-            Stage("subscribed", False if failure else self._subscription.receives or None, failure),
-            *link_and_acceptance(self),
-            Stage("sent", sent or None, "" if sent else undelivered),
-            Stage("received", counts.received_now > 0 or kept or None, undelivered),
-            Stage("published", counts.delivered_now > 0 or kept or None),
-            Stage("subscriber seen", heard or None, unheard),
-        )
-        return as_known(self, stages)
+        subscribed = Stage("subscribed", False if failure else self._subscription.receives or None, failure)
+        undelivered = self.notices.undelivered
+        sent = Stage("sent", True) if counts.sent_now or kept else Stage("sent", None, undelivered)
+        received = Stage("received", counts.received_now > 0 or kept or None, undelivered)
+        published = Stage("published", counts.delivered_now > 0 or kept or None)
+        if report is None or report.subscribers:
+            heard = Stage("subscriber seen", None if report is None else True)
+        else:
+            heard = Stage("subscriber seen", None, no_subscriber(self.far_topic, None, report.deaf))
+        return stages_with_link(self, (seen, known, matches, subscribed), (sent, received, published, heard))
 
     def _qos_clash(self) -> str:
         """Return the reason why its subscription misses messages of a publisher, or an empty string."""

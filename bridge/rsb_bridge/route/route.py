@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
-from rsb_bridge.route.blocking_rules import LossyPath
+from rsb_bridge.route.blocking_rules import LossyPath, judge
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEvent
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
+    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
@@ -92,9 +93,11 @@ class Route:
         weight: of its share of the link.
         idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown again.
         peer_report: type of the reports that the other side's half sends.
+        rules: of its verdict.
     """
 
     peer_report: ClassVar[type[SentReport | ReceivedReport | CallsReport]]
+    rules: ClassVar[Rules[Any]]
     outgoing: ClassVar[bool]
     duplex: ClassVar[bool] = False
 
@@ -191,10 +194,6 @@ class Route:
 
     def _measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         """Update what the verdict follows from. Called first in a tick."""
-
-    def _judge(self, crossing: Crossing) -> Verdict:
-        """Return this side's verdict, whatever was shown before."""
-        raise NotImplementedError
 
     def _follow(self, now: float, crossing: Crossing) -> None:
         """Do what follows from the new verdict. Called last in a tick."""
@@ -488,7 +487,7 @@ class Route:
         return self._verdict
 
     def _judged(self, now: float, crossing: Crossing) -> Verdict:
-        return self._lossy_path.steady(self._judge(crossing), self.peer.path.fault, now)
+        return self._lossy_path.steady(judge(self, crossing, self.rules), self.peer.path.fault, now)
 
     def common_snapshot(self) -> partial[RouteSnapshot]:
         """Return the part of the snapshot that topics and calls share."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
+from rsb_bridge.model.audience import NOBODY
 from rsb_bridge.model.by_hand import END_ZERO, agreed_end
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
@@ -13,7 +14,7 @@ from rsb_bridge.model.verdict import EXPIRES, Cause, LinkCause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.topic_verdict import LOSS_CAUSES, judge
+from rsb_bridge.route.topic_verdict import LOSS_CAUSES
 from rsb_bridge.telemetry.meters import HISTORY, LatencyMeter, Smoothed, StaleWatch
 
 if TYPE_CHECKING:
@@ -22,12 +23,10 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.model.audience import Audience
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
@@ -191,18 +190,18 @@ class TopicRoute(Route, Generic[ChannelT]):
     """A topic's half on this side.
 
     Attributes:
-        rules: of its verdict.
         qos: of the bridge's endpoints on both sides, or None if unknown.
+        audience: the final subscriptions, as far as this half knows.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
     """
 
-    rules: ClassVar[Rules[Any]]
     channel: ChannelT | None
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.qos: Qos | None = None
+        self.audience = NOBODY
         self.latency = LatencyMeter(_LATENCY_TICKS)
         self.silence = SilenceWatch(self.log, context.now())
         self.lateness = LateWatch()
@@ -225,8 +224,9 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Return the QoS that the original publishers offer, and the QoS that the final subscriptions request."""
         raise NotImplementedError
 
-    def end_nodes(self) -> tuple[tuple[str, ...], Audience]:
-        """Return the nodes of the original publishers, and the final subscriptions."""
+    @property
+    def publisher_nodes(self) -> tuple[str, ...]:
+        """Names of the nodes of the original publishers."""
         raise NotImplementedError
 
     # --- what is the same for both
@@ -432,13 +432,9 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Whether DDS lists endpoints and matches none of them with this half."""
         raise NotImplementedError
 
-    def _judge(self, crossing: Crossing) -> Verdict:
-        return judge(self, crossing, self.rules)
-
     def snapshot(self) -> RouteSnapshot:
         """The route as it is now."""
         publisher_qos, subscriber_qos = self.end_qos()
-        publishers, audience = self.end_nodes()
         return self.common_snapshot()(
             qos=self.qos,
             publisher_qos=publisher_qos,
@@ -447,7 +443,7 @@ class TopicRoute(Route, Generic[ChannelT]):
             latency_p50=self.latency.p50,
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,
-            publishers=publishers,
-            subscribers=audience.subscribers,
-            audience=audience,
+            publishers=self.publisher_nodes,
+            subscribers=self.audience.subscribers,
+            audience=self.audience,
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 from rsb_bridge.model.audience import Audience, Deaf
@@ -12,7 +11,7 @@ from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.age import expired_verdict
-from rsb_bridge.route.blocking_rules import ACCEPTED, JudgedRoute, first_missing, worst
+from rsb_bridge.route.blocking_rules import ACCEPTED, JudgedRoute, first_missing
 from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
@@ -54,9 +53,6 @@ _NAMED = 3
 _REASON_LENGTH = 200
 """Characters for which a node is deaf: a report to the other side has room for hundreds of routes."""
 
-_SILENCE = frozenset({Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE})
-_EXPLAINS_SILENCE = frozenset({Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT})
-"""Where a publisher's messages are not taken, it is not silent."""
 _LOSSES: dict[str, tuple[Cause, str]] = {
     "queue full": (
         Cause.QUEUE_FULL,
@@ -190,15 +186,6 @@ def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], co
         else:
             hearing.append(each)
     return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
-
-
-def judge(half: TopicT, crossing: Crossing, rules: Rules[TopicT]) -> Verdict:
-    """Return the verdict that counts, by `OF_SENDER` or `OF_RECEIVER`; of silence, its explanation."""
-    verdict, found = worst(half, crossing, rules)
-    if verdict.cause not in _SILENCE:
-        return verdict
-    explained = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
-    return verdict if explained is None else replace(explained, state=verdict.state)
 
 
 def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = False) -> str:

@@ -8,7 +8,7 @@ names its member by a number, the *lane*.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 import zstandard
@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.calls_ledger import CallFailures, CallsLedger
-from rsb_bridge.route.calls.calls_verdict import MalformedCall, Trouble, calls_stages, judge_calls
+from rsb_bridge.route.calls.calls_verdict import OF_CALLS, MalformedCall, Trouble, calls_stages
 from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.calls.ros_retry import RosRetry
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
@@ -51,11 +51,10 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Stage
-    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import RosError
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
-    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
@@ -214,6 +213,7 @@ class CallsRoute(Route):
     """
 
     peer_report = CallsReport
+    rules: ClassVar[Rules[Any]] = OF_CALLS
     duplex: ClassVar[bool] = True
     channel: StreamDuplex | None
     came = False
@@ -502,9 +502,6 @@ class CallsRoute(Route):
     def waited(self) -> bool:
         """Whether calls expired lately that their node never got, because it had not read earlier ones."""
         return self.judged.peer.cause == Cause.CALLS_WAIT if self.outgoing else self.calls.waited_lately()
-
-    def _judge(self, crossing: Crossing) -> Verdict:
-        return judge_calls(self, crossing)
 
     def stages(self) -> tuple[Stage, ...]:
         return calls_stages(self, self.progress())

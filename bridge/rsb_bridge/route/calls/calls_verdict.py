@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import LASTING, Cause, LinkCause, Verdict
-from rsb_bridge.route.blocking_rules import JudgedRoute, as_known, first_missing, link_and_acceptance, worst
+from rsb_bridge.route.blocking_rules import JudgedRoute, first_missing, stages_with_link
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 
 if TYPE_CHECKING:
@@ -92,31 +92,21 @@ class JudgedCalls(JudgedRoute, Protocol):
     def call_timeout(self) -> float: ...
 
 
-def judge_calls(half: JudgedCalls, crossing: Crossing) -> Verdict:
-    """Return the verdict that counts."""
-    return worst(half, crossing, _RULES)[0]
-
-
 def calls_stages(half: JudgedRoute, progress: CallsProgress) -> tuple[Stage, ...]:
     """Return the stages from the server to the caller that has its answer, in order."""
-    if progress.type_known:
-        type_known = Stage("type known", True, progress.type_name)
-    elif progress.served and not half.outgoing:  # else the other side knows why
-        type_known = Stage("type known", False, progress.why_unserved)
-    else:
-        type_known = Stage("type known", None)
-    answered = progress.answered > 0
-    stages = (
-        Stage(
-            "server seen", progress.served, ", ".join(progress.providers) if progress.served else progress.why_unserved
-        ),
-        type_known,
-        *link_and_acceptance(half),
-        Stage("offered", False if progress.offer_failed else progress.offered or None, progress.why_not_offered),
-        Stage("called", progress.asked > 0 or None),
-        Stage("answered", answered or None, "" if answered else progress.last_failure),
+    seen = Stage(
+        "server seen", progress.served, ", ".join(progress.providers) if progress.served else progress.why_unserved
     )
-    return as_known(half, stages)
+    if progress.type_known:
+        known = Stage("type known", True, progress.type_name)
+    elif progress.served and not half.outgoing:  # else the other side knows why
+        known = Stage("type known", False, progress.why_unserved)
+    else:
+        known = Stage("type known", None)
+    offered = Stage("offered", False if progress.offer_failed else progress.offered or None, progress.why_not_offered)
+    called = Stage("called", progress.asked > 0 or None)
+    answered = Stage("answered", True) if progress.answered else Stage("answered", None, progress.last_failure)
+    return stages_with_link(half, (seen, known), (offered, called, answered))
 
 
 def _unavailable(half: JudgedCalls, _: Crossing) -> Verdict | None:
@@ -175,7 +165,7 @@ def _waiting(half: JudgedCalls, crossing: Crossing) -> Verdict | None:
     return Verdict(State.WAITING, Cause.NO_CALL, text)
 
 
-_RULES: Rules[JudgedCalls] = (
+OF_CALLS: Rules[JudgedCalls] = (
     _unavailable,
     _awaits_link,
     _unanswered,
