@@ -85,6 +85,7 @@ class Action:
         changes: whether it changes the bridge or a file, so that ``--readonly`` disables it.
         needs_topic: whether it acts on the topic under the cursor, and is greyed out without one.
         in_footer: whether the footer shows it.
+        stays: whether the narrowest footer shows it, too, as help, which lists all others.
         also: other words by which the palette finds it.
         run: what it does, a function of the main screen: a coroutine function if it waits, for a dialog for example.
             None if each list, screen or app that has the action has a method of its own for it.
@@ -109,6 +110,7 @@ class Action:
     changes: bool = False
     needs_topic: bool = False
     in_footer: bool = False
+    stays: bool = False
     also: str = ""
     run: Callable[[Any], Awaitable[None] | None] | None = None
     possible: Callable[[Any], bool | None] | None = None

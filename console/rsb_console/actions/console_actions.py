@@ -13,7 +13,7 @@ ACTIONS = (
     Action("bell_on_fault", "exclamation_mark", "bell", "Turn the terminal's bell for new faults on or off",
            Group.CONSOLE, also="sound, alarm, beep, notify"),
     Action("palette", "colon,ctrl+p", "palette", "Find an action by its name", Group.CONSOLE),
-    Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
+    Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True, stays=True),
     Action("quit", "q", "quit", "Quit; the bridge stops, unless it runs in another process", Group.CONSOLE,
-           in_footer=True),
+           in_footer=True, stays=True),
 )  # fmt: skip

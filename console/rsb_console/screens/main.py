@@ -227,8 +227,7 @@ class MainScreen(Screen[None]):
         footer = FooterEntry(action.label) if action.footer is None else action.footer(self)
         if footer is None:
             return None
-        # Help stays on any screen, as it lists all others.
-        rank = 0 if action.id in ("help", "quit") else 1 if footer.counts or footer.keeps_place else 2
+        rank = 0 if action.stays else 1 if footer.counts or footer.keeps_place else 2
         key, place = self.console.key_labels(action)[0], NAMESPACE[action.group]
         return KeyEntry(key, footer.label, f"{place}.{action.id}", rank, footer.counts)
 

@@ -28,10 +28,10 @@ from rsb_console.widgets.lines import FixedLines, Line, fit, width_of
 from rsb_console.widgets.topics import carries, present_rate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
-    from rsb_bridge.model.snapshot import Acknowledgement, ArmingSnapshot, Ledger, RouteSnapshot, Stage, State
+    from rsb_bridge.model.snapshot import Acknowledgement, RouteSnapshot, Stage, State
 
 _MOST_GOALS = 8
 """Goals that are shown, two lines each. A round figure: each further one pushes the plot and the ledger down."""
@@ -104,57 +104,108 @@ class DetailPane(FixedLines, can_focus=True):
         self.show(self._route, self._peer, self._now)
 
 
-def detail_lines(route: Row, peer: str, width: int, now: float) -> Iterator[Line]:
-    """Lay out the details of a topic, a service, an action or parameters.
+class _Page:
+    """Lines from the top down, laid out for a pane.
+
+    Args:
+        width: of the pane, in cells.
+    """
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+        self.lines: list[Line] = []
+
+    def add(self, *pieces: tuple[str, str]) -> None:
+        """Add a line, or a blank one without pieces. It is cut where the pane ends."""
+        self.lines.append(pieces)
+
+    def text(self, text: str, look: str) -> None:
+        """Add a text on as many lines as it takes."""
+        for line in textwrap.wrap(text, max(10, self.width - 3)):
+            self.add((f"   {line}", look))
+
+    def names(self, sign: str, look: str, stages: Iterable[Stage]) -> None:
+        """Add the names of stages behind a sign."""
+        text = ", ".join(stage.name for stage in stages)
+        for number, line in enumerate(textwrap.wrap(text, max(10, self.width - 4))):
+            self.add((f" {' ' if number else sign} ", look), (line, "dim"))
+
+    def label(self, name: str, text: str) -> None:
+        """Add a named text on one line."""
+        self.add((f" {name:<{_LABEL}} ", "dim"), (text, ""))
+
+    def figure(self, name: str, *pieces: str) -> None:
+        """Add a named figure, wrapped without breaking pieces that fit on a line."""
+        room, text = max(10, self.width - _LABEL - 2), " ".join(pieces)
+        if len(text) <= room:  # the usual case, at every refresh
+            self.label(name, text)
+            return
+        tied = " ".join(piece.replace(" ", _TIED) for piece in pieces)
+        for number, line in enumerate(textwrap.wrap(tied, room)):
+            self.label("" if number else name, line.replace(_TIED, " ").rstrip())
+
+    def ledger(self, title: str, rows: Sequence[tuple[str, int, str, str]]) -> None:
+        """Add counts, one a line.
+
+        Args:
+            rows: name, count, style if the count is not 0, and a remark for each line.
+        """
+        self.add((f" {title}", "head"))
+        name_width = max(_LABEL, *(len(name) for name, _, _, _ in rows)) + 1
+        for name, count, look, behind in rows:
+            number = f"{formats.thousands(count):>9}"
+            self.add((f" {name:<{name_width}}", "dim"), (number, look if count else "dim"), (behind, ""))
+
+
+def detail_lines(row: Row, peer: str, width: int, now: float) -> list[Line]:
+    """Lay out the details of a topic, a service, an action, parameters or a pattern.
 
     Args:
         peer: the other side's name or address.
         width: width of the pane in cells.
         now: s since the epoch, of the snapshot.
     """
-    if isinstance(route, PatternRow):
-        return _pattern_lines(route, width)
-    if route.calls is None:
-        return _topic_lines(route, peer, width, now)
-    return _call_lines(route, route.calls, peer, width, now)
+    page = _Page(width)
+    if isinstance(row, PatternRow):
+        _pattern(page, row)
+    elif row.calls is None:
+        _topic(page, row, peer, now)
+    else:
+        _called(page, row, row.calls, peer, now)
+    return page.lines
 
 
-def _pattern_lines(row: PatternRow, width: int) -> Iterator[Line]:
-    yield (_state(row.state),)
-    yield from _why(row, "", width)
-    yield ()
-    yield _labelled("here", row.topic)
-    yield _labelled("there", row.remote_topic)
-    yield _labelled("bridges", f"{row.routes} now")
+def _pattern(page: _Page, row: PatternRow) -> None:
+    page.add(_state(row.state))
+    _fault(page, row)
+    page.add()
+    page.label("here", row.topic)
+    page.label("there", row.remote_topic)
+    page.label("bridges", f"{row.routes} now")
     for at, name in enumerate(row.spec.excepts):
-        yield _labelled("" if at else "except", name)
+        page.label("" if at else "except", name)
     if row.type_name:
-        yield from _figure("only", [row.type_name], width)
-    yield ()
-    yield from _wrapped("Each name that matches has a line of its own in the table.", width, "dim")
+        page.figure("only", row.type_name)
+    page.add()
+    page.text("Each name that matches has a line of its own in the table.", "dim")
 
 
-def _topic_lines(route: RouteSnapshot, peer: str, width: int, now: float) -> Iterator[Line]:
-    yield from _heading(route, "message", width, now)
-    yield from _crossing(route, f"{f'{OUT} to' if route.outgoing else f'{IN} from'} {peer}", width)
-    yield ()
-    yield from _stages(route, DetailText.WHY_NOT_FLOWING(), DetailText.NOTHING_COMES(), width)
-    yield ()
-    yield from _plot(route, "Rate", "Hz", width)
-    yield ()
-    yield from _topic_ledger(route.ledger, route.max_rate, route.max_age)
-    yield ()
-    yield from _topic_figures(route, width)
-
-
-def _topic_ledger(ledger: Ledger, limit: float | None, max_age: float) -> Iterator[Line]:
-    """Return the ledger. The delivered share leaves out throttled, unknown and in-flight messages."""
+def _topic(page: _Page, route: RouteSnapshot, peer: str, now: float) -> None:
+    _heading(page, route, "message", now)
+    _crossing(page, route, f"{OUT} to {peer}" if route.outgoing else f"{IN} from {peer}")
+    page.add()
+    _stages(page, route, DetailText.WHY_NOT_FLOWING(), DetailText.NOTHING_COMES())
+    page.add()
+    _plot(page, route, "Rate", "Hz")
+    page.add()
+    ledger, limit = route.ledger, route.max_rate
+    # The share leaves out what was meant not to arrive, and what may still have.
     due = ledger.offered - ledger.throttled - ledger.unknown - ledger.in_flight
     rows = [
         ("offered", ledger.offered, "", ""),
         ("delivered", ledger.delivered, "", _share(ledger.delivered, due)),
         ("throttled", ledger.throttled, "", f"  limit {limit:g} Hz" if limit else ""),
-        ("expired", ledger.expired, "stale", f"  limit {max_age:g} s" if max_age else ""),
+        ("expired", ledger.expired, "stale", f"  limit {route.max_age:g} s" if route.max_age else ""),
         ("in flight", ledger.in_flight, "", ""),
         ("dropped", ledger.dropped_total, "down", ""),
         *((f"  {cause}", count, "down", "") for cause, count in ledger.dropped.items() if count),
@@ -162,19 +213,17 @@ def _topic_ledger(ledger: Ledger, limit: float | None, max_age: float) -> Iterat
         ("lost in DDS", ledger.lost_in_dds, "stale", ""),
         *([("missed while down", ledger.missed_while_down, "stale", "  estimate")] if ledger.missed_while_down else []),
     ]
-    yield from _ledger("Ledger", rows)
-
-
-def _topic_figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
-    yield from _throughput(route, width)
+    page.ledger("Ledger", rows)
+    page.add()
+    _throughput(page, route)
     if route.latency_p50 is not None and route.latency_p99 is not None:
         uncertain = [] if route.latency_uncertainty is None else [f"± {formats.span(route.latency_uncertainty)}"]
         p50, p99 = (formats.latency(at, route.latency_uncertainty) for at in (route.latency_p50, route.latency_p99))
-        yield from _figure("latency", [f"p50 {p50} ", f"p99 {p99}", *uncertain], width)
+        page.figure("latency", f"p50 {p50} ", f"p99 {p99}", *uncertain)
     if route.jitter is not None:
-        yield from _figure("jitter", [formats.span(route.jitter)], width)
+        page.figure("jitter", formats.span(route.jitter))
     if route.qos is not None:
-        yield from _figure("QoS", formats.qos_parts(route.qos), width)
+        page.figure("QoS", *formats.qos_parts(route.qos))
     ends = (
         ("publishers", "offer", route.publishers, route.publisher_qos),
         ("subscribers", "ask for", route.subscribers, route.subscriber_qos),
@@ -182,40 +231,26 @@ def _topic_figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
     for name, verb, nodes, qos in ends:
         if qos is not None:
             who = [f"{node}," for node in nodes]
-            yield from _figure(name, [*who, verb, *formats.qos_parts(qos, depth_known=False)], width)
-    if route.type_hash:
-        yield _labelled("type hash", route.type_hash)  # cut: its beginning is enough to tell two hashes apart
-    yield from _last_error(route, width)
+            page.figure(name, *who, verb, *formats.qos_parts(qos, depth_known=False))
+    _hash_and_error(page, route)
 
 
-def _call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int, now: float) -> Iterator[Line]:
-    """Lay out the details of a service, an action or parameters.
-
-    Args:
-        peer: the other side's name or address.
-        width: width of the pane in cells.
-    """
-    yield from _heading(route, "call", width, now)
-    yield from _crossing(route, f"{f'{OUT} answered by' if route.outgoing else f'{IN} called by'} {peer}", width)
-    yield ()
-    yield from _stages(route, DetailText.WHY_NO_ANSWER(), "and it does not answer now", width)
+def _called(page: _Page, route: RouteSnapshot, calls: CallsSnapshot, peer: str, now: float) -> None:
+    """Lay out the details of a service, an action or parameters."""
+    _heading(page, route, "call", now)
+    _crossing(page, route, f"{OUT} answered by {peer}" if route.outgoing else f"{IN} called by {peer}")
+    page.add()
+    _stages(page, route, DetailText.WHY_NO_ANSWER(), "and it does not answer now")
     if calls.last_failure:
-        yield ()
-        yield ((" Last failure", "head"),)
-        yield from _wrapped(calls.last_failure, width, "stale")
+        page.add()
+        page.add((" Last failure", "head"))
+        page.text(calls.last_failure, "stale")
     if route.goals:
-        yield ()
-        yield from _goals(route.goals, width)
-    yield ()
-    yield from _plot(route, "Calls", "a second", width)
-    yield ()
-    yield from _calls_ledger(calls)
-    yield ()
-    yield from _calls_figures(route, calls, width)
-
-
-def _calls_ledger(calls: CallsSnapshot) -> Iterator[Line]:
-    """Yield the ledger of calls. The share answered leaves out pending calls."""
+        page.add()
+        _goals(page, route.goals)
+    page.add()
+    _plot(page, route, "Calls", "a second")
+    page.add()
     rows = [
         ("asked", calls.asked, "", ""),
         ("answered", calls.answered, "", _share(calls.answered, calls.asked - calls.in_flight)),
@@ -226,63 +261,66 @@ def _calls_ledger(calls: CallsSnapshot) -> Iterator[Line]:
         ("in flight", calls.in_flight, "", ""),
         *((("  wait for the node", calls.waiting, "", ""),) if calls.waiting else ()),
     ]
-    yield from _ledger("Ledger of calls", rows)
+    page.ledger("Ledger of calls", rows)
     if calls.late:
-        yield (("   apart from these: ", "dim"), (formats.counted(calls.late, "late answer"), "stale"))
+        page.add(("   apart from these: ", "dim"), (formats.counted(calls.late, "late answer"), "stale"))
+    page.add()
+    delays = (
+        ("far node" if route.outgoing else "node here", calls.node_p50, calls.node_p99, ""),
+        ("the way", calls.way_p50, calls.way_p99, ", there and back"),
+    )
+    for name, p50, p99, what in delays:
+        if p50 is not None and p99 is not None:
+            page.figure(name, f"p50 {formats.span(p50)} ", f"p99 {formats.span(p99)}{what}")
+    page.label("given up", DetailText.GIVEN_UP(timeout=route.spec.call_timeout))
+    _throughput(page, route)
+    for name, nodes in (("callers", route.publishers), ("providers", route.subscribers)):
+        if nodes:
+            page.figure(name, *(f"{node}," for node in nodes[:-1]), nodes[-1])
+    _hash_and_error(page, route)
 
 
-def _goals(goals: Sequence[GoalSnapshot], width: int) -> Iterator[Line]:
-    """Yield the goals: pending ones first, in order of arrival."""
+def _goals(page: _Page, goals: Sequence[GoalSnapshot]) -> None:
+    """Add the goals: pending ones first, in order of arrival."""
     under_way = sum(goal.state not in (*_OVER, _NOT_KNOWN) for goal in goals)
-    yield ((" Goals", "head"), (f"  {under_way} under way", "strong"))
+    page.add((" Goals", "head"), (f"  {under_way} under way", "strong"))
     for goal in goals[:_MOST_GOALS]:
         sign, look = _OVER.get(goal.state, (UNKNOWN if goal.state == _NOT_KNOWN else UNDER_WAY, "waiting"))
         since = f" since {formats.time_of_day(goal.since)}"
-        yield ((f" {sign} ", look), (goal.state, "" if goal.state in _OVER else "strong"), (since, "dim"))
+        page.add((f" {sign} ", look), (goal.state, "" if goal.state in _OVER else "strong"), (since, "dim"))
         waits = ", its caller waits" if goal.result_awaited else ""
-        feedbacks = formats.counted(goal.feedbacks, "feedback")
-        yield from _wrapped(f"{goal.id[:_ID_LENGTH]}  {feedbacks}{waits}", width, "dim")
+        page.text(f"{goal.id[:_ID_LENGTH]}  {formats.counted(goal.feedbacks, 'feedback')}{waits}", "dim")
     if len(goals) > _MOST_GOALS:
-        yield ((f"   and {len(goals) - _MOST_GOALS} more", "dim"),)
+        page.add((f"   and {len(goals) - _MOST_GOALS} more", "dim"))
 
 
-def _calls_figures(route: RouteSnapshot, calls: CallsSnapshot, width: int) -> Iterator[Line]:
-    yield from _latency("far node" if route.outgoing else "node here", calls.node_p50, calls.node_p99, "", width)
-    yield from _latency("the way", calls.way_p50, calls.way_p99, ", there and back", width)
-    yield _labelled("given up", DetailText.GIVEN_UP(timeout=route.spec.call_timeout))
-    yield from _throughput(route, width)
-    yield from _nodes("callers", route.publishers, width)
-    yield from _nodes("providers", route.subscribers, width)
-    if route.type_hash:
-        yield _labelled("type hash", route.type_hash)
-    yield from _last_error(route, width)
-
-
-def _latency(name: str, p50: float | None, p99: float | None, what: str, width: int) -> Iterator[Line]:
-    if p50 is not None and p99 is not None:
-        yield from _figure(name, [f"p50 {formats.span(p50)} ", f"p99 {formats.span(p99)}{what}"], width)
-
-
-def _heading(route: RouteSnapshot, last: str, width: int, now: float) -> Iterator[Line]:
-    """Yield the state, the arming and the reason of a fault.
+def _heading(page: _Page, route: RouteSnapshot, last: str, now: float) -> None:
+    """Add the state, the arming and the reason of a fault.
 
     Args:
         last: word for the last arrival: ``message``.
-        width: width of the pane in cells.
     """
     ago = "" if route.last_at is None or now - route.last_at < 1 else formats.age_of(route.last_at, now)
-    yield _state(route.state), (ago and f" last {last} {ago} ago", "dim")
-    if (arming := route.arming) is not None and arming.armed:
+    page.add(_state(route.state), (ago and f" last {last} {ago} ago", "dim"))
+    arming = route.arming
+    if arming is not None and arming.armed:
         left = "" if arming.left is None else f" {arming.left:.0f} s"
-        yield ((f" {ARMED} {ARMED_WORD}{left} ", "armed"),)
-        yield from _wrapped(f"{arming.by}, {_until(arming)}", width, "")
+        page.add((f" {ARMED} {ARMED_WORD}{left} ", "armed"))
+        until = "it is disarmed, the link drops or that console ends"
+        if arming.deadman:
+            until = f"no key is pressed on that console for {arming.deadman:g} s"
+        page.text(f"{arming.by}, until {until}", "")
     if arming is not None and arming.demanded_by:
-        yield from _wrapped(f"has to be armed: {', '.join(arming.demanded_by)}", width, "dim")
+        page.text(f"has to be armed: {', '.join(arming.demanded_by)}", "dim")
     if arming is not None and arming.on_end:
-        yield from _wrapped(f"when that ends, {_ends(arming.on_end, route)}", width, "dim")
+        if route.calls is not None:
+            end = "its goals are cancelled" if arming.on_end == END_CANCEL else "its goals go on"
+        else:
+            end = f"the robot gets {'nothing' if arming.on_end == END_NONE else arming.on_end}"
+        page.text(f"when that ends, {end}", "dim")
     if route.limits is not None:
-        yield from _wrapped(f"at most {route.limits} by hand: {', '.join(route.limited_by)}", width, "dim")
-    yield from _why(route, next((stage.detail for stage in route.stages if not stage.done), ""), width)
+        page.text(f"at most {route.limits} by hand: {', '.join(route.limited_by)}", "dim")
+    _fault(page, route, next((stage.detail for stage in route.stages if not stage.done), ""))
 
 
 def _state(of: State) -> tuple[str, str]:
@@ -290,12 +328,12 @@ def _state(of: State) -> tuple[str, str]:
     return f" {STATE_SIGN[of]} {STATE_WORD[of]} ", of.value
 
 
-def _why(row: Row, elsewhere: str, width: int) -> Iterator[Line]:
-    """Yield the acknowledgement and the reason of a fault, unless the details give that elsewhere."""
+def _fault(page: _Page, row: Row, elsewhere: str = "") -> None:
+    """Add the acknowledgement and the reason of a fault, unless the details give that elsewhere."""
     if row.acknowledged is not None:
-        yield from _wrapped(acknowledged_by(row.acknowledged), width, "dim")
+        page.text(acknowledged_by(row.acknowledged), "dim")
     if row.reason and row.reason != elsewhere:
-        yield from _wrapped(row.reason, width, row.state.value)
+        page.text(row.reason, row.state.value)
 
 
 def acknowledged_by(record: Acknowledgement) -> str:
@@ -303,125 +341,71 @@ def acknowledged_by(record: Acknowledgement) -> str:
     return f"acknowledged by {record.by} at {formats.time_of_day(record.at)}, until it changes"
 
 
-def _ends(on_end: str, route: RouteSnapshot) -> str:
-    if route.calls is not None:
-        return "its goals are cancelled" if on_end == END_CANCEL else "its goals go on"
-    return f"the robot gets {'nothing' if on_end == END_NONE else on_end}"
-
-
-def _until(arming: ArmingSnapshot) -> str:
-    """Return the conditions that disarm it."""
-    if not arming.deadman:
-        return "until it is disarmed, the link drops or that console ends"
-    return f"until no key is pressed on that console for {arming.deadman:g} s"
-
-
-def _carrier_of(route: RouteSnapshot) -> str:
-    """Return the transport with its port or channel, if it has one."""
-    if not route.port:
-        return route.transport.upper()
-    return f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
-
-
-def _crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
-    """Yield the type, the direction, the transport, the name on the other side and the pattern.
+def _crossing(page: _Page, route: RouteSnapshot, way: str) -> None:
+    """Add the type, the direction, the transport, the name on the other side and the pattern.
 
     Args:
         way: direction and peer in words.
-        width: width of the pane in cells.
     """
-    yield ((f" {_type(route)}", "strong" if route.type_name else "dim"),)
-    carrier = _carrier_of(route)
-    towards: Line = ((f" {way}", ""), (f"  {carrier}", "dim"))
-    yield from (towards,) if width_of(towards) <= width else (towards[:1], ((f"   {carrier}", "dim"),))
-    if route.remote_topic and route.remote_topic != route.topic:
-        yield ((f"   there: {route.remote_topic}", "dim"),)
-    if route.pattern:
-        yield ((f"   matches {route.pattern}", "dim"),)
-
-
-def _type(route: RouteSnapshot) -> str:
-    """Return the type, if the bridge knows it. Parameters have ROS's own types."""
+    # Parameters have ROS's own types.
     unknown = DetailText.ALL_PARAMETERS if route.spec.kind == "parameters" else DetailText.UNKNOWN_TYPE
-    return formats.known_type(route) or unknown()
+    page.add((f" {formats.known_type(route) or unknown()}", "strong" if route.type_name else "dim"))
+    carrier = route.transport.upper()
+    if route.port:
+        carrier += f" {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
+    towards = (f" {way}", ""), (f"  {carrier}", "dim")
+    if width_of(towards) <= page.width:
+        page.add(*towards)
+    else:
+        page.add(towards[0])
+        page.add((f"   {carrier}", "dim"))
+    if route.remote_topic and route.remote_topic != route.topic:
+        page.add((f"   there: {route.remote_topic}", "dim"))
+    if route.pattern:
+        page.add((f"   matches {route.pattern}", "dim"))
 
 
-def _stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Iterator[Line]:
-    """Yield the stages: those passed on one line, the first that fails with its reason, and the others on one line.
+def _stages(page: _Page, route: RouteSnapshot, question: str, nothing: str) -> None:
+    """Add the stages: those passed on one line, the first that fails with its reason, and the others on one line.
 
     Args:
         question: question that they answer if it does not work.
         nothing: text for a route that passed all stages but no longer works.
-        width: width of the pane in cells.
     """
-    of_route = route.stages
-    waiting = [index for index, stage in enumerate(of_route) if not stage.done]
-    # A failed stage explains more than an earlier one without a result.
-    at = next((index for index in waiting if of_route[index].done is False), next(iter(waiting), None))
-    yield ((" Stages" if route.state.flows else f" {question}", "head"),)
-    if at is None:
-        passed = f"all {len(of_route)} passed"
+    waiting = [stage for stage in route.stages if not stage.done]
+    page.add((" Stages" if route.state.flows else f" {question}", "head"))
+    if not waiting:
+        passed = f"all {len(route.stages)} passed"
         if carries(route) and not route.state.flows:
-            yield ((f" {UNKNOWN} ", route.state.value), (f"{passed} before", ""))
-            yield from _wrapped(nothing, width, "")
+            page.add((f" {UNKNOWN} ", route.state.value), (f"{passed} before", ""))
+            page.text(nothing, "")
         else:
-            yield ((f" {DONE} ", "ok"), (passed, ""))
+            page.add((f" {DONE} ", "ok"), (passed, ""))
         return
-    failed = of_route[at]
-    yield from _listed(DONE, "ok", [stage for stage in of_route if stage.done], width)
+    # A failed stage explains more than an earlier one without a result.
+    failed = next((stage for stage in waiting if stage.done is False), waiting[0])
+    page.names(DONE, "ok", [stage for stage in route.stages if stage.done])
     sign, look = (UNKNOWN, "waiting") if failed.done is None else (FAILED, "down")
-    yield ((f" {sign} ", look), (failed.name, "strong"))
-    yield from _wrapped(failed.detail, width, look)
-    yield from _listed(UNKNOWN, "dim", [of_route[index] for index in waiting if index != at], width)
+    page.add((f" {sign} ", look), (failed.name, "strong"))
+    page.text(failed.detail, look)
+    page.names(UNKNOWN, "dim", [stage for stage in waiting if stage is not failed])
 
 
-def _listed(sign: str, look: str, of_route: Sequence[Stage], width: int) -> Iterator[Line]:
-    names = ", ".join(stage.name for stage in of_route)
-    for number, text in enumerate(textwrap.wrap(names, max(10, width - 4))):
-        yield ((f" {' ' if number else sign} ", look), (text, "dim"))
-
-
-def _wrapped(text: str, width: int, look: str) -> Iterator[Line]:
-    """Wrap a text over as many lines as it takes."""
-    for line in textwrap.wrap(text, max(10, width - 3)):
-        yield ((f"   {line}", look),)
-
-
-def _plot(route: RouteSnapshot, title: str, unit: str, width: int) -> Iterator[Line]:
-    """Yield the present rate and a curve of the last seconds.
-
-    Args:
-        width: width of the pane in cells.
-    """
+def _plot(page: _Page, route: RouteSnapshot, title: str, unit: str) -> None:
+    """Add the present rate and a curve of the last seconds."""
     # A route keeps the last 120 s, two of which take a cell.
-    cells = max(1, min(width - 2, 60))
+    cells = max(1, min(page.width - 2, 60))
     shown = route.history[-2 * cells :]
     usual = route.expected_rate if route.calls is None else None  # nobody expects calls
     top = 1.2 * max(usual or 0.0, *shown, 1.0) if shown else 1.0
     expected = "" if usual is None else f" of {formats.expected(usual)}"
-    yield (
+    page.add(
         (f" {title}", "head"),
         (f"  {formats.hertz(present_rate(route)) if carries(route) else '-'} {unit}{expected}", "strong"),
         (f"  last {2 * cells} s", "dim"),
     )
     for line in braille_plot(shown, cells, _PLOT_HEIGHT, top):
-        yield ((f" {line}", "plot"),)
-
-
-def _ledger(title: str, rows: Sequence[tuple[str, int, str, str]]) -> Iterator[Line]:
-    """Yield counts, one a line.
-
-    Args:
-        rows: name, count, style if the count is not 0, and a remark for each line.
-    """
-    yield ((f" {title}", "head"),)
-    name_width = max(_LABEL, *(len(name) for name, _, _, _ in rows)) + 1
-    for name, count, look, behind in rows:
-        yield (
-            (f" {name:<{name_width}}", "dim"),
-            (f"{formats.thousands(count):>9}", look if count else "dim"),
-            (behind, ""),
-        )
+        page.add((f" {line}", "plot"))
 
 
 def _share(part: int, whole: int) -> str:
@@ -429,37 +413,14 @@ def _share(part: int, whole: int) -> str:
     return f"  {100 * part / whole:.1f} %" if whole > 0 else ""
 
 
-def _throughput(route: RouteSnapshot, width: int) -> Iterator[Line]:
-    """Format the present byte rate and the total."""
+def _throughput(page: _Page, route: RouteSnapshot) -> None:
     total = f"{formats.thousands(route.bytes_total)} in all"
-    yield from _figure("bytes", [f"{formats.byte_rate(route.bytes_per_second)},", total], width)
+    page.figure("bytes", f"{formats.byte_rate(route.bytes_per_second)},", total)
 
 
-def _nodes(name: str, of_route: Sequence[str], width: int) -> Iterator[Line]:
-    """Yield the known nodes at one end of the route."""
-    if of_route:
-        yield from _figure(name, [f"{node}," for node in of_route[:-1]] + [of_route[-1]], width)
-
-
-def _figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
-    """Yield a named figure, wrapped to the pane's width without breaking pieces that fit on a line."""
-    room = max(10, width - _LABEL - 2)
-    text = " ".join(pieces)
-    if len(text) <= room:  # the usual case, at every refresh
-        yield _labelled(name, text)
-        return
-    tied = " ".join(piece.replace(" ", _TIED) for piece in pieces)
-    for number, line in enumerate(textwrap.wrap(tied, room)):
-        yield _labelled("" if number else name, line.replace(_TIED, " ").rstrip())
-
-
-def _last_error(route: RouteSnapshot, width: int) -> Iterator[Line]:
-    """Yield the last error with its time, if there was one."""
+def _hash_and_error(page: _Page, route: RouteSnapshot) -> None:
+    if route.type_hash:
+        page.label("type hash", route.type_hash)  # cut: its beginning is enough to tell two hashes apart
     if route.last_error:
-        words = [*route.last_error.split(), f"(at {formats.time_of_day(route.last_error_at)})"]
-        yield from _figure("last error", words, width)
-
-
-def _labelled(name: str, text: str) -> Line:
-    """Format a named figure on one line."""
-    return ((f" {name:<{_LABEL}} ", "dim"), (text, ""))
+        words = route.last_error.split()
+        page.figure("last error", *words, f"(at {formats.time_of_day(route.last_error_at)})")

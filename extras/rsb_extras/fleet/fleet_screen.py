@@ -110,7 +110,7 @@ class FleetScreen(Screen[None]):
                     self.console.key_labels(action)[0],
                     labels.get(action.id, action.label),
                     f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
-                    0 if action.id in ("help", "quit") else 1,
+                    0 if action.stays else 1,
                 )
                 for action in FLEET_ACTIONS  # none below a dialog, whose keys are the only ones then
                 if here and action.in_footer and self.check_action(action.id, ())
