@@ -98,9 +98,9 @@ def is_shown(app: App[Any], words: str | Wording, **parameters: object) -> bool:
     return any(says(each, words, **parameters) for each in (*lines, *unwrapped))
 
 
-async def shown(pilot: Pilot[None], words: str | Wording, seconds: float = 180.0, **parameters: object) -> None:
+async def shown(pilot: Pilot[None], words: str | Wording, **parameters: object) -> None:
     """Wait until the screen shows some words, or a text of the program."""
-    await until(pilot, lambda: is_shown(pilot.app, words, **parameters), f"{words!r} on the screen", seconds)
+    await until(pilot, lambda: is_shown(pilot.app, words, **parameters), f"{words!r} on the screen")
 
 
 def notices(app: App[Any]) -> list[Notification]:
@@ -149,9 +149,9 @@ async def told_to_add(pilot: Pilot[None], app: ConsoleApp) -> tuple[object, ...]
     return told() or ()
 
 
-async def gone(pilot: Pilot[None], words: str | Wording, seconds: float = 180.0, **parameters: object) -> None:
+async def gone(pilot: Pilot[None], words: str | Wording, **parameters: object) -> None:
     """Wait until the screen no longer shows some words, or a text of the program."""
-    await until(pilot, lambda: not is_shown(pilot.app, words, **parameters), f"{words!r} gone", seconds)
+    await until(pilot, lambda: not is_shown(pilot.app, words, **parameters), f"{words!r} gone")
 
 
 async def left_as_it_was(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
