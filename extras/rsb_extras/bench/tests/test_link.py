@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 LEAVE = BenchmarkLimits(seconds=60.0, max_rate=5_000.0, megabytes=50.0)
 T = TypeVar("T")
-WITHIN = 60.0
+WITHIN = 180.0
 
 
 class Endpoint:
