@@ -22,7 +22,6 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.lease import LASTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -183,6 +182,7 @@ def both_armed(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles
     return server, client
 
 
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("what", ["pause", "remove"])
 def test_disarming_ends_once_nothing_is_published(what: str, both_armed: tuple[Engine, Engine], relay: Relay) -> None:
     """The network holds back the sent messages and the disarming."""
@@ -198,17 +198,19 @@ def test_disarming_ends_once_nothing_is_published(what: str, both_armed: tuple[E
     assert not half.settling.under_way
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_armed_udp_does_not_wait_for_tcp(
-    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A link that loses packets may hold a stream up for seconds; lease and disarm cross as datagrams, too."""
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
     motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
     server, client = bridge.both(replace(COMMANDS, protocol="udp"))
     eventually(lambda: is_set_up(server, client))
     consoles.arm(server)
     publish_until_heard(joystick, "before", motors)
     relay.hold(TCP)
-    holds(lambda: armed(server, client) == [True, True], 1.2 * LASTS)
+    holds(lambda: armed(server, client) == [True, True], 1.2 * constants.LEASE_LASTS.value)
     publish_until_heard(joystick, "while TCP stands", motors)
     disarming = server.disarm(route(server, "/cmd").key)
     eventually(lambda: armed(client) == [False])
@@ -253,16 +255,18 @@ def test_robot_publishes_no_unarmed_message_of_peer(
     assert not motors.payloads
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_first_loaded_type_does_not_end_lease(
     bridge: Bridge, robot: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A type is loaded for the first time in a process: NumPy comes with it, from a slow disk."""
+    lasts = constants.LEASE_LASTS.value
     loaded, original = set(), replaced.INSTALLED_SERVICE_HASH.value
 
     def load(node: RosNode, type_name: str) -> str | None:
         if node not in loaded:
             loaded.add(node)
-            time.sleep(1.5 * LASTS)
+            time.sleep(1.2 * lasts)
         found: str | None = original(node, type_name)
         return found
 
@@ -277,4 +281,4 @@ def test_first_loaded_type_does_not_end_lease(
         return all(each is not None and each.armed for each in found)
 
     eventually(lambda: len(loaded) == 2 or not stay_armed())
-    holds(stay_armed, 2 * LASTS)
+    holds(stay_armed, 1.5 * lasts)
