@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from std_srvs.srv import SetBool
@@ -14,6 +14,8 @@ from tests.support.inside import inside
 from tests.support.steady import Steady
 from tests.support.waiting import eventually
 
+from rsb_bridge.link.client_link import ClientLink
+from rsb_bridge.link.server_link import ServerLink
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
@@ -23,7 +25,10 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.link.control_channel import ControlChannel
+    from rsb_bridge.link.data_channels import DataChannels
     from rsb_bridge.model.session import Direction
+    from rsb_bridge.wire.sealing import SessionKeys
 
 
 def cut(engine: Engine, *, large: bool) -> None:
@@ -112,3 +117,21 @@ def test_frozen_connections_end_a_link(
         eventually(lambda: linked(server) and linked(client))
         before = len(there.payloads)
         eventually(lambda: len(there.payloads) > before)
+
+
+@pytest.mark.parametrize("side", [ClientLink, ServerLink])
+def test_connection_that_failed_internally_is_tried_again(
+    bridge: Bridge, monkeypatch: pytest.MonkeyPatch, side: type[ClientLink | ServerLink]
+) -> None:
+    made = side.channels_class
+    fails = iter([MemoryError("no room")])
+
+    def make(link: Any, control: ControlChannel, keys: SessionKeys) -> DataChannels:
+        for error in fails:
+            raise error
+        return made(link, control, keys)
+
+    monkeypatch.setattr(side, "channels_class", staticmethod(make))
+    engines = bridge.both()
+    bridge.expected.update(engines)
+    assert any(happened(engine, EventCode.ENGINE_ERROR, "no room") for engine in engines)

@@ -275,7 +275,9 @@ class BaseLink(ABC):
         """End the connection."""
         self.keepalive.stop()
         # Before the extensions end: what they still send goes nowhere, and they find no link.
-        channels, self._channels = self.channels, None
+        channels, self._channels = self._channels, None
+        if channels is None:
+            return  # `up` has failed, and there was no link
         cause = _CAUSES.get(code, LinkCause.CLOSED)
         # The most telling first: without its router a link is silent, too.
         if cause is LinkCause.LOST and self.transport.problem:
