@@ -103,7 +103,7 @@ class DatagramCarrier(Carrier):
     def asks(self, size: int) -> bool:
         """Whether the next datagrams, of `size` bytes together, have to ask for a receipt."""
         self._unasked += size
-        most = min(self.scheduler.every, self.pacer.limit // _PARTS)
+        most = min(self.scheduler.window.every, self.pacer.limit // _PARTS)
         # Where asking or the answer got lost, every datagram asks, so that what gets lost by chance stops nothing.
         overdue = self._now > self._unanswered + self.pacer.patience / 2
         if self.proven and self._unasked < most and self._now - self._asked_at < _ASKS_EVERY and not overdue:

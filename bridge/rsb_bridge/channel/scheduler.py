@@ -95,6 +95,7 @@ class Scheduler:
     """The queue and the window of one link's direction.
 
     Attributes:
+        window: bounds what is in transit.
         sent: bytes sent so far, on all streams.
         chunk: bytes of a message in one turn.
         acknowledged: bytes that have arrived, or were written off.
@@ -111,7 +112,7 @@ class Scheduler:
         self._write = _LEAST_WRITE
         self._book = book
         self.now = book.now
-        self._window = window
+        self.window = window
         self._carriers: list[Carrier] = []
         self._waiting = 0  # routes that wait for a turn
         self._order = 0
@@ -136,7 +137,7 @@ class Scheduler:
     def written_off(self, size: int) -> None:
         """Count bytes as arrived that no receipt will count."""
         self.acknowledged += size
-        self._window.write_off(self.acknowledged, self.sent)
+        self.window.write_off(self.acknowledged, self.sent)
         self.run()
 
     def close(self) -> None:
@@ -150,7 +151,7 @@ class Scheduler:
     def is_free(self, carrier: Carrier) -> bool:
         """Whether a message may be sent at once: nothing waits, and both stream and window take it."""
         # In a pass, turns are sealed and not yet written: a later message of their route would overtake them.
-        return not self._waiting and not self._passing and self.sent < self._window.limit and not carrier.congested
+        return not self._waiting and not self._passing and self.sent < self.window.limit and not carrier.congested
 
     def join(self, end: SendingChannel) -> None:
         """Queue a route's end for a turn; one that had nothing to send does not make up for that."""
@@ -193,9 +194,9 @@ class Scheduler:
     def count(self, size: int) -> float:
         """Count bytes that are sent next, and return the time (s)."""
         if not self.sent:
-            self._window.expect(self._book.ping())  # known by now: when the connection began, it was not
+            self.window.expect(self._book.ping())  # known by now: when the connection began, it was not
         now = self.now()
-        self._window.wrote(self.sent, now)
+        self.window.wrote(self.sent, now)
         self.sent += size
         return now
 
@@ -220,7 +221,7 @@ class Scheduler:
 
     def _emptied(self) -> None:
         # Where nothing more could go, the next message waits, too.
-        if self.waits_since == math.inf or self.sent >= self._window.limit:
+        if self.waits_since == math.inf or self.sent >= self.window.limit:
             return
         if not any(each.congested for each in self._carriers):
             self.waits_since = math.inf
@@ -235,7 +236,7 @@ class Scheduler:
         Returns:
             None if no stream with turns takes bytes.
         """
-        if not self._waiting or self.sent >= self._window.limit:
+        if not self._waiting or self.sent >= self.window.limit:
             return None
         found: Carrier | None = None
         first = second = math.inf
@@ -260,7 +261,7 @@ class Scheduler:
     def _give_turns(self, carrier: Carrier, until: float) -> int:
         """Give turns on one stream until they are worth a write, or others come first; return the bytes, at least 1."""
         queue = carrier.queue
-        most = min(self._write, self._window.limit - self.sent)
+        most = min(self._write, self.window.limit - self.sent)
         parts: list[bytes] = []
         size = 0
         while queue and size < most and queue[0][0] <= until:
@@ -308,7 +309,7 @@ class Scheduler:
         self.arrived += gained - lost
         if gained:
             self.acknowledged_at = now
-        window = self._window
+        window = self.window
         window.acknowledge(self.acknowledged, self.sent, now, self._book.way_back())
         size, least = window.size, _LEAST_WRITE
         if self._waiting:
@@ -320,8 +321,8 @@ class Scheduler:
 
     def tick(self) -> None:
         """Close the window while the path is stalled, and open it if only a stream is. Called once a second."""
-        self._window.check(self.sent, self.now(), self._book.way_back())
-        if not self._waiting or self.sent < self._window.limit:
+        self.window.check(self.sent, self.now(), self._book.way_back())
+        if not self._waiting or self.sent < self.window.limit:
             return
         now = self.now()
         stuck = [each for each in self._carriers if each.is_stuck(now)]
@@ -345,19 +346,14 @@ class Scheduler:
         return _STALLED + self._book.ping() + self._book.way_back()
 
     @property
-    def every(self) -> int:
-        """Bytes after which the next receipt is wanted."""
-        return self._window.every
-
-    @property
     def held_by_growing_window(self) -> bool:
         """Whether messages wait though the link may carry more: the window still grows."""
-        return self.grows and self.sent >= self._window.limit
+        return self.grows and self.sent >= self.window.limit
 
     @property
     def grows(self) -> bool:
         """Whether the window still grows: what waits is no sign that the link carries no more."""
-        return not self._window.slow
+        return not self.window.slow
 
 
 class SendingChannel(DataChannel):
