@@ -145,17 +145,14 @@ def write_key(path: Path, *, force: bool = False) -> Key:
     Raises:
         KeyFileError: the file exists, or cannot be written.
     """
-    text = generate() + b"\n"
+    key = _parse(generate().decode(), path)
     try:
-        if force:
-            replace_file(path, text)
-        else:
-            _write_new(path, text)
+        _write(key, path, force=force)
     except FileExistsError:
         raise KeyFileError(KeyFileProblem.EXISTS(path=path)) from None
     except OSError as error:
         raise KeyFileError(KeyFileProblem.NOT_WRITTEN(path=path, problem=why_not_written(error, path))) from None
-    return _parse(text.decode(), path)
+    return key
 
 
 def copy_key(key: Key, path: Path, *, force: bool = False) -> None:
@@ -167,11 +164,21 @@ def copy_key(key: Key, path: Path, *, force: bool = False) -> None:
     Raises:
         KeyFileError: the file exists, or cannot be written.
     """
-    write = replace_file if force else _write_new
     try:
-        write(path, base64.urlsafe_b64encode(key.secret) + b"\n")
+        _write(key, path, force=force)
     except OSError as error:
         raise KeyFileError(KeyFileProblem.NOT_WRITTEN(path=path, problem=why_not_written(error, path))) from None
+
+
+def _write(key: Key, path: Path, *, force: bool) -> None:
+    text = base64.urlsafe_b64encode(key.secret) + b"\n"
+    if force:
+        replace_file(path, text)
+        return
+    with new_file(path) as file:
+        file.write(text.decode())
+        file.flush()
+        os.fsync(file.fileno())  # a key without contents after a power cut would lock the peer out
 
 
 def key_path(base: Path, key_file: str) -> Path:
@@ -246,21 +253,15 @@ def _decode(text: str) -> bytes | None:
     return secret if len(secret) == KEY_BYTES else None
 
 
-def _write_new(path: Path, content: bytes) -> None:
-    with new_file(path) as file:
-        file.write(content.decode())
-        file.flush()
-        os.fsync(file.fileno())  # a key without contents after a power cut would lock the peer out
-
-
 def key_files_by_client(session: Session) -> dict[str, tuple[str, ...]]:
     """Return the files of the keys that are valid for each client of a session, by its name, the next key's last.
 
     A client's session has its own only.
     """
-    valid: dict[str, tuple[str | None, ...]] = {session.name: (session.key_file,)}
-    if session.role == "server":
-        valid = {}
+    valid: dict[str, tuple[str | None, ...]] = {}
+    if session.role == "client":
+        valid[session.name] = (session.key_file,)
+    else:
         for client in session.accepted_clients:
             following = client.next_key_file or (session.next_key_file if client.key_file is None else None)
             valid[client.name] = client.key_file or session.key_file, following
