@@ -137,7 +137,7 @@ def test_rest_at_end_of_arming_is_shown(tmp_path: Path) -> None:
 @pytest.mark.parametrize("topic", [Topic("/a", "receive", on_end="zero"), Topic("/a", "receive", kind="service")])
 def test_only_topic_to_be_armed_has_end(topic: Topic) -> None:
     topic = msgspec.structs.replace(topic, on_end="zero")
-    assert "on_end" in {problem.location for problem in topic_problems(topic, "", None, None)}
+    assert "on_end" in {problem.location for problem in topic_problems(topic, None, None)}
 
 
 def test_line_that_only_limits_age_demands_no_arming() -> None:

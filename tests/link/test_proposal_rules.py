@@ -72,7 +72,7 @@ def refusal_by_form(topic: Topic, session: Session | None) -> str:
     problems = [Problem(field, remedy) for field, remedy in foreign(topic).items()]
     written = as_written(topic)
     again = as_topic(topic.kind, read(msgspec.to_builtins(written), type(written), problems))
-    found = problems + unreported(topic_problems(again, "", session, None), problems)
+    found = problems + unreported(topic_problems(again, session, None), problems)
     return str(found[0]) if found else ""
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
 from types import UnionType
@@ -120,6 +121,12 @@ def join(location: str, key: str | int) -> str:
     if isinstance(key, int):
         return f"{location}[{key}]"
     return f"{location}.{key}" if location else key
+
+
+def under(location: str, problems: Iterable[Problem]) -> Iterator[Problem]:
+    """Yield the problems of a part of a session, with its location before the keys that they name."""
+    for each in problems:
+        yield replace(each, location=join(location, each.location) if each.location else location)
 
 
 def show(value: object) -> str:

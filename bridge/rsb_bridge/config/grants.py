@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from rsb_bridge.config.decoding import join, read, show
+from rsb_bridge.config.decoding import join, read, show, under
 from rsb_bridge.config.topic_rules import range_problems
 from rsb_bridge.config.yaml_text import SessionError, inline, read_yaml
 from rsb_bridge.model import transports
@@ -86,41 +86,44 @@ def denying(entry: str | Grant) -> Grant:
     return Grant(entry, entry) if isinstance(entry, str) else entry
 
 
-def grant_problems(holder: Client | Session, location: str) -> Iterator[Problem]:
+def grant_problems(holder: Client | Session) -> Iterator[Problem]:
     for key, entries in (("allow", holder.allow), ("deny", holder.deny)):
         for at, grant in enumerate(entries):
-            here = join(join(location, key), at)
-            if isinstance(grant, str):
-                yield from _pattern_problems(grant, "topic", here)
-                continue
-            yield from _subject_problems(grant, here)
-            if grant.protocol == ():
-                yield Problem(join(here, "protocol"), RightsMistake.NO_PROTOCOLS())
-            if key == "deny" and grant.max_rate is not None:
-                yield Problem(join(here, "max_rate"), RightsMistake.RATE_OF_DENIED())
-            yield from range_problems(grant, here)
+            yield from under(join(key, at), _entry_problems(grant, denied=key == "deny"))
 
 
-def _subject_problems(grant: Grant, here: str) -> Iterator[Problem]:
+def _entry_problems(grant: str | Grant, *, denied: bool) -> Iterator[Problem]:
+    if isinstance(grant, str):
+        yield from _pattern_problems(grant, "topic", "")
+        return
+    yield from _subject_problems(grant)
+    if grant.protocol == ():
+        yield Problem("protocol", RightsMistake.NO_PROTOCOLS())
+    if denied and grant.max_rate is not None:
+        yield Problem("max_rate", RightsMistake.RATE_OF_DENIED())
+    yield from range_problems(grant)
+
+
+def _subject_problems(grant: Grant) -> Iterator[Problem]:
     """Mistakes in what an entry is about, and in what may be done with that."""
     if grant.topics is None and grant.services is None:
-        yield Problem(join(here, "topics"), RightsMistake.NO_PATTERN())
+        yield Problem("topics", RightsMistake.NO_PATTERN())
         return
     if grant.topics is not None and grant.services is not None:
-        yield Problem(join(here, "services"), RightsMistake.BOTH())
+        yield Problem("services", RightsMistake.BOTH())
         return
     if grant.topics is not None:
         noun, uses, others = "topic", TOPIC_ENTRIES, "services"
-        yield from _pattern_problems(grant.topics, noun, join(here, "topics"))
+        yield from _pattern_problems(grant.topics, noun, "topics")
     else:
         noun, uses, others = "service", tuple(CALL_USES), "topics"
-        yield from _pattern_problems(grant.services or "", noun, join(here, "services"))
+        yield from _pattern_problems(grant.services or "", noun, "services")
         for protocol in protocols_of(grant):
             if not transports.named(protocol).reliable:
-                yield Problem(join(here, "protocol"), RightsMistake.UNRELIABLE(protocol=protocol))
+                yield Problem("protocol", RightsMistake.UNRELIABLE(protocol=protocol))
     if grant.may is not None and grant.may not in uses:
         message = RightsMistake.OTHER_USE(may=grant.may, others=others, noun=noun, uses=" or ".join(uses))
-        yield Problem(join(here, "may"), message)
+        yield Problem("may", message)
 
 
 def _pattern_problems(pattern: str, noun: str, location: str) -> Iterator[Problem]:

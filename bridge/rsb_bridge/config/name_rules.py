@@ -48,18 +48,18 @@ class NameMistake(Wording):
     OF_THE_BRIDGE = "{name} belongs to the bridge itself and is never bridged: name another one"
 
 
-def topic_name_problems(topic: Topic, location: str, client: str | None) -> Iterator[Problem]:
+def topic_name_problems(topic: Topic, client: str | None) -> Iterator[Problem]:
     """Yield the mistakes in the names and patterns of an entry.
 
     Args:
         client: the client's name where it is the prefix of the topic's name on the server.
     """
-    name, remote = join(location, key_of(topic.kind, "topic")), join(location, key_of(topic.kind, "remote_topic"))
+    name, remote = key_of(topic.kind, "topic"), key_of(topic.kind, "remote_topic")
     names = [(topic.topic, name)]
     if topic.remote_topic is not None:
         names.append((topic.remote_topic, remote))
     if topic.excepts:
-        yield from _exception_problems(topic.topic, topic.excepts, join(location, "except"))
+        yield from _exception_problems(topic.topic, topic.excepts)
     if topic.is_pattern:
         found = [problem for each in names for problem in form_problems(*each)]
         yield from found
@@ -131,22 +131,22 @@ def _wildcard_problems(name: str, remote: str, location: str) -> Iterator[Proble
         yield Problem(location, message)
 
 
-def _exception_problems(name: str, excepts: Sequence[str], location: str) -> Iterator[Problem]:
+def _exception_problems(name: str, excepts: Sequence[str]) -> Iterator[Problem]:
     if excepts and not is_pattern(name):
-        yield Problem(location, f"{show(name)} is a single name, not a pattern: leave except out")
+        yield Problem("except", f"{show(name)} is a single name, not a pattern: leave except out")
     elif len(excepts) > EXCEPTIONS_PER_PATTERN:
         message = f"{len(excepts)} entries, and at most {EXCEPTIONS_PER_PATTERN} are allowed: use patterns in it"
-        yield Problem(location, message)
+        yield Problem("except", message)
     else:
         for at, each in enumerate(excepts):
-            yield from form_problems(each, join(location, at), hidden=True)
+            yield from form_problems(each, join("except", at), hidden=True)
 
 
-def armed_name_problems(entry: ArmedName, location: str) -> Iterator[Problem]:
+def armed_name_problems(entry: ArmedName) -> Iterator[Problem]:
     """Yield the mistakes in what a line of `armed` says of a client's names."""
     if entry.topic is not None:
-        found = list(form_problems(entry.topic, join(location, "topic"), hidden=True))
+        found = list(form_problems(entry.topic, "topic", hidden=True))
         yield from found
-        if not found and not list(form_problems(entry.name, location, hidden=True)):
-            yield from _wildcard_problems(entry.name, entry.topic, join(location, "topic"))
-    yield from _exception_problems(entry.name, entry.excepts, join(location, "except"))
+        if not found and not list(form_problems(entry.name, "name", hidden=True)):
+            yield from _wildcard_problems(entry.name, entry.topic, "topic")
+    yield from _exception_problems(entry.name, entry.excepts)

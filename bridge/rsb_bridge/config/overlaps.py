@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import LISTS, NOUNS, locations
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.names import is_topic_name
@@ -26,16 +25,12 @@ class OverlapMistake(Wording):
     BRIDGED_ALREADY = "{service} is bridged already, with {noun} {name}: keep one of the two"
 
 
-def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
-    """Yield a problem for each pattern beyond a link's limit.
-
-    Args:
-        where: the location of the session or client that lists them.
-    """
+def too_many_patterns(topics: Sequence[Topic]) -> Iterator[Problem]:
+    """Yield a problem for each pattern beyond a link's limit."""
     patterns = [here for topic, here in zip(topics, locations(topics), strict=True) if topic.is_pattern]
     for here in patterns[PATTERNS_PER_LINK:]:
         message = f"{len(patterns)} patterns, and at most {PATTERNS_PER_LINK} are allowed: use fewer, wider ones"
-        yield Problem(join(where, here), message)
+        yield Problem(here, message)
 
 
 def service_names(kind: Kind, name: str) -> list[str]:
@@ -50,15 +45,11 @@ def overlap(topic: Topic, others: Iterable[Topic]) -> str:
         return ""
     # What overlaps among the others is not this entry's fault.
     related = [other for other in others if not names.isdisjoint(service_names(other.kind, other.topic))]
-    return next((f"{topic.topic}: {problem.message}" for problem in overlaps([*related, topic], "")), "")
+    return next((f"{topic.topic}: {problem.message}" for problem in overlaps([*related, topic])), "")
 
 
-def overlaps(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
-    """Yield the entries of one link that bridge a service which another one bridges.
-
-    Args:
-        where: the location of the session or client that lists them.
-    """
+def overlaps(topics: Sequence[Topic]) -> Iterator[Problem]:
+    """Yield the entries of one link that bridge a service which another one bridges."""
     first: dict[str, int] = {}
     for at, (topic, here) in enumerate(zip(topics, locations(topics), strict=True)):
         if topic.kind == "topic" or not is_topic_name(topic.topic):
@@ -74,4 +65,4 @@ def overlaps(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
         else:
             noun = NOUNS[LISTS[topics[other].kind]]
             message = OverlapMistake.BRIDGED_ALREADY(service=name, noun=noun, name=topics[other].topic)
-        yield Problem(join(where, here), message)
+        yield Problem(here, message)

@@ -92,25 +92,20 @@ class TopicMistake(Wording):
     OTHER_NAME = "{name} does not name a route for {purpose}: both sides have to call it {purpose}/NAME"
 
 
-def range_problems(holder: msgspec.Struct, location: str) -> Iterator[Problem]:
-    """Yield the numbers outside of their ranges.
-
-    Args:
-        holder: a topic, or anything else with fields of these names.
-        location: of the holder, or an empty string for a session.
-    """
+def range_problems(holder: msgspec.Struct) -> Iterator[Problem]:
+    """Yield the numbers outside of their ranges, of a topic or anything else with fields of these names."""
     for name in holder.__struct_fields__:
         key = TOPIC_KEYS.get(name)
         if key is not None and key.range_text and not key.allows(value := getattr(holder, name)):
             message = TopicMistake.OUT_OF_RANGE(value=value, range=key.range_text(range=key.limits))
-            yield Problem(join(location, name), message)
+            yield Problem(name, message)
 
 
-def port_problems(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
+def port_problems(port: int, key: str, transport: type[TransportTraits]) -> Iterator[Problem]:
     if port and transport.ports is NO_PORT:
-        yield Problem(location, f"a link over {transport.medium} has no ports: leave it out")
+        yield Problem(key, f"a link over {transport.medium} has no ports: leave it out")
     elif port not in transport.ports:
-        yield Problem(location, TopicMistake.INVALID_PORT(port=port, kind=transport.port_kind, range=transport.ports))
+        yield Problem(key, TopicMistake.INVALID_PORT(port=port, kind=transport.port_kind, range=transport.ports))
 
 
 def transport_of(topic: Topic, session: Session | None) -> type[TransportTraits]:
@@ -151,7 +146,7 @@ def entry_problems(topic: Topic, session: Session | None = None, *, client: str 
         problems += secrets
         kept = tuple(name for name in topic.excepts if not holds_key(name))
         topic = msgspec.structs.replace(topic, **harmless, excepts=kept)
-    return problems + unreported(topic_problems(topic, "", session, client), problems)
+    return problems + unreported(topic_problems(topic, session, client), problems)
 
 
 def unreported(found: Iterable[Problem], reported: Sequence[Problem]) -> list[Problem]:
@@ -168,29 +163,28 @@ def unreported(found: Iterable[Problem], reported: Sequence[Problem]) -> list[Pr
     ]
 
 
-def topic_problems(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:
+def topic_problems(topic: Topic, session: Session | None, client: str | None) -> Iterator[Problem]:
     """Yield the mistakes in a topic whose fields are all of its kind and hold no key; `entry_problems` finds these.
 
     Args:
-        location: of the topic. The problems' locations have the key behind it.
         session: as in `entry_problems`.
         client: as in `entry_problems`.
     """
-    yield from topic_name_problems(topic, location, client)
-    yield from _type_problems(topic, join(location, "type"))
-    yield from _transport_problems(topic, location, session)
-    yield from _qos_problems(topic.qos, join(location, "qos"))
+    yield from topic_name_problems(topic, client)
+    yield from _type_problems(topic)
+    yield from _transport_problems(topic, session)
+    yield from _qos_problems(topic.qos)
     useless_deadman = topic.deadman is not None and not topic.arm
     # A number that has to go has no range to keep: one mistake, one remedy.
-    yield from range_problems(msgspec.structs.replace(topic, deadman=None) if useless_deadman else topic, location)
+    yield from range_problems(msgspec.structs.replace(topic, deadman=None) if useless_deadman else topic)
     if useless_deadman:
-        yield Problem(join(location, "deadman"), TopicMistake.DEADMAN_WITHOUT_ARM(kind=A_KIND[topic.kind]))
+        yield Problem("deadman", TopicMistake.DEADMAN_WITHOUT_ARM(kind=A_KIND[topic.kind]))
     if topic.on_end is not None and not topic.arm:
-        yield Problem(join(location, "on_end"), TopicMistake.ON_END_WITHOUT_ARM(kind=A_KIND[topic.kind]))
+        yield Problem("on_end", TopicMistake.ON_END_WITHOUT_ARM(kind=A_KIND[topic.kind]))
     else:
-        yield from on_end_problems(end_text(topic.on_end), join(location, "on_end"), topic.kind)
+        yield from on_end_problems(end_text(topic.on_end), topic.kind)
     if topic.kind == "topic":  # else it is a key of another kind
-        yield from limits_problems(topic.limits, join(location, "limits"), "topic", topic.type, topic.topic)
+        yield from limits_problems(topic.limits, "topic", topic.type, topic.topic)
 
 
 def problems_here(topic: Topic, session: Session, *, renamed: bool) -> Iterator[Problem]:
@@ -200,8 +194,8 @@ def problems_here(topic: Topic, session: Session, *, renamed: bool) -> Iterator[
         renamed: whether this side's name is another one than the peer's, which has been checked.
     """
     if renamed:
-        yield from topic_name_problems(topic, "", None)
-    yield from _transport_problems(topic, "", session)
+        yield from topic_name_problems(topic, None)
+    yield from _transport_problems(topic, session)
 
 
 def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -> Iterator[Problem]:
@@ -217,15 +211,15 @@ def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -
     for key, default in _OF_TOPICS.items():
         if getattr(entry, key) != default:
             yield Problem(key, f"a route for {purpose.name} has nothing else here: leave it out")
-    yield from _transport_problems(entry, "", session)
-    yield from _qos_problems(entry.qos, "qos")
-    yield from range_problems(entry, "")
+    yield from _transport_problems(entry, session)
+    yield from _qos_problems(entry.qos)
+    yield from range_problems(entry)
 
 
 # --- values of an entry
 
 
-def _type_problems(topic: Topic, location: str) -> Iterator[Problem]:
+def _type_problems(topic: Topic) -> Iterator[Problem]:
     """Yield the mistake in the type of an entry; ROS has the types of parameters."""
     name = topic.type
     if topic.kind == "parameters" or name == AUTO:
@@ -234,34 +228,34 @@ def _type_problems(topic: Topic, location: str) -> Iterator[Problem]:
         try:
             full = expand_type_name(name)
         except ValueError as error:
-            yield Problem(location, str(error))
+            yield Problem("type", str(error))
             return
         if len(full) > TEXT_LENGTH:
-            yield Problem(location, f"{show(full)} has {len(full)} characters, and at most {TEXT_LENGTH} are allowed")
+            yield Problem("type", f"{show(full)} has {len(full)} characters, and at most {TEXT_LENGTH} are allowed")
         return
     folder = _FOLDERS[topic.kind]
     other: Kind = "action" if topic.kind == "service" else "service"
     if re.fullmatch(rf"{_PART}/{_FOLDERS[other]}/{_PART}", name):
         message = TopicMistake.TYPE_OF_OTHER_KIND(name=show(name), kind=A_KIND[other], list=LISTS[other])
-        yield Problem(location, message)
+        yield Problem("type", message)
     elif not re.fullmatch(rf"{_PART}/{folder}/{_PART}", name):
         parts = [part for part in name.split("/") if re.fullmatch(_PART, part)]
         hint = Hint.DID_YOU_MEAN(name=f"{parts[0]}/{folder}/{parts[-1]}") if len(parts) > 1 else ""
         message = TopicMistake.NOT_A_TYPE(name=show(name), kind=A_KIND[topic.kind], folder=folder, hint=hint)
-        yield Problem(location, message)
+        yield Problem("type", message)
     elif len(name) > TEXT_LENGTH - max(len(lane.type_suffix) for lane in LANES[topic.kind]):
-        yield Problem(location, TopicMistake.CALLED_TYPE_TOO_LONG(name=show(name), length=len(name)))
+        yield Problem("type", TopicMistake.CALLED_TYPE_TOO_LONG(name=show(name), length=len(name)))
 
 
-def _transport_problems(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
-    protocol, here = topic.protocol, join(location, "protocol")
+def _transport_problems(topic: Topic, session: Session | None) -> Iterator[Problem]:
+    protocol = topic.protocol
     if protocol is not None and not transports.named(protocol).reliable and topic.kind != "topic":
-        yield Problem(here, TopicMistake.CALL_NEEDS_RELIABLE(protocol=protocol))
+        yield Problem("protocol", TopicMistake.CALL_NEEDS_RELIABLE(protocol=protocol))
     elif protocol is not None and session is not None and protocol not in session.crossing:
         link, own = transports.of_link(session.server_ip), transports.named(protocol)
         crossing = [each for each in session.crossing if topic.kind == "topic" or transports.named(each).reliable]
         if protocol == "bluetooth" and link.ip_ports:
-            yield Problem(here, TopicMistake.NEEDS_ADAPTER())
+            yield Problem("protocol", TopicMistake.NEEDS_ADAPTER())
         else:
             message = TopicMistake.NOT_CROSSING(
                 protocol=protocol,
@@ -270,33 +264,33 @@ def _transport_problems(topic: Topic, location: str, session: Session | None) ->
                 medium=link.medium,
                 crossing=" or ".join(crossing),
             )
-            yield Problem(here, message)
+            yield Problem("protocol", message)
     elif protocol == "bluetooth" and session is not None and not session.is_bluetooth and topic.port is None:
-        yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=KIND_NOUNS[topic.kind], range=CHANNEL))
+        yield Problem("port", TopicMistake.NEEDS_CHANNEL(noun=KIND_NOUNS[topic.kind], range=CHANNEL))
     if topic.port is not None:
-        transport, here = transport_of(topic, session), join(location, "port")
+        transport = transport_of(topic, session)
         if topic.is_pattern and not transport.multiplexed:
-            yield Problem(here, TopicMistake.PORT_OF_PATTERN(kind=transport.port_kind))
-        yield from port_problems(topic.port, here, transport)
+            yield Problem("port", TopicMistake.PORT_OF_PATTERN(kind=transport.port_kind))
+        yield from port_problems(topic.port, "port", transport)
 
 
-def _qos_problems(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
+def _qos_problems(value: str | int | dict[str, Any]) -> Iterator[Problem]:
     try:
         parse_qos(value)
     except ValueError as error:
         if isinstance(value, dict):
             problems: list[Problem] = []
-            read({key: policy for key, policy in value.items() if key != "profile"}, Qos, problems, location)
+            read({key: policy for key, policy in value.items() if key != "profile"}, Qos, problems, "qos")
             yield from problems
             if problems:  # they name the policy, and the remedy
                 return
         name = value.get("profile") if isinstance(value, dict) else value
         options = list(PROFILES) if isinstance(value, dict) else [AUTO, *PROFILES]
         hint = did_you_mean(name, options) if isinstance(name, str) else ""
-        yield Problem(location, conceal(f"{error}{hint}"))
+        yield Problem("qos", conceal(f"{error}{hint}"))
 
 
-def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Problem]:
+def on_end_problems(text: str, kind: Kind | None) -> Iterator[Problem]:
     """Yield the mistake in what a robot gets once an arming ends, as far as it shows without the type.
 
     Args:
@@ -307,28 +301,26 @@ def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Pro
         return
     if kind == "action":
         if text != END_CANCEL:
-            yield Problem(location, f"{show(text)} is neither cancel nor none")
+            yield Problem("on_end", f"{show(text)} is neither cancel nor none")
         return
     if kind not in (None, "topic"):
-        yield Problem(location, "only topics and actions have it: leave it out")
+        yield Problem("on_end", "only topics and actions have it: leave it out")
         return
     if text == END_ZERO:
         return
     if len(text) > LONGEST_END:  # before it is read as YAML
-        yield Problem(location, TopicMistake.ON_END_TOO_LONG(length=len(text), limit=LONGEST_END))
+        yield Problem("on_end", TopicMistake.ON_END_TOO_LONG(length=len(text), limit=LONGEST_END))
         return
     try:
         fields = read_fields(text) if is_end_message(text) and text.isprintable() else None
     except FieldError as error:
-        yield Problem(location, conceal(str(error)))
+        yield Problem("on_end", conceal(str(error)))
         return
     if not isinstance(fields, dict):
-        yield Problem(location, f"{show(text)} is neither zero, none nor a message: {{linear: {{x: 0.1}}}}")
+        yield Problem("on_end", f"{show(text)} is neither zero, none nor a message: {{linear: {{x: 0.1}}}}")
 
 
-def limits_problems(
-    limits: VelocityLimits | None, location: str, kind: Kind | None, type_name: str, name: str
-) -> Iterator[Problem]:
+def limits_problems(limits: VelocityLimits | None, kind: Kind | None, type_name: str, name: str) -> Iterator[Problem]:
     """Yield the mistakes in what a hand may ask.
 
     Args:
@@ -339,14 +331,14 @@ def limits_problems(
     if limits is None:
         return
     if kind not in (None, "topic"):
-        yield Problem(location, ForeignKey.LIMITS_OF_CALLED())
+        yield Problem("limits", ForeignKey.LIMITS_OF_CALLED())
         return
     if limits == VelocityLimits():
-        yield Problem(location, "has no number: give linear (m/s), angular (rad/s) or both")
+        yield Problem("limits", "has no number: give linear (m/s), angular (rad/s) or both")
     for key, value, allowed, unit in limits.out_of_range:
-        yield Problem(join(location, key), f"{show(value)} is out of range: {allowed} {unit}, or leave it out")
+        yield Problem(join("limits", key), f"{show(value)} is out of range: {allowed} {unit}, or leave it out")
     if type_name == AUTO:
         if is_pattern(name):
-            yield Problem(location, "a pattern with limits needs type: Twist or type: TwistStamped")
+            yield Problem("limits", "a pattern with limits needs type: Twist or type: TwistStamped")
     elif full_type(type_name) not in TWISTS:
-        yield Problem(location, TopicMistake.LIMITS_OF_TYPE(name=show(type_name)))
+        yield Problem("limits", TopicMistake.LIMITS_OF_TYPE(name=show(type_name)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.decoding import Hint, ValueMistake, join, read, show
+from rsb_bridge.config.decoding import Hint, ValueMistake, join, read, show, under
 from rsb_bridge.config.file_form import (
     LISTS,
     NAME_KEYS,
@@ -186,7 +186,7 @@ def _session(session: Session) -> Iterator[Problem]:
         yield Problem("domain_id", SessionMistake.DOMAIN_INVALID(domain=session.domain_id, range=DOMAIN))
     yield from key_file_problems(session)
     yield from operator_problems(session)
-    yield from range_problems(session, "")
+    yield from range_problems(session)
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
     profiles = [("profile", session.profile)]
@@ -197,7 +197,7 @@ def _session(session: Session) -> Iterator[Problem]:
     if session.shutdown_topic is not None:
         yield from name_problems(session.shutdown_topic, "shutdown_topic")
     client = session.name if session.role == "client" and session.use_name else None
-    yield from _topics(session.topics, "", session, client)
+    yield from _topics(session.topics, session, client)
     yield from armed_problems(session.armed)
     yield from _clients(session)
     for feature in installed():
@@ -265,24 +265,21 @@ def is_host(address: str) -> bool:
     return len(address) <= 253 and all(_HOST_LABEL.fullmatch(label) for label in labels) and not labels[-1].isdecimal()
 
 
-def _topics(topics: Sequence[Topic], where: str, session: Session, client: str | None) -> Iterator[Problem]:
-    """Yield the mistakes in what one link bridges.
+def _topics(topics: Sequence[Topic], session: Session, client: str | None) -> Iterator[Problem]:
+    """Yield the mistakes in the topics, services, actions and parameters that one link bridges.
 
     Args:
-        topics: topics, services, actions and parameters.
-        where: the location of the session or client that lists them.
         client: as in `entry_problems`.
     """
     for topic, here in zip(topics, locations(topics), strict=True):
-        yield from topic_problems(topic, join(where, here), session, client)
-    yield from _clashes(topics, where, session, client)
-    yield from too_many_patterns(topics, where)
-    yield from overlaps(topics, where)
+        yield from under(here, topic_problems(topic, session, client))
+    yield from _clashes(topics, session, client)
+    yield from too_many_patterns(topics)
+    yield from overlaps(topics)
 
 
-def _clashes(topics: Sequence[Topic], where: str, session: Session, client: str | None) -> Iterator[Problem]:
+def _clashes(topics: Sequence[Topic], session: Session, client: str | None) -> Iterator[Problem]:
     """Yield the topics of one link that are listed twice, or want the same port."""
-    places = locations(topics)
     routes: dict[Identity, int] = {}
     sources: dict[tuple[Kind, str], int] = {}
     ports: dict[tuple[str, int], int] = {}
@@ -290,8 +287,7 @@ def _clashes(topics: Sequence[Topic], where: str, session: Session, client: str 
     link = transports.of_link(session.server_ip)
     for name in (link.name, *link.companions):
         ports[name, session.server_port] = shared
-    for at, topic in enumerate(topics):
-        location = join(where, places[at])
+    for at, (topic, location) in enumerate(zip(topics, locations(topics), strict=True)):
         first = routes.setdefault(topic.identity, at)
         if first != at:
             end = topic.direction if topic.kind == "topic" else f"provider: {topic.provider}"
@@ -327,39 +323,45 @@ def _clients(session: Session) -> Iterator[Problem]:
     for at, port in enumerate(session.ports if isinstance(session.ports, tuple) else ()):
         if port not in TOPIC_PORT:
             yield Problem(join("ports", at), SessionMistake.TOPIC_PORT_INVALID(port=port, range=TOPIC_PORT))
-    yield from grant_problems(session, "")
+    yield from grant_problems(session)
     if session.role == "server" and (session.allow or session.deny):
         yield Problem("allow" if session.allow else "deny", SessionMistake.KEY_OF_ITS_CLIENT())
     for key in session.features if session.clients is not None else ():
         if key in peer_keys():
             yield Problem(key, SessionMistake.KEY_OF_ITS_CLIENT())
-    names: dict[str, int] = {}
+    firsts: dict[str, int] = {}
     for at, client in enumerate(session.listed_clients):
-        location = join("clients", at)
-        if client.group is not None:
-            yield from _name(client.group, join(location, "group"), use_name=False)
-        use_name = client.is_prefixed(session)
-        yield from _name(client.name, join(location, "name"), use_name=use_name)
-        first = names.setdefault(client.name, at)
-        if first != at:
-            message = SessionMistake.CLIENT_TWICE(name=show(client.name), number=first + 1)
-            yield Problem(join(location, "name"), message)
-        yield from grant_problems(client, location)
-        yield from _topics(client.topics, location, session, client.name if use_name else None)
+        first = firsts.setdefault(client.name, at)
+        yield from under(join("clients", at), _client(client, session, None if first == at else first))
+
+
+def _client(client: Client, session: Session, first: int | None) -> Iterator[Problem]:
+    """Yield the mistakes in one client of a server.
+
+    Args:
+        first: the index of the client that has its name already, or None.
+    """
+    if client.group is not None:
+        yield from _name(client.group, "group", use_name=False)
+    use_name = client.is_prefixed(session)
+    yield from _name(client.name, "name", use_name=use_name)
+    if first is not None:
+        yield Problem("name", SessionMistake.CLIENT_TWICE(name=show(client.name), number=first + 1))
+    yield from grant_problems(client)
+    yield from _topics(client.topics, session, client.name if use_name else None)
 
 
 def armed_problems(armed: Sequence[str | ArmedName]) -> Iterator[Problem]:
-    known: dict[ArmedName, int] = {}
+    firsts: dict[ArmedName, int] = {}
     for at, each in enumerate(armed):
-        here = join("armed", at)
-        entry = ArmedName(each) if isinstance(each, str) else each
+        entry, here = ArmedName(each) if isinstance(each, str) else each, join("armed", at)
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
-        yield from armed_name_problems(entry, here)
-        yield from range_problems(entry, here)
-        yield from on_end_problems(end_text(entry.on_end), join(here, "on_end"), entry.kind)
-        yield from limits_problems(entry.limits, join(here, "limits"), entry.kind, entry.type or AUTO, entry.name)
-        if known.setdefault(entry, at) != at:
-            yield Problem(here, f"{show(entry.name)} is listed already, as number {known[entry] + 1}: keep one")
+        yield from under(here, armed_name_problems(entry))
+        yield from under(here, range_problems(entry))
+        yield from under(here, on_end_problems(end_text(entry.on_end), entry.kind))
+        yield from under(here, limits_problems(entry.limits, entry.kind, entry.type or AUTO, entry.name))
+        if (first := firsts.setdefault(entry, at)) != at:
+            yield Problem(here, f"{show(entry.name)} is listed already, as number {first + 1}: keep one")
 
 
 def key_file_problems(session: Session) -> Iterator[Problem]:

@@ -130,7 +130,7 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
         here = locations((*others, topic))[-1]
         problems = validate(msgspec.structs.replace(session, topics=(*others, topic)))
         # In a file the kinds have their own order, by which it may be another entry that is one too many.
-        problems += overlaps((*others, topic), "")
+        problems += overlaps((*others, topic))
         found = [
             replace(problem, location=problem.location.removeprefix(here).lstrip("."))
             for problem in problems

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.decoding import join
+from rsb_bridge.config.decoding import join, under
 from rsb_bridge.config.topic_rules import range_problems
 from rsb_bridge.model.wording import Wording
 from rsb_extras.bench import LIMITS
@@ -34,7 +34,7 @@ def problems(session: Session) -> Iterator[tuple[str, str]]:
         limits = LIMITS.of(holder)
         if limits is None:
             continue
-        yield from ((each.location, each.message) for each in range_problems(limits, location))
+        yield from ((each.location, each.message) for each in under(location, range_problems(limits)))
         for key, value in (("seconds", limits.seconds), ("megabytes", limits.megabytes)):
             if not 0 < value <= _MOST:
                 yield join(location, key), BenchRulesText.OUT_OF_RANGE(value=f"{value:g}", limit=f"{_MOST:g}")
