@@ -48,6 +48,7 @@ _FIGURES_AFTER = 7.5
 """s from the beginning: a link's figures are averages of six ticks, one a second, also of those before the overload."""
 _STANDS_STILL = 0.5
 """s in which this process got no processor, from which on what a side shows is about that, too."""
+_NOT_COMPARED = "this process stood still: figures and times were not compared"
 
 
 class Seen(NamedTuple):
@@ -110,7 +111,8 @@ def test_nothing_wrong_is_said_of_an_overload(
 ) -> None:
     """With a queue of 3 s, datagrams are late, and with one of 0.8 s most are lost.
 
-    Figures, and what comes when, are compared only if this process has not stood still.
+    Figures, and what comes when, are compared only if this process has not stood still; else it is skipped after the
+    other comparisons.
     """
     out, there = robot.publisher("/camera"), pc.listener("/camera", qos=BEST_EFFORT)
     server = bridge.server()
@@ -157,6 +159,8 @@ def test_nothing_wrong_is_said_of_an_overload(
         assert {each.cause for each in seen} <= {Cause.NONE, Cause.LATE, Cause.LOSSY, Cause.QUEUE_FULL}
     texts = {each.text for seen in (*overload, *recovery) for each in seen}
     assert not [text for text in texts if USE_TCP in text]
+    if stood_still_again:
+        pytest.skip(_NOT_COMPARED)
 
 
 def test_a_path_that_takes_seconds_is_not_full(bridge: Bridge, robot: Domain, pc: Domain) -> None:
@@ -178,7 +182,7 @@ def test_a_path_that_takes_seconds_is_not_full(bridge: Bridge, robot: Domain, pc
         bridge.close()
     assert found
     if stood_still:  # and then published at once what it had missed
-        return
+        pytest.skip(_NOT_COMPARED)
     assert ledger.dropped == {}
     assert len(found) > ledger.offered - 20 * 5
     # Half of the last second's: a queue that stands delays all, and a thread that stands still only what it holds.
