@@ -37,7 +37,6 @@ class Machines(SelectableList):
         self._machines: dict[str, Adapter | Device] = {}
 
     def show(self, found: Scan) -> None:
-        """Show the search results: adapters first."""
         machines: list[Adapter | Device] = [*found.adapters, *found.devices]
         self._machines = {one.address: one for one in machines}
         self.show_keys(list(self._machines))
@@ -49,12 +48,11 @@ class Machines(SelectableList):
         return None if self.cursor_key is None else self._machines[self.cursor_key]
 
     def line(self, index: int) -> Line:
-        """Return the heading or the line of a machine."""
         if index < self.sticky:
             return ((f"   {'MAC':<18} {'':<8} {'STATE':<18} NAME", "head"),)
         one = self._machines[self.keys[index - self.sticky]]
         if isinstance(one, Adapter):
-            sign, state, kind, name = (("●", "ok") if one.powered else ("✗", "down")), "on", one.name, one.alias
+            sign, kind, name = ("●", "ok") if one.powered else ("✗", "down"), one.name, one.alias
             state = "on" if one.powered else "off"
         else:
             sign, kind, name = ("◆", "waiting") if one.connected else ("·", "dim"), "device", one.name
@@ -79,7 +77,6 @@ class Channels(FixedLines):
         self.display = False
 
     def show(self, found: Scan) -> None:
-        """Show the channels that were tried."""
         self.display = bool(found.channels)
         self.put(list(_channel_lines(found)) if found.channels else [])
 
@@ -114,7 +111,6 @@ class BluetoothScreen(ModalScreen[str | None]):
         self._problems, self._state, self._keys = Notice("problem"), Notice("hint"), Notice("hint keys")
 
     def compose(self) -> ComposeResult:
-        """Compose the machines, the channels and the problems."""
         with Vertical(classes="dialog -wide") as dialog:
             dialog.border_title = "Bluetooth"
             yield self.machines
@@ -134,9 +130,8 @@ class BluetoothScreen(ModalScreen[str | None]):
         own = held_channels(engine.session, engine.snapshot()) if engine is not None else set()
         # In a thread, with a loop of its own: the scan opens sockets, reads files, and waits up to 5 s for BlueZ.
         found = await asyncio.to_thread(lambda: asyncio.run(scan(own_channels=own)))
-        self._state.set_text(
-            "" if found.devices or not found.adapters else "No paired device: bluetoothctl pairs them."
-        )
+        is_unpaired = bool(found.adapters) and not found.devices
+        self._state.set_text("No paired device: bluetoothctl pairs them." if is_unpaired else "")
         self._problems.set_text("\n".join(found.problems))
         pick = "⏎ use as the server of a new session   " if found.adapters and not self.console.readonly else ""
         self._keys.set_text(f"{pick}s scan again   esc close")
@@ -144,7 +139,6 @@ class BluetoothScreen(ModalScreen[str | None]):
         self.channels.show(found)
 
     def action_pick(self) -> None:
-        """Return the MAC address under the cursor."""
         machine = self.machines.selected
         if machine is not None and not self.console.readonly:
             self.dismiss(machine.address)

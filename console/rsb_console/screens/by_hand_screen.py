@@ -51,7 +51,6 @@ class ByHandScreen(FormScreen[T]):
         self._keys, self._look = keys, look
 
     def compose(self) -> ComposeResult:
-        """Compose the state, the form, and the result below it."""
         with Vertical(classes=f"dialog {self._look}") as dialog:
             dialog.border_title = self._title
             yield self.state

@@ -62,9 +62,8 @@ class PlannedCall(NamedTuple):
     Attributes:
         lane: name of the service, if the route has several.
         text: the request's fields, as YAML.
-        means: consequences of a yes.
-        yes: the label of the button that does it.
-        sets: it sets one parameter.
+        question: asks for a confirmation, with its consequences (`means`) and the label of its button (`yes`).
+        sets: whether it sets one parameter.
     """
 
     lane: str
@@ -76,18 +75,15 @@ class PlannedCall(NamedTuple):
 
 
 class CallResult(NamedTuple):
-    """The result of a call."""
+    """The outcome in words, with its look, and the answer as YAML, if there is one."""
 
     text: str
     look: str
+    answer: str = ""
 
 
 class CallScreen(ByHandScreen[PlannedCall]):
-    """Asks for a request, calls once the operator has confirmed, and shows the answer; it stays open for more.
-
-    Args:
-        route: route to call, as it was when this was opened.
-    """
+    """Asks for a request, calls once the operator has confirmed, and shows the answer; it stays open for more."""
 
     AUTO_FOCUS = ".field TextArea, .field Input, .field Choice"
     BINDINGS: ClassVar = [*ByHandScreen.BINDINGS, Binding("y", "copy", show=False)]
@@ -95,12 +91,11 @@ class CallScreen(ByHandScreen[PlannedCall]):
     def __init__(self, console: Console, route: RouteSnapshot) -> None:
         self._route = route
         self._templates: dict[str, str] = {}
-        self._answer = ""
-        self._verdict: CallResult | None = None
+        self._outcome: CallResult | None = None
         self._under_way_since: float | None = None
         self._pane = ScrolledLines(id="answer")
         self._laid_out: tuple[object, ...] = ()
-        fields = [_field(spec) for spec in _specs(route)]
+        fields = [TextField(spec) if spec.key == "request" else Field(spec) for spec in _specs(route)]
         super().__init__(console, f"Call {route.topic} by hand", fields, "Call…", _KEYS, "-call")
 
     def compose_result(self) -> ComposeResult:
@@ -125,7 +120,6 @@ class CallScreen(ByHandScreen[PlannedCall]):
         return self._route.lanes[0] if field is None else field.value
 
     def _show_lane(self) -> None:
-        """Show the fields of the chosen operation, and the request's fields if its type is available."""
         sets = self._lane == _SET
         for key, field in self.form.fields.items():
             field.display = key == "lane" or (key == "request") is not sets
@@ -157,7 +151,6 @@ class CallScreen(ByHandScreen[PlannedCall]):
             self.check()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Return the problems of names, values and YAML."""
         if self._lane != _SET:
             problem = fields_problem(values["request"])
             return {"request": problem} if problem else {}
@@ -199,35 +192,31 @@ class CallScreen(ByHandScreen[PlannedCall]):
         """Wait for the answer. Closing the form ends the wait, but not the call."""
         began = self._under_way_since = time.monotonic()
         # The answer of the call before would be taken for this one's.
-        self._set_answer("", None)
+        self._outcome = None
+        self._draw()
         try:
             if self.console.engine is None:
                 raise EngineError("no session runs")
             answer = await asyncio.wrap_future(self.console.engine.call(self._route.key, request.text, request.lane))
         except EngineError as error:
-            self._set_answer("", CallResult(f"{FAILED} {_clean(str(error))}", "down"))
+            self._outcome = CallResult(f"{FAILED} {_clean(str(error))}", "down")
         else:
             report = formats.answer_report(self._route, time.monotonic() - began)
-            refused = refusal(answer) if request.sets else None
-            if refused is not None:
-                # The call itself has succeeded: a node refuses a parameter in its answer.
-                refusal_text = f"{FAILED} {report}: the node refuses it: {_clean(refused)}"
-                self._set_answer(answer, CallResult(refusal_text, "down"))
+            # The call itself succeeds if a node refuses a parameter: that is in its answer.
+            if request.sets and (refused := refusal(answer)) is not None:
+                text = f"{FAILED} {report}: the node refuses it: {_clean(refused)}"
+                self._outcome = CallResult(text, "down", answer)
             else:
                 done = CallText.VALUE_SET if request.sets else CallText.ANSWERED
-                self._set_answer(answer, CallResult(_clean(done(sign=DONE, report=report)), "ok"))
+                self._outcome = CallResult(_clean(done(sign=DONE, report=report)), "ok", answer)
         finally:
             self._under_way_since = None
         self._draw()
         self._pane.scroll_home(animate=False)
 
-    def _set_answer(self, answer: str, verdict: CallResult | None) -> None:
-        self._answer, self._verdict = answer, verdict
-        self._draw()
-
     def action_copy(self) -> None:
-        if self._answer:
-            self.notify(copy(self.app, self._answer), timeout=3, markup=False)
+        if self._outcome is not None and self._outcome.answer:
+            self.notify(copy(self.app, self._outcome.answer), timeout=3, markup=False)
 
     # -- the picture --------------------------------------------------------------------------------------------------
 
@@ -237,10 +226,10 @@ class CallScreen(ByHandScreen[PlannedCall]):
             return
         self.state.set_text(self._state_text())
         width = max(10, self._pane.scrollable_content_region.width)
-        what = (self._progress(), self._verdict, self._answer, width)
-        if what != self._laid_out:
-            self._laid_out = what
-            self._pane.show(self._lines(what[0], width))
+        progress = self._progress()
+        if (progress, self._outcome, width) != self._laid_out:
+            self._laid_out = (progress, self._outcome, width)
+            self._pane.show(self._lines(progress, width))
 
     def _state_text(self) -> str:
         route = next((each for each in self.console.snapshot().routes if each.key == self._route.key), None)
@@ -251,7 +240,7 @@ class CallScreen(ByHandScreen[PlannedCall]):
 
     def _progress(self) -> Line:
         if self._under_way_since is None:
-            return ((CallText.NOTHING_CALLED(), "dim"),) if self._verdict is None else ()
+            return ((CallText.NOTHING_CALLED(), "dim"),) if self._outcome is None else ()
         waited = formats.age(time.monotonic() - self._under_way_since)
         if self._route.spec.kind == "action":
             return ((CallText.WAITING(sign=UNDER_WAY, waited=waited), "waiting"),)
@@ -261,10 +250,10 @@ class CallScreen(ByHandScreen[PlannedCall]):
     def _lines(self, progress: Line, width: int) -> Iterator[Line]:
         if progress:
             yield progress
-        if self._verdict is not None:
-            yield from (((text, self._verdict.look),) for text in textwrap.wrap(self._verdict.text, width))
+        if self._outcome is not None:
+            yield from (((text, self._outcome.look),) for text in textwrap.wrap(self._outcome.text, width))
             yield ()
-        yield from answer_lines(self._answer, width)
+            yield from answer_lines(self._outcome.answer, width)
 
 
 def _specs(route: RouteSnapshot) -> Iterator[Spec]:
@@ -275,24 +264,12 @@ def _specs(route: RouteSnapshot) -> Iterator[Spec]:
         yield Spec("name", "Parameter", "Its name, as the node has it: controller_frequency.")
         kinds = "5 is an integer, 5.0 a double, true a bool, [1, 2] an array; anything else is text."
         yield Spec("value", "Value", f"{kinds} The node refuses a value of another type.")
-    yield Spec(
-        "request",
-        "Request",
-        "Its fields as YAML, one a line. Missing fields get their defaults.",
-        blank="empty: every field has its default",
-    )
-
-
-def _field(spec: Spec) -> Field:
-    return TextField(spec) if spec.key == "request" else Field(spec)
+    fields = "Its fields as YAML, one a line. Missing fields get their defaults."
+    yield Spec("request", "Request", fields, blank="empty: every field has its default")
 
 
 def answer_lines(answer: str, width: int) -> Iterator[Line]:
-    """Format an answer as lines that fit, with a note if it is cut.
-
-    Args:
-        answer: answer as YAML.
-    """
+    """Format an answer in YAML as lines that fit, with a note if it is cut."""
     pieces = (
         (piece, "dim" if text.startswith("#") else "")
         for text in answer.splitlines()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
@@ -19,7 +20,7 @@ from rsb_bridge.config.grants import GrantError, typed_grants
 from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.session_changes import ClientError, client_named, with_client
 from rsb_bridge.config.session_file import SessionError, validate
-from rsb_bridge.model.commands import Effect, undoing
+from rsb_bridge.model.commands import AddClient, Effect, RemoveClient, undoing
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.commands import Command
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Event, Snapshot
     from rsb_console.console_api import Console
@@ -76,48 +78,35 @@ class _ClientChange(Change):
     listed: Client
     running: Client
 
-    def _change_file(self, change: Callable[[], ChangedFile]) -> None:
-        """Change the session file.
+    def _present(self) -> Client | None:
+        engine = self.console.engine
+        return None if engine is None else _client(engine.session, self.listed.name)
 
-        Raises:
-            EngineError: it cannot be changed.
-        """
-        # Asked before the change, after which the file differs in any case.
-        is_known = self.console.file is not None and not is_changed(self.console.file)
+    async def _undo(self, change: Callable[[], ChangedFile], command: Command[None], engine: EngineApi) -> None:
         try:
-            changed = change()
+            _change_file(self.console, change)
         except (ClientError, KeyFileError, SessionError) as error:
             raise EngineError(str(error)) from None
-        if is_known:
-            self.console.saved_to(changed.file.session, changed.file.path)
-
-    def _is_running(self, name: str) -> bool:
-        engine = self.console.engine
-        return engine is not None and _client(engine.session, name) is not None
+        with undoing():
+            future = engine.do(command)
+        await asyncio.wrap_future(future)
 
 
 @dataclass(frozen=True, slots=True)
 class ClientAdded(_ClientChange):
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
         name = self.listed.name
-        current = None if self.console.engine is None else _client(self.console.engine.session, name)
-        in_file = _client_in(self.path, name)
+        current, in_file = self._present(), _client_in(self.path, name)
         if current is None or in_file is None:
             raise CannotUndoError(f"client {name}: removed since; nothing to undo")
         # Topics that were added to it since are no change of the client.
         if msgspec.structs.replace(current, topics=self.running.topics) != self.running or in_file != self.listed:
             raise CannotUndoError(f"client {name}: changed since: to remove it, open the links (c)")
-
-        async def act(engine: EngineApi) -> None:
-            self._change_file(lambda: client_files.remove_client(self.path, name))
-            with undoing():
-                future = engine.remove_client(name)
-            await asyncio.wrap_future(future)
-
         lines = (
             f"removes {name} from the bridge and from {self.path.name}",
             "Its link closes at once, and it cannot connect again. Its key file stays.",
         )
+        act = partial(self._undo, partial(client_files.remove_client, self.path, name), RemoveClient(name))
         return Undo(f"Undo the addition: remove the client {name}?", lines, "Remove", True, act)
 
 
@@ -134,25 +123,19 @@ class ClientRemoved(_ClientChange):
 
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
         name = self.listed.name
-        if self._is_running(name) or _client_in(self.path, name) is not None:
+        if self._present() is not None or _client_in(self.path, name) is not None:
             raise CannotUndoError(f"client {name}: added again since; nothing to undo")
         # Without its key file, adding it would make a new key, which the robot does not have.
         if self.key_at is not None and not is_there(self.key_at):
             raise CannotUndoError(
                 f"client {name}: its key file {self.key_at} is gone: add the client again in the links (c)"
             )
-
-        async def act(engine: EngineApi) -> None:
-            self._change_file(lambda: client_files.add_client(self.path, self.listed))
-            with undoing():
-                future = engine.add_client(self.running)
-            await asyncio.wrap_future(future)
-
         key = "" if self.key_at is None else f", with the key in {self.key_at.name}"
         lines = (
             f"adds {name} to the bridge and to {self.path.name} again{key}",
             "It may connect again, and its topics cross. This arms nothing.",
         )
+        act = partial(self._undo, partial(client_files.add_client, self.path, self.listed), AddClient(self.running))
         return Undo(ClientText.UNDO_REMOVAL(name=name), lines, "Add again", True, act)
 
 
@@ -183,9 +166,8 @@ async def add_client(console: Console) -> None:
     client = await console.ask(AddClientScreen(console.engine.session, path.parent))
     if client is None:
         return
-    is_known = console.file is not None and not is_changed(console.file)
     try:
-        changed = client_files.add_client(path, client)
+        changed = _change_file(console, partial(client_files.add_client, path, client))
     except (ClientError, KeyFileError, SessionError) as error:
         console.notify(str(error), title="Not added", severity="error", markup=False, timeout=15)
         return
@@ -195,7 +177,6 @@ async def add_client(console: Console) -> None:
                         running=changed.client)
         )  # fmt: skip
     # Also if the bridge has refused: the file is changed.
-    _remember(console, changed, is_known=is_known)
     await console.ask(HandoutScreen(f"{client.name} is added", (changed,)))
 
 
@@ -210,10 +191,9 @@ async def remove_client(console: Console, name: str) -> None:
     )
     if not await console.ask(ConfirmScreen(f"Remove the client {name}?", message, "Remove", Effect.LOSES)):
         return
-    is_known = console.file is not None and not is_changed(console.file)
     try:
         running = client_named(console.engine.session, name)
-        changed = client_files.remove_client(path, name)
+        changed = _change_file(console, partial(client_files.remove_client, path, name))
     except (ClientError, SessionError) as error:
         console.notify(str(error), title="Not removed", severity="error", markup=False, timeout=15)
         return
@@ -222,7 +202,6 @@ async def remove_client(console: Console, name: str) -> None:
             ClientRemoved(name, name, 0, console=console, path=path, listed=changed.client, running=running,
                           key_at=changed.key_path)
         )  # fmt: skip
-    _remember(console, changed, is_known=is_known)
 
 
 def _saved_path(console: Console) -> Path | None:
@@ -233,18 +212,22 @@ def _saved_path(console: Console) -> Path | None:
     return console.path
 
 
-def _remember(console: Console, changed: ChangedFile, *, is_known: bool) -> None:
-    """Continue with the changed file; if others changed it, too, the next save still reports that."""
+def _change_file(console: Console, change: Callable[[], ChangedFile]) -> ChangedFile:
+    """Change the session file, and go on with it; if others changed it, too, the next save still reports that.
+
+    Raises:
+        ClientError, KeyFileError, SessionError: it cannot be changed.
+    """
+    # Asked before the change, after which the file differs in any case.
+    is_known = console.file is not None and not is_changed(console.file)
+    changed = change()
     if is_known:
         console.saved_to(changed.file.session, changed.file.path)
+    return changed
 
 
 class AddClientScreen(FormScreen[Client]):
-    """Describe a client.
-
-    Args:
-        base: the folder that its key files are relative to.
-    """
+    """Describe a client, whose key file is relative to the folder `base`."""
 
     def __init__(self, session: Session, base: Path) -> None:
         super().__init__("Add a client", [Field(spec) for spec in FIELDS], "Add")
@@ -277,11 +260,10 @@ class AddClientScreen(FormScreen[Client]):
         return problems
 
     def result(self, values: Mapping[str, str]) -> Client:
-        use_name = {"yes": True, "no": False}.get(values["use_name"])
         return Client(
             name=values["name"],
             key_file=values["key_file"] or None,
-            use_name=use_name,
+            use_name={"yes": True, "no": False}.get(values["use_name"]),
             allow=_grants(values["allow"]),
             deny=_grants(values["deny"]),
         )
@@ -296,11 +278,7 @@ def _grants(text: str) -> tuple[str | Grant, ...]:
 
 
 class HandoutScreen(ModalScreen[None]):
-    """The files that each new client needs: its session file to copy from here, and its key.
-
-    Args:
-        handed: changed session file for each client.
-    """
+    """The files that each new client needs: its session file to copy from here, and its key."""
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False), Binding("y", "copy", show=False)]
 

@@ -23,11 +23,7 @@ if TYPE_CHECKING:
 
 
 class ColumnsList(SelectableList):
-    """The columns that an operator may choose, with a mark on each chosen one.
-
-    Args:
-        topics: the table whose columns they are.
-    """
+    """The columns of a table that an operator may choose, with a mark on each chosen one."""
 
     def __init__(self, topics: TopicsTable) -> None:
         super().__init__(id="columns")
@@ -35,7 +31,6 @@ class ColumnsList(SelectableList):
         self.keys = list(TOPIC_COLUMNS)
 
     def on_mount(self) -> None:
-        """Set the height to the number of lines."""
         self.styles.height = self.line_count
         self.sync()
 

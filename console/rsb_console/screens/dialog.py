@@ -60,12 +60,7 @@ def beginning(fields: str) -> str:
 
 
 class Dialog(Vertical):
-    """A dialog's widgets, with a title on the frame, and the keys as its last line.
-
-    Args:
-        keys: keys to press, shown in the last line.
-        shape: a further CSS class: ``-wide`` or ``-high``.
-    """
+    """A dialog's widgets, with a title on the frame, and the keys as its last line; `shape` is a CSS class."""
 
     def __init__(self, title: str, *widgets: Widget, keys: str, shape: str = "-wide") -> None:
         super().__init__(*widgets, Static(keys, classes="hint keys", markup=False), classes=f"dialog {shape}")
@@ -93,7 +88,6 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
     Args:
         title: the action: ``Remove /scan?``.
         yes: the label of its button: ``Remove``.
-        effect: of Yes.
     """
 
     SAFE_KEYS = frozenset({"n", "escape", "ctrl+c"})
@@ -139,11 +133,7 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
         self._keys.update(self._instead_of_keys or keys)
 
     def action_scroll(self, to: str) -> None:
-        """Show other lines of the message.
-
-        Args:
-            to: direction, as in Textual's ``scroll_...`` methods.
-        """
+        """Show other lines of the message, in a direction of Textual's ``scroll_...`` methods."""
         getattr(self._scrolled, f"scroll_{to}")(animate=False)
 
     def compose_message(self) -> ComposeResult:
@@ -165,9 +155,9 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
         if self.is_guarded and InputGate.of(self.app).is_on:
             self._instead_of_keys = _NO_KEYS_YET
             # The time counts from the picture on: earlier, there is no question to answer.
-            self.call_after_refresh(self._is_drawn)
+            self.call_after_refresh(self._begin_counting)
 
-    def _is_drawn(self) -> None:
+    def _begin_counting(self) -> None:
         self.drawn_at = time.monotonic()
         self.set_interval(_LOOK_EVERY, self._name_keys_while_they_count)
 
@@ -221,7 +211,6 @@ class UndoScreen(ConfirmScreen):
         self._careful = undo.careful
 
     def on_mount(self) -> None:
-        """Put the focus on Yes if the undo is harmless."""
         # Textual calls the handler of ConfirmScreen, too.
         if not self._careful:
             self.query_one("#yes").focus()
@@ -237,33 +226,33 @@ class Steps(LiveLines, can_focus=False):
     def __init__(self) -> None:
         super().__init__(id="steps")
         self._steps: list[tuple[str, float]] = []
-        self._end: tuple[str, str] | None = None
+        self._end: tuple[str, str, float] | None = None  # look, message and time
 
     @property
     def line_count(self) -> int:
-        """One line for each step, and the outcome."""
         return len(self._steps) + (self._end is not None)
 
     def line(self, index: int) -> Line:
         if index == len(self._steps):
             assert self._end is not None
-            look, message = self._end
+            look, message, _ = self._end
             return ((f"{DONE if look == 'ok' else FAILED} ", look), (message, look))
         message, began = self._steps[index]
-        if index == len(self._steps) - 1 and self._end is None:
+        if index + 1 < len(self._steps):
+            look, ended = "ok", self._steps[index + 1][1]
+        elif self._end is not None:
+            look, _, ended = self._end
+        else:
             return ((f"{RUNNING} ", "waiting"), (message, "strong"))
-        ended = self._steps[index + 1][1] if index + 1 < len(self._steps) else self._ended
-        failed = index == len(self._steps) - 1 and self._end is not None and self._end[0] == "down"
-        sign = (f"{FAILED} ", "down") if failed else (f"{DONE} ", "ok")
-        return (sign, (f"{message:<60}", ""), (f"{ended - began:6.2f} s", "dim"))
+        sign = DONE if look == "ok" else FAILED
+        return ((f"{sign} ", look), (f"{message:<60}", ""), (f"{ended - began:6.2f} s", "dim"))
 
     def add(self, message: str) -> None:
         self._steps.append((message, time.monotonic()))
         self._lay_out()
 
     def end(self, look: str, message: str) -> None:
-        self._ended = time.monotonic()
-        self._end = (look, message)
+        self._end = (look, message, time.monotonic())
         self._lay_out()
 
     def _lay_out(self) -> None:
@@ -293,7 +282,6 @@ class RestartScreen(ModalScreen[None]):
 
     @work
     async def on_mount(self) -> None:
-
         def step(message: str) -> None:  # on the engine's thread, which must not wait for us
             self.call_later(self.steps.add, message)
 

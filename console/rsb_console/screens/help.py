@@ -44,11 +44,7 @@ class KeyList(ScrolledLines):
 
 
 class HelpScreen(ModalScreen[None]):
-    """Every key; any of escape, q, ? and enter leaves.
-
-    Args:
-        below: the screen on which the operator asks, whose keys come first.
-    """
+    """Every key; those of the screen `below`, on which the operator asks, come first."""
 
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,f1,enter", "dismiss", show=False)]
 
@@ -73,7 +69,7 @@ class HelpScreen(ModalScreen[None]):
                 keys = "  ".join(self.console.key_labels(action))
                 first, *more = textwrap.wrap(action.help, room - 2)
                 yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (f"{first:<{room}}", ""), (action.id, "dim"))
-                yield from ((((" " * KEYS_WIDTH + text), ""),) for text in more)
+                yield from (((" " * KEYS_WIDTH + text, ""),) for text in more)
             yield ()
         yield from self._chapters([each for each in chapters if each.screen not in self._classes_below], room)
         yield (("Other keys, one line each, like   pause: P", "dim"),)
@@ -108,7 +104,11 @@ class ActionsProvider(Provider):
         return (action for action in self.app.actions if self.screen.check_action(action.id, ()))
 
     async def discover(self) -> Hits:
-        for action in sorted(self._possible(), key=_by_use):
+        def by_use(action: Action) -> tuple[bool, bool]:
+            """Sort the footer's actions first, and movements of the cursor last."""
+            return action.group is Group.MOVE, not action.in_footer
+
+        for action in sorted(self._possible(), key=by_use):
             yield DiscoveryHit(action.help, partial(self._run, action), help=self._keys(action))
 
     async def search(self, query: str) -> Hits:
@@ -124,8 +124,3 @@ class ActionsProvider(Provider):
 
     async def _run(self, action: Action) -> None:
         await self.app.run_action(f"{NAMESPACE[action.group]}.{action.id}")
-
-
-def _by_use(action: Action) -> tuple[bool, bool]:
-    """Sort the footer's actions first, and movements of the cursor last."""
-    return action.group is Group.MOVE, not action.in_footer

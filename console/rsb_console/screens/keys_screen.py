@@ -55,31 +55,18 @@ class KeyText(Wording):
 
 
 class KeyFile(NamedTuple):
-    """The facts about a key file.
-
-    Attributes:
-        user: user of the key: a client, an operator or the session.
-        mode: ``0600``, or an empty string if the file is missing.
-        fingerprint: fingerprint, or an empty string if the file cannot be read.
-        written: time of writing, in words.
-        note: advice for an operator, or an empty string.
-    """
+    """The facts about a key file. All but `note` are empty if the file is missing or cannot be read."""
 
     path: Path
-    user: str
-    mode: str
+    user: str  # a client, an operator or the session
+    mode: str  # "0600"
     fingerprint: str
-    written: str
-    note: str
+    written: str  # in words
+    note: str  # advice for an operator
 
 
 def facts_of(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFile:
-    """Read the facts about a key file.
-
-    Args:
-        used_by: the fingerprints of the keys that links use.
-        now: s since the epoch.
-    """
+    """Read the facts about a key file at `now` (s since the epoch); links use the fingerprints `used_by`."""
     # Apart from the key: a file that cannot be read has a mode, which may be why.
     try:
         mode = f"{stat.S_IMODE(path.stat().st_mode):04o}"
@@ -95,11 +82,7 @@ def facts_of(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFi
 
 
 def key_files(session: Session, base: Path) -> dict[Path, str]:
-    """Return the user of each of a session's key files.
-
-    Args:
-        base: the folder that they are relative to.
-    """
+    """Return the user of each of a session's key files, which are relative to the folder `base`."""
     found: dict[Path, str] = {}
     for name, user in key_users(session).items():
         path = key_path(base, name)
@@ -124,16 +107,14 @@ class KeysTable(SelectableList):
         return None if self.cursor_key is None else self._files[self.cursor_key]
 
     def line(self, index: int) -> Line:
-        """Return the heading or the line of a file."""
         if index < self.sticky:
             return ((f"   {'FILE':<{NAME_WIDTH}} {'MODE':<5} {'FINGERPRINT':<20} FOR", "head"),)
         file = self._files[self.keys[index - self.sticky]]
         sign, look = ("✗", "down") if not file.fingerprint else ("▲", "stale") if file.note else ("✓", "ok")
         name = fit(((f"{file.path.name:<{NAME_WIDTH}}", "strong"),), NAME_WIDTH)
         figures = f" {file.mode or '-':<5} {file.fingerprint or 'no key':<20} {file.user}"
-        return fit(
-            (("▌" if self.is_cursor(index) else " ", "key"), (f"{sign} ", look), *name, (figures, "")), self.size.width
-        )
+        cursor = ("▌" if self.is_cursor(index) else " ", "key")
+        return fit((cursor, (f"{sign} ", look), *name, (figures, "")), self.size.width)
 
 
 class KeysScreen(ModalScreen[None]):
@@ -153,7 +134,6 @@ class KeysScreen(ModalScreen[None]):
         self._made: dict[Path, str] = {}
 
     def compose(self) -> ComposeResult:
-        """Compose the table and the facts about the file under the cursor."""
         generate = "" if self.console.readonly else "g generate a key   "
         keys = f"Both sides of a link need the same fingerprint.\n{generate}esc close"
         yield Dialog("Key files", self.table, self._written, self._note, keys=keys)
@@ -173,25 +153,23 @@ class KeysScreen(ModalScreen[None]):
         self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
-        """Show the facts about the file under the cursor."""
-        file = self.table.selected
-        self._note.set_text(self._no_file() if file is None else file.note)
+        file, engine = self.table.selected, self.console.engine
+        if file is not None:
+            note = file.note
+        elif engine is not None and not engine.same_machine:
+            note = f"The key files of {engine.session.name} are on its own machine."
+        else:
+            note = "No key file yet." if self.console.readonly else "No key file yet: g makes one."
+        self._note.set_text(note)
         self._written.update("" if file is None else file.written)
-
-    def _no_file(self) -> str:
-        engine = self.console.engine
-        if engine is not None and not engine.same_machine:
-            return f"The key files of {engine.session.name} are on its own machine."
-        return "No key file yet." if self.console.readonly else "No key file yet: g makes one."
 
     @work(group=DIALOG)
     async def action_generate(self) -> None:
         if self.console.readonly:
             return
         file = self.table.selected
-        path = await self.console.ask(
-            GenerateScreen(self.console, Path(DEFAULT_KEY_FILE) if file is None else file.path)
-        )
+        first = Path(DEFAULT_KEY_FILE) if file is None else file.path
+        path = await self.console.ask(GenerateScreen(self.console, first))
         if path is not None:
             self._made.setdefault(path, "not in the session")
             self.refresh_table()
@@ -199,12 +177,7 @@ class KeysScreen(ModalScreen[None]):
 
 
 class GenerateScreen(FormScreen[Path]):
-    """A form that creates a key and returns its file.
-
-    Args:
-        console: asks before a key is replaced.
-        path: first text of the field.
-    """
+    """A form that creates a key and returns its file; `path` is the first text of the field."""
 
     def __init__(self, console: Console, path: Path) -> None:
         self.console = console
@@ -212,7 +185,6 @@ class GenerateScreen(FormScreen[Path]):
         super().__init__("Generate a key", [Field(Spec("path", "File", advice, str(path), edited=True))], "Generate")
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Whether a file can be there."""
         problem = path_problem(values["path"])
         return {"path": problem} if problem else {}
 

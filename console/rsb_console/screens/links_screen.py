@@ -34,11 +34,8 @@ if TYPE_CHECKING:
     from rsb_console.screens.main import MainScreen
 
 HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
-_NAMED = 3
-"""Links that a question names; the others are counted."""
+_NAMED = 3  # links in a question; the others are counted
 LABEL = 15  # cells of a figure's name
-
-
 CLIENT_KEYS = "a add a client   d remove it   "
 
 
@@ -62,12 +59,11 @@ class LinksTable(SelectableList):
         self._links: dict[str, LinkSnapshot] = {}
 
     def show(self, snapshot: Snapshot) -> None:
+        def badness(link: LinkSnapshot) -> tuple[float, str]:
+            return state_order(link.state, acknowledged=link.acknowledged is not None), link.name
+
         self._now = snapshot
-        worst_first = sorted(
-            snapshot.links,
-            key=lambda link: (state_order(link.state, acknowledged=link.acknowledged is not None), link.name),
-        )
-        self._links = {link.name: link for link in worst_first}
+        self._links = {link.name: link for link in sorted(snapshot.links, key=badness)}
         self.show_keys(list(self._links))
 
     @property
@@ -75,10 +71,9 @@ class LinksTable(SelectableList):
         return None if self.cursor_key is None else self._links.get(self.cursor_key)
 
     def line(self, index: int) -> Line:
-        """Return the heading or the line of a link."""
-        assert self._now is not None or index < self.sticky
-        if index < self.sticky or self._now is None:
+        if index < self.sticky:
             return ((HEADING, "head"),)
+        assert self._now is not None
         link = self._links[self.keys[index - self.sticky]]
         state = link.state
         name = fit(((f"{link.name:<12}", "strong"),), 12)
@@ -87,11 +82,12 @@ class LinksTable(SelectableList):
             f"{_span(link.rtt):>8}{_span(link.clock_offset):>10}{topics:>7}"
             f"{formats.byte_rate(link.rx_bytes_per_second):>9}{formats.byte_rate(link.tx_bytes_per_second):>9}"
         )
+        shown = (f"{STATE_SIGN[state]} {STATE_WORD[state]:<6}", state.value)
+        if link.acknowledged is not None:
+            shown = (f"{ACK_WORD} {STATE_WORD[state]:<4}", "dim")
         return (
             ("▌" if self.is_cursor(index) else " ", "key"),
-            (f"{STATE_SIGN[state]} {STATE_WORD[state]:<6}", state.value)
-            if link.acknowledged is None
-            else (f"{ACK_WORD} {STATE_WORD[state]:<4}", "dim"),
+            shown,
             *name,
             (f"{formats.clock(self._now.time - link.since):>9}", "dim"),
             (figures, ""),
@@ -187,9 +183,8 @@ class LinkScreen(ModalScreen[None]):
 async def lets_back(console: Console, app: App[Any], links: Iterable[LinkSnapshot]) -> bool:
     """Whether to try links again; that lets back in what somebody has shut down, perhaps after the key was pressed."""
     names = [link.name for link in links if link.cause == LinkCause.SHUT_DOWN]
-    return not names or await is_meant(
-        console, app, LinkText.BACK(links=join_first(names, _NAMED)), LinkText.BACK_MEANS(), "Try again"
-    )
+    title = LinkText.BACK(links=join_first(names, _NAMED))
+    return not names or await is_meant(console, app, title, LinkText.BACK_MEANS(), "Try again")
 
 
 class LinksScreen(ModalScreen[None]):
@@ -208,7 +203,6 @@ class LinksScreen(ModalScreen[None]):
         self.table, self.detail = LinksTable(), LinkDetail()
 
     def compose(self) -> ComposeResult:
-        """Compose the table and the detail of the link under the cursor."""
         clients = CLIENT_KEYS if self._is_server else ""
         keys = "" if self.console.readonly else f"{clients}r try again now   i acknowledge   "
         yield Dialog("Links", self.table, self.detail, keys=f"⏎ detail   {keys}esc close")
@@ -218,7 +212,6 @@ class LinksScreen(ModalScreen[None]):
         self.show()
 
     def show(self) -> None:
-        """Show the present state of the links."""
         self.table.show(self.console.snapshot())
         self.table.styles.height = min(self.table.line_count, 12)
         self.on_selectable_list_cursor_moved()
@@ -227,7 +220,6 @@ class LinksScreen(ModalScreen[None]):
         self.detail.show(self.table.selected, server=self._is_server)
 
     def action_open(self) -> None:
-        """Show the link under the cursor with its topics."""
         if self.table.selected is not None:
             self.app.push_screen(LinkScreen(self.console, self.table.selected.name))
 
@@ -257,7 +249,6 @@ class LinksScreen(ModalScreen[None]):
         return self.console.snapshot().role == "server"
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Disable actions of servers on a client, and all changes while read-only (Textual's)."""
         if action in ("add_client", "remove_client"):
             return self._is_server and not self.console.readonly
         return super().check_action(action, parameters)

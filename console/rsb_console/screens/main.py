@@ -51,7 +51,7 @@ class MainText(Wording):
 
 
 class Explanations:
-    """Says why the bridge does not run or the table is empty, and which key to press."""
+    """Explains why the bridge does not run or the table is empty, and which key to press."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -64,8 +64,10 @@ class Explanations:
         console, engine = self._console, self._console.engine
         session = "" if console.path is None else console.path.stem
         way_on = "" if snapshot.running or engine is None else self._way_on()
-        lost = "" if engine is None or not engine.unreachable else f"✗ NOT ATTACHED: {engine.unreachable}"
-        attached, note = bool(console.attached_to), console.note or lost
+        note = console.note
+        if not note and engine is not None and engine.unreachable:
+            note = f"✗ NOT ATTACHED: {engine.unreachable}"
+        attached = bool(console.attached_to)
         return BarState(session, console.refresh_rate, frozen_since, console.readonly, note, way_on, attached=attached)
 
     def faults(self, snapshot: Snapshot, events: Sequence[Event]) -> list[Fault]:
@@ -194,17 +196,15 @@ class MainScreen(Screen[None]):
         self.show_keys()
 
     def hold(self, new_events: Sequence[Event]) -> None:
-        """Show events later, with the next `show`."""
+        """Keep events for the next `show`."""
         self._held += new_events
 
     def reset(self) -> None:
-        """Begin another session: forget the old one's log."""
-        self._held = []
-        self.frozen_since = None
+        """Forget the log of a session, as another one begins."""
+        self._held, self.frozen_since = [], None
         self.log_pane.clear()
 
     def show_detail(self) -> None:
-        """Show the topic under the cursor."""
         # The hidden pane of a narrow screen costs nothing.
         if self.detail.display:
             route = self.topics.selected

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
     from textual.screen import Screen
 
-    from rsb_bridge.cdr.decoder import Decoded
-    from rsb_bridge.model.snapshot import PeekedMessage, RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import Console
     from rsb_console.session.reading import ReadMessage
     from rsb_console.widgets.lines import Line
@@ -67,13 +66,10 @@ class MessageText(Wording):
 
 
 class MessageScreen(FullScreen[bool]):
-    """Shows the messages of one topic, each new one in place of the one before.
-
-    The result is true if they are to be shown in another way instead.
+    """Shows the newest message of one topic, until the operator leaves or chooses the other way (then True).
 
     Args:
-        route: the topic's, as it was when this was opened.
-        other: name of the other way, or an empty string if there is none.
+        other: name of the other way to show messages, or an empty string.
     """
 
     BINDINGS: ClassVar = [
@@ -85,9 +81,7 @@ class MessageScreen(FullScreen[bool]):
 
     def __init__(self, console: Console, route: RouteSnapshot, other: str = "") -> None:
         super().__init__()
-        self.console = console
-        self._route = route
-        self._other = other
+        self.console, self._route, self._other = console, route, other
         self._types = KnownTypes(time.monotonic)
         self._read: ReadMessage | None = None
         self._goes_on = asyncio.Event()  # cleared: the message that is shown is held
@@ -119,12 +113,18 @@ class MessageScreen(FullScreen[bool]):
         first = True
         while True:
             try:
+                engine = self.console.engine
+                if engine is None:
+                    raise EngineError("no session runs")
                 # Once only: a message that is kept for late joiners comes at once, and would come again and again.
-                peeked = await self._peek(kept=first)
+                peeked = await asyncio.wrap_future(engine.peek(self._route.key, kept=first))
                 # Behind the request: a message that comes while the screen is held is not shown.
                 await self._goes_on.wait()
                 if peeked is not None:
-                    self._read = await self._made_readable(peeked)
+                    known = self._types.get(peeked.type_hash)
+                    if known is None:
+                        known = self._types.put(peeked.type_hash, *await self._described())
+                    self._read = await asyncio.to_thread(read_message, peeked, *known, items=_ITEMS, steps=_STEPS)
                     await self._lay_out()
                     self._waits_since = time.monotonic()
                     first = False
@@ -133,18 +133,6 @@ class MessageScreen(FullScreen[bool]):
                 self._problem = str(error)
                 await asyncio.sleep(_TRIED_AGAIN_AFTER)
             self._draw()
-
-    async def _peek(self, *, kept: bool) -> PeekedMessage | None:
-        engine = self.console.engine
-        if engine is None:
-            raise EngineError("no session runs")
-        return await asyncio.wrap_future(engine.peek(self._route.key, kept=kept))
-
-    async def _made_readable(self, peeked: PeekedMessage) -> ReadMessage:
-        known = self._types.get(peeked.type_hash)
-        if known is None:
-            known = self._types.put(peeked.type_hash, *await self._described())
-        return await asyncio.to_thread(read_message, peeked, *known, items=_ITEMS, steps=_STEPS)
 
     async def _lay_out(self) -> None:
         """Lay the message out for the present width, off the event loop: a long one takes too long for it."""
@@ -206,7 +194,6 @@ class MessageScreen(FullScreen[bool]):
     # -- keys ---------------------------------------------------------------------------------------------------------
 
     def action_other(self) -> None:
-        """Show the messages in the other way, if there is one."""
         if self._other:
             self.dismiss(True)
 
@@ -221,10 +208,15 @@ class MessageScreen(FullScreen[bool]):
 
     @work(exclusive=True, group="copy")
     async def action_copy(self) -> None:
-        """Copy the decoded part of the message."""
-        if self._read is not None and self._read.decoded is not None:
-            text = await asyncio.to_thread(_whole_text, self._read.decoded)
-            self.notify(copy(self.app, text), timeout=3, markup=False)
+        """Copy the decoded part of the message, off the event loop, as `_lay_out`."""
+        if self._read is None or self._read.decoded is None:
+            return
+        message = self._read.decoded.message
+
+        def whole_text() -> str:
+            return "\n".join(plain(line) for line in message_lines(message, 1 << 20))  # no line is wrapped
+
+        self.notify(copy(self.app, await asyncio.to_thread(whole_text)), timeout=3, markup=False)
 
 
 def content_lines(read: ReadMessage, width: int) -> list[Line]:
@@ -238,7 +230,3 @@ def content_lines(read: ReadMessage, width: int) -> list[Line]:
     if read.problem:
         lines += [(), ((escape_text(read.problem), "stale"),)]
     return lines
-
-
-def _whole_text(decoded: Decoded) -> str:
-    return "\n".join(plain(line) for line in message_lines(decoded.message, 1 << 20))  # no line is wrapped

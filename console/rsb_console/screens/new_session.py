@@ -101,8 +101,7 @@ class NewSessionScreen(FormScreen[NewSession]):
     """A form that writes a session file and its key, and returns the file.
 
     Args:
-        may_run: whether the operator agrees to run the session of a file instead of the present one; if not, the form
-            stays.
+        may_run: asks whether to run the session of a file instead of the present one; if not, the form stays.
         server_ip: first text of the field.
     """
 
@@ -114,48 +113,30 @@ class NewSessionScreen(FormScreen[NewSession]):
         super().__init__("New session", list(self._fields.values()), "Create")
 
     def compose_buttons(self) -> ComposeResult:
-        """Add a button for a server over Bluetooth."""
         yield Button("Bluetooth…", id="bluetooth", compact=True)
         yield from super().compose_buttons()
 
     def check(self) -> None:
         """Fill in derived values, then check for problems."""
-        values = self.form.values
-        name = values["name"]
-        encrypted = values["use_encryption"] == "yes"
+        name, encrypted = self.form.values["name"], self.form.values["use_encryption"] == "yes"
         for key, suffix in (("path", "yaml"), ("key_file", "key")):
             control = self._fields[key].control
             assert isinstance(control, Input)
             control.placeholder = f"{name}.{suffix}" if name else ""
         # Before the check: the values of a hidden field do not count.
-        self._fields["clients"].display = values["role"] == "server"
+        self._fields["clients"].display = self.form.values["role"] == "server"
         self._fields["key_file"].display = encrypted and not self.result(self.form.values).session.listed_clients
         super().check()
         new = self.result(self.form.values)
-        fleet = bool(new.session.listed_clients)
-        about_key = self._about_keys(new) if encrypted and name else ""
-        self._fields["key_file"].note.set_text("" if fleet else about_key)
-        self._fields["clients"].note.set_text(about_key if fleet else "")
-
-    def _about_keys(self, new: NewSession) -> str:
-        """Describe the key files: created or existing."""
-        about = ((path.name, self._about_key(path)) for path in _key_paths(new))
-        if not new.session.listed_clients:
-            return next(text for _, text in about)
-        return "\n".join(f"{name} {text}" for name, text in about if text)
-
-    def _about_key(self, path: Path) -> str:
-        if path_problem(str(path)):
-            return ""
-        if not is_there(path):
-            return "will be created: copy it to the other side"
-        try:
-            return f"exists, fingerprint {fingerprint(read_key(path))}"
-        except KeyFileError:
-            return ""
+        about = [(path.name, _about_key(path)) for path in _key_paths(new)] if name else []
+        if new.session.listed_clients:
+            of_client, of_clients = "", "\n".join(f"{file} {text}" for file, text in about if text)
+        else:
+            of_client, of_clients = next((text for _, text in about), ""), ""
+        self._fields["key_file"].note.set_text(of_client)
+        self._fields["clients"].note.set_text(of_clients)
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Check the session and its files."""
         new = self.result(values)
         problems: dict[str, str] = {}
         for problem in validate(new.session):
@@ -254,6 +235,17 @@ def _key_paths(new: NewSession) -> list[Path]:
     return [key_path(new.path.parent, name) for name in names if name is not None]
 
 
+def _about_key(path: Path) -> str:
+    if path_problem(str(path)):
+        return ""
+    if not is_there(path):
+        return "will be created: copy it to the other side"
+    try:
+        return f"exists, fingerprint {fingerprint(read_key(path))}"
+    except KeyFileError:
+        return ""
+
+
 def _key_problem(path: Path) -> str:
     problem = path_problem(str(path))
     if problem or not path.exists():
@@ -266,12 +258,7 @@ def _key_problem(path: Path) -> str:
 
 
 class ImportScreen(FormScreen[OpenedFile]):
-    """A form that imports and saves a session, and returns it if it should run.
-
-    Args:
-        may_run: whether the operator agrees to run the session of a file instead of the present one; if not, the form
-            stays.
-    """
+    """A form that imports and saves a session, and returns it if it should run (`may_run` as for a new session)."""
 
     def __init__(self, console: Console, may_run: Callable[[Path], Awaitable[bool]]) -> None:
         self.console = console
@@ -302,11 +289,8 @@ class ImportScreen(FormScreen[OpenedFile]):
         self.form.fields["name"].control.focus()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        problems = {}
-        if not values["name"]:
-            problems["name"] = MissingField.NAME()
-        if problem := path_problem(values["path"]):
-            problems["path"] = problem
+        problems = {} if values["name"] else {"name": MissingField.NAME()}
+        problems |= _at("path", path_problem(values["path"]))
         if not values["bringup"]:
             problems["bringup"] = FileText.MISSING()
         if not problems.keys() & {"bringup", "name"}:
@@ -333,7 +317,10 @@ class ImportScreen(FormScreen[OpenedFile]):
                 key = problem.location if problem.location in values else "bringup"
                 line = f"line {problem.line}: " if problem.line else ""
                 problems.setdefault(key, []).append(problem.message if key == problem.location else f"{line}{problem}")
-            return {key: _few(lines) for key, lines in problems.items()}
+            for lines in problems.values():
+                if (more := len(lines) - MOST_PROBLEMS) > 0:
+                    lines[MOST_PROBLEMS:] = [f"and {more} more"]
+            return {key: "\n".join(lines) for key, lines in problems.items()}
         if len(imported.sessions) > 1:
             return {"bringup": FileText.SEVERAL_SESSIONS(path=values["bringup"])}
         (self._made,), self._notes = imported.sessions.values(), imported.notes
@@ -347,14 +334,9 @@ class ImportScreen(FormScreen[OpenedFile]):
     async def accept(self, result: OpenedFile) -> None:
         """Save the session, show the differences, and ask whether to run it."""
         if await save_asking(self.console, result.session, result.path):
-            summary = "\n".join(
-                ["What differs from the other bridge:", *self._notes] if self._notes else ["All was imported."]
-            )
+            summary = "All was imported."
+            if self._notes:
+                summary = "\n".join(["What differs from the other bridge:", *self._notes])
             question = ConfirmScreen(f"Imported. Run {result.path.name}?", summary, "Run", Effect.MOVES)
             if await self.console.ask(question) and await self._may_run(result.path):
                 self.dismiss(result)
-
-
-def _few(lines: list[str]) -> str:
-    more = len(lines) - MOST_PROBLEMS
-    return "\n".join(lines[:MOST_PROBLEMS] + ([f"and {more} more"] if more > 0 else []))

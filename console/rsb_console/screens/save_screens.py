@@ -45,11 +45,7 @@ class SaveText(Wording):
 
 
 class SaveAsScreen(FormScreen[Path]):
-    """Name a file to save to.
-
-    Args:
-        path: first text of the field.
-    """
+    """Name a file to save to; `path` is the first text of the field."""
 
     def __init__(self, path: Path) -> None:
         spec = Spec("path", "File", SaveText.RELATIVE_KEYS(), str(path), edited=True)
@@ -64,12 +60,10 @@ class SaveAsScreen(FormScreen[Path]):
 
 
 async def save_elsewhere(console: Console, session: Session, path: Path, opened: SessionFile | None) -> bool:
-    """Save the running session to a file, perhaps in another folder.
+    """Save the console's session to a file, perhaps in another folder; a temporary session's keys are copied there.
 
     Args:
-        console: console that runs the session. If the session is temporary, its keys are copied to the new file's
-            folder.
-        session: the running session; its key files are relative to `console.base`.
+        session: its key files are relative to `console.base`.
         opened: as for `save_asking`.
 
     Returns:
@@ -93,11 +87,10 @@ async def save_elsewhere(console: Console, session: Session, path: Path, opened:
 
 
 async def save_asking(console: Console, session: Session, path: Path, *, opened: SessionFile | None = None) -> bool:
-    """Write a session file; ask before one is changed or replaced, and notify the operator of the outcome.
+    """Write a session file unless it is up to date; ask before one is changed or replaced, and notify the operator.
 
     Args:
         session: its key files are relative to the folder of `path`.
-        path: path of the file, left alone if it holds the same session already.
         opened: the file that the session came from: its comments and layout are kept.
 
     Returns:
@@ -123,11 +116,7 @@ async def save_asking(console: Console, session: Session, path: Path, *, opened:
 
 
 def _question(session: Session, path: Path, opened: SessionFile | None) -> tuple[ConfirmScreen, SessionFile | None]:
-    """Return the question before a file is replaced, and the opened file to edit, or None to write the whole file.
-
-    Raises:
-        SessionError: the session has mistakes, or the file was changed on disk meanwhile.
-    """
+    """Return the question before a file is replaced, and the opened file to edit, or None to write the whole file."""
     title, yes, message = f"Overwrite {path.name}?", "Overwrite", "The present content of the file is replaced"
     if opened is not None and opened.is_at(path):
         opened.check_unchanged()
@@ -165,12 +154,7 @@ class DiffLines(FixedLines):
 
 
 class DiffScreen(ConfirmScreen):
-    """A question with the diff of a file.
-
-    Args:
-        message: consequences of a yes.
-        yes: label of the button that agrees.
-    """
+    """A question with the diff of a file."""
 
     SHAPE = "-wide"
 
@@ -187,11 +171,7 @@ ChangedAnswer = Literal["reload", "overwrite", "save_as", ""]
 
 
 class ChangedScreen(ModalScreen[ChangedAnswer]):
-    """Offers the choices after a session's file was changed on disk; escape does nothing.
-
-    Args:
-        path: path of the file.
-    """
+    """Offers the choices after a session's file was changed on disk; escape does nothing."""
 
     BINDINGS: ClassVar = [
         Binding("escape", "dismiss('')", show=False),
@@ -205,7 +185,6 @@ class ChangedScreen(ModalScreen[ChangedAnswer]):
         self._path = path
 
     def compose(self) -> ComposeResult:
-        """Compose the explanation and a button for each choice."""
         with Vertical(classes="dialog -wide") as dialog:
             dialog.border_title = SaveText.CHANGED_ON_DISK(file=self._path.name)
             yield Static(

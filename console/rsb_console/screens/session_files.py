@@ -50,11 +50,7 @@ def yaml_files(*folders: Path) -> list[Path]:
 
 
 def suggestions(files: list[Path], what: str) -> Iterator[Suggestion]:
-    """Yield suggestions of files.
-
-    Args:
-        what: word for their kind, shown with each.
-    """
+    """Yield suggestions of files, each with a word for their kind."""
     for path in files:
         line = ((f"{path.name:<28} ", "strong"), (f"{what:<8} ", "dim"), (str(path.parent), "dim"))
         yield Suggestion(str(path.resolve()), str(path), partial(fit, line))
@@ -72,10 +68,7 @@ def no_suggestion(text: str) -> str:
     """Return the text for a typed path or name that is not among the offered files."""
     if not text:
         return "no YAML file here; type a path"
-    path = typed_path(text)
-    if is_file(path):
-        return FileText.EXISTS()
-    return "no such file; type its path"
+    return FileText.EXISTS() if is_file(typed_path(text)) else "no such file; type its path"
 
 
 class SessionsScreen(FormScreen[OpenedFile | str]):
@@ -83,7 +76,7 @@ class SessionsScreen(FormScreen[OpenedFile | str]):
 
     Args:
         path: first text of the field.
-        runs: a session runs, and can be saved.
+        runs: whether a session runs, and can be saved.
     """
 
     def __init__(self, path: str = "", *, runs: bool, readonly: bool) -> None:

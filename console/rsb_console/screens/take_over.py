@@ -43,13 +43,10 @@ class HandOverText(Wording):
 
 
 class AskHolderScreen(ConfirmScreen):
-    """Asks how to get what another console holds.
+    """Asks how to get what another console holds. Only an operator who `may_take` it at once is offered that.
 
     Attributes:
         choice: ``ask`` its holder, ``take`` it at once, or ``disarm`` it.
-
-    Args:
-        may_take: whether the operator has the right to take it, which is shown and offered only then.
     """
 
     BINDINGS: ClassVar = [
@@ -102,11 +99,7 @@ class AskHolderScreen(ConfirmScreen):
 
 
 class HandOverScreen(ConfirmScreen):
-    """Asks the holder whether another operator gets it; it closes once the question is over.
-
-    Attributes:
-        who: the operator who asks.
-    """
+    """Asks the holder whether another operator, `who`, gets it; it closes once the question is over."""
 
     # Not even n and escape: they may be for the screen below, and would decide for the holder.
     SAFE_KEYS = frozenset({"ctrl+c"})

@@ -37,16 +37,15 @@ def fields_by_kind(session: Session, ends: Ends, route: Row | None) -> dict[Kind
     """
     kinds = KINDS if route is None else (route.spec.kind,)
     values = {} if route is None else values_of(route.spec) | {"provider": route.spec.provider}
-    return {
-        kind: {spec.key: _with_value(spec, values.get(spec.key, "")) for spec in _specs(session, ends, kind, route)}
-        for kind in kinds
-    }
-
-
-def _with_value(spec: Spec, value: str) -> Spec:
-    if spec.key in SWITCHES:
-        value = "yes" if value else ""
-    return replace(spec, value=value, edited=value.startswith("{"))  # QoS policies are changed one by one
+    fields: dict[Kind, dict[str, Spec]] = {kind: {} for kind in kinds}
+    for kind in kinds:
+        for spec in _specs(session, ends, kind, route):
+            value = values.get(spec.key, "")
+            if spec.key in SWITCHES:
+                value = "yes" if value else ""
+            edited = value.startswith("{")  # QoS policies are changed one by one
+            fields[kind][spec.key] = replace(spec, value=value, edited=edited)
+    return fields
 
 
 def _specs(session: Session, ends: Ends, kind: Kind, route: Row | None) -> Iterator[Spec]:
@@ -60,35 +59,22 @@ def _specs(session: Session, ends: Ends, kind: Kind, route: Row | None) -> Itera
 
 def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
     name = f"{'The name of the node' if kind == 'parameters' else 'Its name'} on the client."
-    yield Spec(
-        "topic",
-        _LABELS[kind],
-        f"{name} Type to search, ↑ ↓ and ⏎ to pick; or type a name (/scan) or a pattern (/camera/**)." if new else name,
-        blank="type to look for what either side has",
-    )
     if new:
-        yield Spec(
-            "kind",
-            "Kind",
-            "The kind of the name. An entry picked from the list sets it.",
-            options=tuple((each, each) for each in KINDS),
-        )
+        name += " Type to search, ↑ ↓ and ⏎ to pick; or type a name (/scan) or a pattern (/camera/**)."
+    yield Spec("topic", _LABELS[kind], name, blank="type to look for what either side has")
+    if new:
+        about = "The kind of the name. An entry picked from the list sets it."
+        yield Spec("kind", "Kind", about, options=tuple((each, each) for each in KINDS))
     if kind == "topic":
         out, back = ("←", "→") if ends.is_server else ("→", "←")
-        yield Spec(
-            "direction",
-            "Direction",
-            "transmit: from the client to the server; receive: from the server to the client.",
-            options=(("transmit", f"transmit {out}"), ("receive", f"receive {back}")),
-        )
+        about = "transmit: from the client to the server; receive: from the server to the client."
+        options = (("transmit", f"transmit {out}"), ("receive", f"receive {back}"))
+        yield Spec("direction", "Direction", about, options=options)
     else:
         there, here = ("here", "there") if ends.is_server else ("there", "here")
-        yield Spec(
-            "provider",
-            "Provider",
-            "The side whose node answers. The other side's nodes call it.",
-            options=(("server", f"the server ({there})"), ("client", f"the client ({here})")),
-        )
+        about = "The side whose node answers. The other side's nodes call it."
+        options = (("server", f"the server ({there})"), ("client", f"the client ({here})"))
+        yield Spec("provider", "Provider", about, options=options)
     if kind in _FOLDERS:
         short = ", or a common type's short name (LaserScan)" if kind == "topic" else ""
         form = f"package/{_FOLDERS[kind]}/Name{short}. Empty: the type in either graph."
@@ -97,12 +83,9 @@ def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
 
 def _how(session: Session, ends: Ends, kind: Kind, begun: str | None) -> Iterator[Spec]:
     """Yield the fields of the way over the link; `begun` is the present protocol."""
-    yield Spec(
-        "remote_topic",
-        "On the server",
-        f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
-        blank=f"/{ends.client} and its name" if ends.use_name else "same name",
-    )
+    prefix = f", with /{ends.client} before it" if ends.use_name else ""
+    blank = f"/{ends.client} and its name" if ends.use_name else "same name"
+    yield Spec("remote_topic", "On the server", f"Its name there. Empty: the same{prefix}.", blank=blank)
     link = transports.of_link(session.server_ip)
     has_radio = session.bluetooth_address is not None or begun == "bluetooth"
     if len(session.crossing) > 1:

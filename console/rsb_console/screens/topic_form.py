@@ -35,29 +35,20 @@ LOOK_EVERY = 2.0  # s between two looks at the graphs; a round figure: each asks
 
 
 class TopicDraft(NamedTuple):
-    """The result of the form.
+    """The result of the form."""
 
-    Attributes:
-        topic: as the client sees it.
-    """
-
-    topic: Topic
+    topic: Topic  # as the client sees it
     link: str
 
 
 @dataclass
 class SideGraph:
-    """The answers of one side so far.
-
-    Attributes:
-        problem: the reason why it does not answer, or an empty string.
-        is_late: whether the question has been open for a whole interval.
-    """
+    """The answers of one side so far."""
 
     infos: tuple[TopicInfo, ...] = ()
-    problem: str = ""
+    problem: str = ""  # the reason why it does not answer
     is_awaited: bool = False
-    is_late: bool = False
+    is_late: bool = False  # the question has been open for a whole interval
 
 
 class TopicScreen(FormScreen[TopicDraft]):
@@ -105,9 +96,8 @@ class TopicScreen(FormScreen[TopicDraft]):
         for key, field in self.form.fields.items():
             if key in specs:
                 field.describe(specs[key])
-            field.display = (key in specs or key == "link") and (
-                not self._is_folded or key in FIRST or bool(field.value)
-            )
+            is_shown = not self._is_folded or key in FIRST or bool(field.value)
+            field.display = is_shown and (key in specs or key == "link")
 
     def _field(self, spec: Spec) -> Field:
         if spec.key == "topic" and self._route is None:
@@ -130,7 +120,6 @@ class TopicScreen(FormScreen[TopicDraft]):
             super().press(button)
 
     def action_find(self) -> None:
-        """Go to a field by the beginning of its name."""
         self._search.begin()
 
     def action_unfold(self) -> None:
@@ -149,7 +138,7 @@ class TopicScreen(FormScreen[TopicDraft]):
         return self.form.values.get("link") or self._links[0]
 
     def check(self) -> None:
-        """Say what is wrong, and what a topic that is right would cost on the link."""
+        """Show the problems, and what a valid topic would cost on the link."""
         super().check()
         if (priority := self.form.fields.get("priority")) is not None:  # a topic, not a service
             priority.note.set_text("\n".join(self._cost()))
@@ -183,7 +172,6 @@ class TopicScreen(FormScreen[TopicDraft]):
 
     @work(group=DIALOG)
     async def accept(self, result: TopicDraft) -> None:
-        """Add or change the topic. If the engine refuses, show the reason in the form."""
         try:
             await self._do(result)
         except EngineError as error:
@@ -194,7 +182,6 @@ class TopicScreen(FormScreen[TopicDraft]):
     # -- picking ------------------------------------------------------------------------------------------------------
 
     def on_mount(self) -> None:
-        """Look at the graphs, and go on looking."""
         if self._route is None:
             self._ask_both()
             self.set_interval(LOOK_EVERY, self._ask_both)
@@ -220,7 +207,7 @@ class TopicScreen(FormScreen[TopicDraft]):
         self._suggest()
 
     def _suggest(self) -> None:
-        """List what has been found, and say whose answer is missing."""
+        """List the names that both sides have, and name the side whose answer is missing."""
         link, now = self._link, self._engine.snapshot()
         here, there = self._graphs[None], self._graphs[link]
         bridged = [route for route in now.routes if route.link == link]

@@ -44,15 +44,13 @@ def suggestions_for(
         bridged: the link's routes; neither end of one is offered the same way again, nor its services.
     """
     taken = {route.spec.identity for route in bridged}
-    crossing = {
-        (kind, is_here, f"{route.topic if is_here else route.remote_topic}{suffix}", _from_here(route))
-        for route in bridged
-        for kind, suffix in (
-            (route.spec.kind, ""),
-            *(("service", lane.suffix) for lane in LANES[route.spec.kind] if lane.suffix and not lane.is_topic),
-        )
-        for is_here in (True, False)
-    }
+    crossing = set()
+    for route in bridged:
+        from_here = route.outgoing and route.spec.kind == "topic"  # the names of calls cross one way only
+        services = [lane.suffix for lane in LANES[route.spec.kind] if lane.suffix and not lane.is_topic]
+        for name, is_here in ((route.topic, True), (route.remote_topic, False)):
+            crossing.add((route.spec.kind, is_here, name, from_here))
+            crossing |= {("service", is_here, f"{name}{suffix}", from_here) for suffix in services}
     infos = [(info, is_here) for graph, is_here in ((here, True), (there, False)) for info in graph]
     suggestions: dict[str, Suggestion] = {}
     # Publishers first, as the first suggestion of a key stays.
@@ -67,11 +65,6 @@ def suggestions_for(
             suggestions.setdefault(suggestion.key, suggestion)
     order = {str(kind): number for number, kind in enumerate(KIND_NOUN)}
     return sorted(suggestions.values(), key=lambda each: (order[each.fills["kind"]], each.value))
-
-
-def _from_here(route: RouteSnapshot) -> bool:
-    """Whether a topic's messages go out. False for calls: their names cross one way only."""
-    return route.outgoing and route.spec.kind == "topic"
 
 
 def _direction(ends: Ends, info: TopicInfo, is_here: bool) -> str:
@@ -105,14 +98,8 @@ def _line(info: TopicInfo, is_here: bool, width: int) -> Line:
         (f"{OUT if outwards else IN} ", ""),
         *padded(info.topic, name_width, "strong"),
         *padded(f"{amount} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
-        (_type_of(info), ""),
+        ("" if info.kind == "parameters" else info.type_name.replace("/msg/", "/") or "several types", ""),
     )
-
-
-def _type_of(info: TopicInfo) -> str:
-    if info.kind == "parameters":
-        return ""
-    return info.type_name.replace("/msg/", "/") or "several types"
 
 
 def padded(text: str, width: int, look: str) -> Line:

@@ -37,12 +37,7 @@ RECENT = 5  # sessions in the menu, each with a digit as its key
 
 
 class Menu(SelectableList):
-    """The menu: bridges that run on this machine, the choices, the recent sessions, and quit.
-
-    Args:
-        running: bridges to attach to.
-        choices: ids from `CHOICES`.
-    """
+    """The menu: bridges that run on this machine, some of the `CHOICES`, the recent sessions, and quit."""
 
     def __init__(self, running: Sequence[RunningBridge], choices: Sequence[str], recent: Sequence[Path]) -> None:
         super().__init__(id="menu")
@@ -64,18 +59,12 @@ class Menu(SelectableList):
         return fit(((sign, "key"), *self._lines[self.keys[index]]), self.size.width)
 
     def on_mount(self) -> None:
-        """Set the height to the number of lines."""
         self.styles.height = self.line_count
         self.sync()
 
 
 class WelcomeScreen(ModalScreen[str]):
-    """Returns one of `CHOICES`, or the path of a running bridge's control socket or of a recent session.
-
-    Args:
-        running: bridges on this machine.
-        readonly: leave out what changes something.
-    """
+    """Returns one of `CHOICES`, or the path of a running bridge's control socket or of a recent session."""
 
     BINDINGS: ClassVar = [
         Binding("enter", "choose", show=False),
@@ -95,7 +84,6 @@ class WelcomeScreen(ModalScreen[str]):
         self.menu = Menu(running, WATCHING if readonly else tuple(CHOICES), self._recent)
 
     def compose(self) -> ComposeResult:
-        """Compose the title and the menu."""
         keys = "⏎ choose   ? every key" + ("" if self._readonly else "   esc close")
         yield Dialog("rsb-console", Static(ABOUT, classes="hint"), self.menu, keys=keys)
 
