@@ -25,7 +25,7 @@ from rsb_console.actions.all_actions import screens
 from rsb_console.notation.topic_column import ADDED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     from rsb_console.actions.action import Action
 
@@ -49,8 +49,6 @@ KEY_SIGNS = {
     "minus": "-", "exclamation_mark": "!", "colon": ":", "vertical_line": "|", "pagedown": "PgDn", "pageup": "PgUp",
 }  # fmt: skip
 UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
-
-
 Setting = str | float | bool | list[str]
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 TOPIC_COLUMNS = {
@@ -132,12 +130,6 @@ def load_themes(*folders: Path) -> tuple[dict[str, Theme], list[str]]:
 
 
 def _read_theme(path: Path) -> Theme:
-    """Read one theme.
-
-    Raises:
-        PreferenceError: it has a mistake.
-        OSError: it cannot be read.
-    """
     try:
         loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
@@ -173,22 +165,16 @@ def _check_color(key: str, value: Any) -> None:
 
 
 def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:
-    """Return the theme that suits this terminal: one of sixteen colours if the terminal announces no more."""
+    """Return the name of the theme that suits this terminal: of sixteen colours if the terminal announces no more."""
     many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256color" in environ.get("TERM", "")
     return _DEFAULT_THEME if many else SIXTEEN_COLORS
 
 
 def load_keymap(path: Path) -> dict[str, str]:
-    """Read the user's keys.
-
-    Args:
-        path: a YAML mapping of action ids to Textual key names; may be missing.
-
-    Returns:
-        Action ids to comma-separated keys.
+    """Read the user's keys: a YAML mapping of action ids to comma-separated key names of Textual.
 
     Raises:
-        PreferenceError: it cannot be read, names no action of ours, or gives one key to two actions.
+        PreferenceError: the file cannot be read, names no action of ours, or gives one key to two actions.
     """
     loaded = _read(path)
     if not isinstance(loaded, dict):
@@ -201,7 +187,15 @@ def load_keymap(path: Path) -> dict[str, str]:
         raise PreferenceError(PreferenceProblem.OF_FEATURE(path=path, feature=feature, action=absent))
     if unknown:
         raise PreferenceError(PreferenceProblem.UNKNOWN_ACTIONS(path=path, actions=", ".join(unknown)))
-    _refuse_shared_keys(path, keymap)
+    # Each by itself: two screens are never in one app, and share keys such as space.
+    for actions in screens():
+        owner: dict[str, str] = {}
+        for action in actions:
+            for key in split_keys(keymap.get(action.id, action.keys)):
+                if key in owner:
+                    shared = PreferenceProblem.SHARED_KEY(path=path, key=key, one=owner[key], other=action.id)
+                    raise PreferenceError(shared)
+                owner[key] = action.id
     return keymap
 
 
@@ -214,13 +208,6 @@ def _read(path: Path) -> object:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise PreferenceError(f"{path}: {error}") from None
     return {} if loaded is None else loaded
-
-
-def _loaded(text: str) -> object:
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError:
-        return None
 
 
 def _settings_problem(path: Path, settings: object) -> str:
@@ -239,20 +226,7 @@ def _settings_problem(path: Path, settings: object) -> str:
     return ""
 
 
-def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
-    # Each by itself: two screens are never in one app, and share keys such as space.
-    for actions in screens():
-        owner: dict[str, str] = {}
-        for action in actions:
-            for key in split_keys(keymap.get(action.id, action.keys)):
-                if key in owner:
-                    shared = PreferenceProblem.SHARED_KEY(path=path, key=key, one=owner[key], other=action.id)
-                    raise PreferenceError(shared)
-                owner[key] = action.id
-
-
 def split_keys(keys: str) -> Iterable[str]:
-    """Return the keys of a comma-separated list."""
     return (key.strip() for key in keys.split(",") if key.strip())
 
 
@@ -274,14 +248,17 @@ class Preferences:
 
     def __init__(self, config: Path, theme: str | None) -> None:
         self.problems: list[tuple[str, str]] = []
-        self.keymap: dict[str, str] = {}
         self._path = config / "console.yaml"
         settings = self._load_settings()
         self.bell: bool = settings.get("bell", False)
         self.refresh_rate: float | None = settings.get("refresh_rate")
         self.columns: frozenset[str] | None = frozenset(settings["columns"]) if "columns" in settings else None
         self.theme = self._load_themes(config, settings.get("theme") if theme is None else theme)
-        self._load_keys(config)
+        try:
+            self.keymap = load_keymap(config / "keys.yaml")
+        except PreferenceError as error:
+            self.keymap = {}
+            self.problems.append(("The default keys are used", str(error)))
 
     def _load_themes(self, config: Path, wanted: str | None) -> str:
         self.themes, problems = load_themes(shipped_themes(), config / "themes")
@@ -291,12 +268,6 @@ class Preferences:
         if problems:
             self.problems.append(("Themes skipped", "\n".join(problems)))
         return wanted or default_theme()
-
-    def _load_keys(self, config: Path) -> None:
-        try:
-            self.keymap = load_keymap(config / "keys.yaml")
-        except PreferenceError as error:
-            self.problems.append(("The default keys are used", str(error)))
 
     def _load_settings(self) -> dict[str, Any]:
         try:
@@ -309,11 +280,7 @@ class Preferences:
         return cast("dict[str, Any]", settings)
 
     def remember(self, name: str, value: Setting) -> None:
-        """Write a setting that the operator chose; the rest of the file stays.
-
-        Raises:
-            PreferenceError: it is not written.
-        """
+        """Write a setting that the operator chose; the rest of the file stays. Raise PreferenceError if that fails."""
         words = f"[{', '.join(value)}]" if isinstance(value, list) else str(value)
         line = f"{name}: {words.lower() if isinstance(value, bool) else words}"
         settings = _read(self._path)
@@ -322,11 +289,16 @@ class Preferences:
         try:
             text = self._path.read_text(encoding="utf-8") if is_there(self._path) else ""
             found = re.search(_SETTING.format(name=name), text, re.MULTILINE)
-            if found is None:
-                text = f"{text}{'' if text.endswith(chr(10)) or not text else chr(10)}{line}\n"
-            else:
+            if found is not None:
                 text = f"{text[: found.start()]}{line}{found['comment'] or ''}{text[found.end() :]}"
-            if _loaded(text) != {**cast("dict[str, Any]", settings), name: value}:
+            else:
+                text = f"{text}\n" if text and not text.endswith("\n") else text
+                text += f"{line}\n"
+            try:
+                written = yaml.safe_load(text)
+            except yaml.YAMLError:
+                written = None
+            if written != {**cast("dict[str, Any]", settings), name: value}:
                 raise PreferenceError(PreferenceProblem.LAYOUT(path=self._path, line=line))
             self._path.parent.mkdir(parents=True, exist_ok=True)
             replace_file(self._path, text.encode())
@@ -334,10 +306,10 @@ class Preferences:
             raise PreferenceError(f"{self._path}: {why_not_written(error, self._path)}") from None
 
     def keys(self, action: Action) -> list[str]:
-        """Return the keys that do `action`, by Textual's names."""
+        """Return an action's keys, by Textual's names."""
         return list(split_keys(self.keymap.get(action.id, action.keys)))
 
     def key_labels(self, action: Action, *, ascii_only: bool) -> list[str]:
-        """Return the keys that do `action`, as they are written on a keyboard."""
+        """Return an action's keys as they are written on a keyboard."""
         signs = KEY_SIGNS if ascii_only else KEY_SIGNS | UNICODE_KEY_SIGNS
         return [signs.get(key, key.replace("ctrl+", "^")) for key in self.keys(action)]

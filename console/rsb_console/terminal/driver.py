@@ -52,8 +52,7 @@ class KeyParser(XTermParser):
     """
 
     _after_escape = False
-    _answer = ""
-    """Characters that may become the answer, after its Escape, which waits."""
+    _answer = ""  # characters that may become the answer, after its Escape, which waits
     _answer_due = 0.0
 
     def feed(self, data: str) -> Iterator[Message]:
@@ -74,7 +73,6 @@ class KeyParser(XTermParser):
                 yield from self._feed_key(char)
 
     def tick(self) -> Iterable[Message]:
-        """Look for timeouts (Textual's)."""
         if self._answer and time.monotonic() > self._answer_due:
             yield from self._end_answer()
         yield from super().tick()
@@ -109,14 +107,13 @@ class KeyParser(XTermParser):
             yield from self._end_answer()
 
     def _end_answer(self) -> Iterator[Message]:
-        """Take for keys what is no answer."""
+        """Read the characters as keys, as they are no answer."""
         keys, self._answer = self._answer, ""
         for char in keys:
             yield from self._feed_key(char)
 
     def _sequence_to_key_events(self, sequence: str, alt: bool = False) -> Iterable[events.Key]:
-        """Pass the terminal's kind on, which Textual would take for keys."""
-        if KIND.fullmatch(sequence):
+        if KIND.fullmatch(sequence):  # Textual would take it for keys
             return [events.Key(_KIND, sequence)]
         return super()._sequence_to_key_events(sequence, alt)
 
@@ -127,7 +124,7 @@ _textual_on_resize = Screen._on_resize
 
 
 async def _on_resize(screen: Screen[Any], event: events.Resize) -> None:
-    """Take a size (Textual's), unless the terminal has another one by now.
+    """Take a size, unless the terminal has another one by now.
 
     Each size that a screen takes comes back to it as one more event once it is laid out. With two sizes in flight, as
     when a terminal is resized while the app starts, or with COLUMNS and LINES of another size, they alternate for ever,
@@ -149,10 +146,9 @@ CLOSE_TIMEOUT = 1.0  # s; then a terminal that does not read is given up. Round:
 
 @contextlib.contextmanager
 def terminal_to_itself(log: Path) -> Iterator[int]:
-    """Reserve the terminal for the app: other output to descriptors 1 and 2, such as that of Fast DDS, goes to a file.
+    """Reserve the terminal for the app: other output to descriptors 1 and 2, such as that of Fast DDS, goes to a log.
 
-    Args:
-        log: the file, which is emptied first. If it cannot be written, that output is discarded.
+    The log is emptied first. If it cannot be written, that output is discarded.
 
     Yields:
         A descriptor of the terminal. It is never closed, because a thread may be stuck in a write to it.
@@ -179,13 +175,10 @@ def terminal_to_itself(log: Path) -> Iterator[int]:
 
 
 class TerminalFile:
-    """The terminal as an unbuffered file.
+    """The terminal as an unbuffered file, which calls `gone` once, when the terminal is gone.
 
     A write to a terminal that does not read may never return. A buffered stream would stay locked then, and delay the
     interpreter's exit.
-
-    Args:
-        gone: called once, when the terminal is gone.
     """
 
     def __init__(self, fd: int, gone: Callable[[], None]) -> None:
@@ -203,7 +196,6 @@ class TerminalFile:
                 self.hung_up()
 
     def hung_up(self) -> None:
-        """Tell the app that the terminal is gone, the first time this is called."""
         gone, self._gone = self._gone, None
         if gone is not None:
             gone()
@@ -236,7 +228,7 @@ class ConsoleDriver(LinuxDriver):
         self.pulse = Pulse(os.environ)
 
     def _get_terminal_size(self) -> tuple[int, int]:
-        """Return the terminal's columns and lines. Textual asks standard output, which may not be the terminal."""
+        # Textual asks standard output, which may not be the terminal.
         with contextlib.suppress(OSError):
             columns, lines = os.get_terminal_size(self._file.fileno())
             if columns and lines:  # a pseudo-terminal that nobody has sized is 0 × 0
@@ -261,7 +253,6 @@ class ConsoleDriver(LinuxDriver):
     # --- the terminal's pulse
 
     def start_application_mode(self) -> None:
-        """Begin to draw (Textual's), and ask for the terminal's kind."""
         super().start_application_mode()  # type: ignore[no-untyped-call]
         if self._has_title:
             self.write(_KEEP_TITLE)
@@ -275,7 +266,6 @@ class ConsoleDriver(LinuxDriver):
         self.ask()  # last: the end waits for this answer, after which no other one comes
 
     def stop_application_mode(self) -> None:
-        """Give the terminal back as it was (Textual's), with its title."""
         if self._has_title:
             self.write(_GIVE_TITLE_BACK)
         super().stop_application_mode()
@@ -293,7 +283,7 @@ class ConsoleDriver(LinuxDriver):
             self.write(question)
 
     def process_message(self, message: Message) -> None:
-        """Take the terminal's answers, and note how young its keys are (Textual's)."""
+        """Take the terminal's answers, and note how young its keys are."""
         match message:
             case events.CursorPosition():
                 self.pulse.answered(message.y + 1, message.x + 1)
@@ -311,7 +301,7 @@ class ConsoleDriver(LinuxDriver):
         super().process_message(message)
 
     def disable_input(self) -> None:
-        """Read no more keys (Textual's), but the last answer, which the shell would take for keys."""
+        """Read no more keys, but wait for the last answer, which the shell would take for keys."""
         self._asks = False
         deadline = time.monotonic() + _LAST_ANSWER_WITHIN
         while self.pulse.waits and time.monotonic() < deadline:
@@ -382,11 +372,9 @@ _SHOWN = 200  # characters of the copied text: a toast of a few lines
 
 
 def copy(app: App[object], text: str) -> str:
-    """Copy `text`.
-
-    Returns:
-        What to tell the operator.
-    """
+    """Copy a text, and return a note for the operator."""
+    line = text[: _SHOWN + 1].partition("\n")[0]
+    beginning = line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"
     tmux = shutil.which("tmux") if os.environ.get("TMUX") else None
     if tmux is not None:  # tmux passes OSC 52 on only if set-clipboard is on; this always fills its own buffer
         command = [tmux, "load-buffer", "-w", "-"]
@@ -395,11 +383,6 @@ def copy(app: App[object], text: str) -> str:
         except (subprocess.SubprocessError, OSError):  # on a busy machine it may not answer in time
             pass
         else:
-            return f"copied to tmux: {_beginning(text)}"
+            return f"copied to tmux: {beginning}"
     app.copy_to_clipboard(text)
-    return f"copied: {_beginning(text)}"
-
-
-def _beginning(text: str) -> str:
-    line = text[: _SHOWN + 1].partition("\n")[0]
-    return line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"
+    return f"copied: {beginning}"

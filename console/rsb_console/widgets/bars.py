@@ -27,24 +27,15 @@ ROOMY = 100  # cells from which on there is room for small charts
 
 @dataclass(frozen=True, slots=True)
 class BarState:
-    """The console's own state, as the status bar shows it.
+    """The console's own state, as the status bar shows it."""
 
-    Attributes:
-        session: the session file's name, or empty if the session is not saved.
-        frozen_since: s since the epoch, or None while the view is live.
-        readonly: whether actions that change something are disabled.
-        note: text in place of the link's state while no engine runs, otherwise empty.
-        way_on: the step that starts an engine that does not run, or empty.
-        attached: whether the engine runs in another process.
-    """
-
-    session: str = ""
-    refresh: float = 4.0
-    frozen_since: float | None = None
+    session: str = ""  # the file's name, or empty if the session is not saved
+    refresh: float = 4.0  # Hz
+    frozen_since: float | None = None  # s since the epoch, or None while the view is live
     readonly: bool = False
-    note: str = ""
-    way_on: str = ""
-    attached: bool = False
+    note: str = ""  # in place of the link's state while no engine runs
+    way_on: str = ""  # the step that starts an engine that does not run
+    attached: bool = False  # the engine runs in another process
 
 
 class StatusBar(LiveLines):
@@ -56,11 +47,9 @@ class StatusBar(LiveLines):
         super().__init__(id="status")
         self._identity: list[tuple[int, tuple[str, str]]] = []
         self._view: Line = ()
-        self._shown_narrow = 1
-        """How many pieces of the view, from its end, a narrow screen shows."""
+        self._shown_narrow = 1  # pieces of the view, from its end, that a narrow screen shows
         self._totals: list[Line] = []
-        self._needed = 1
-        """How many of these must have room for states to be named."""
+        self._needed = 1  # totals that must have room for states to be named
         self._signs: Line = ()
         self._received: deque[float] = deque(maxlen=HISTORY)
         self._sent: deque[float] = deque(maxlen=HISTORY)
@@ -96,8 +85,7 @@ class StatusBar(LiveLines):
 
     def _sum(self, snapshot: Snapshot) -> list[Line]:
         topics = ((f" {formats.counted_kinds(route.spec.kind for route in snapshot.routes)}", "strong"),)
-        armed = armed_count(snapshot.routes)
-        known = acknowledged_count(snapshot.routes)
+        armed, known = armed_count(snapshot.routes), acknowledged_count(snapshot.routes)
         self._signs = (*topics, *armed, *state_counts(snapshot.routes, State), *known)
         # Calls have counts of their own: a call that fails is no lost message.
         lost = sum(route.ledger.lost for route in snapshot.routes if route.calls is None)
@@ -126,10 +114,6 @@ def state_counts(
     """Count the things in each of some states: ``✗1 ▲2``, or with words ``✗ 1 down  ▲ 2 stale``.
 
     Acknowledged faults do not count.
-
-    Args:
-        states: states to count, in this order.
-        words: name of each state.
     """
     counts = faults.state_counts(things)
     return tuple(
@@ -150,7 +134,7 @@ def calls_group(routes: Iterable[RouteSnapshot]) -> list[Line]:
 
 
 def armed_count(routes: Iterable[RouteSnapshot]) -> Line:
-    """Count the topics that are armed, and say when the first of them disarms: ``◆ 1 ARMED 42 s``."""
+    """Count the armed topics, with the time until the first of them disarms: ``◆ 1 ARMED 42 s``."""
     armed = [route.arming for route in routes if route.arming is not None and route.arming.armed]
     left = min((each.left for each in armed if each.left is not None), default=None)
     until = "" if left is None else f" {left:.0f} s"
@@ -215,20 +199,17 @@ def _warnings(snapshot: Snapshot) -> list[tuple[str, str]]:
 
 
 def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
-    linked = [link for link in links if link.state is State.OK]
     if len(links) > 1:
         worst = next(state for state in State if any(link.state is state for link in links))
-        return f"   {STATE_SIGN[worst]} {len(linked)} of {len(links)} linked", worst.value
+        linked = sum(link.state is State.OK for link in links)
+        return f"   {STATE_SIGN[worst]} {linked} of {len(links)} linked", worst.value
     (link,) = links
-    if linked:
+    if link.state is State.OK:
         # Both cut to whole seconds, as in `formats.age_since`.
         return f"   ● LINKED {formats.clock(math.floor(now) - math.floor(link.since))}", "ok"
     retry = formats.next_attempt(link, now)
-    state = link.state
-    return (
-        f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age_since(link.since, now)}{retry and f' · {retry}'}",
-        state.value,
-    )
+    state, since = link.state, formats.age_since(link.since, now)
+    return f"   {STATE_SIGN[state]} {STATE_WORD[state]} {since}{retry and f' · {retry}'}", state.value
 
 
 def _view(snapshot: Snapshot, view: BarState) -> Line:
@@ -256,20 +237,13 @@ def _spread(left: Line, right: Line, width: int) -> Line:
 
 
 class KeyEntry(NamedTuple):
-    """One key.
+    """One key."""
 
-    Attributes:
-        key: name of the key for people.
-        action: action that a click runs.
-        rank: order on a narrow screen, lower ranks first.
-        counts: figures after the label, or in its place on a screen without room for both.
-    """
-
-    key: str
+    key: str  # its name for people
     label: str
-    action: str
-    rank: int
-    counts: Line = ()
+    action: str  # that a click runs
+    rank: int  # order on a narrow screen, lower ranks first
+    counts: Line = ()  # after the label, or in its place on a screen without room for both
 
 
 class KeyBar(LiveLines):
@@ -307,7 +281,6 @@ class KeyBar(LiveLines):
         return [short[index] for index in sorted(fitting)]
 
     async def on_click(self, event: events.Click) -> None:
-        """Run the action under the mouse."""
         edge = 0
         for entry, pieces in self._fitting():
             edge += width_of(pieces)

@@ -39,7 +39,6 @@ class InputGuard:
         self._until = 0.0
 
     def end(self) -> None:
-        """Stop guarding, as the result is shown."""
         self._until = time.monotonic()
 
     def covers(self, event: Message) -> bool:
@@ -56,8 +55,7 @@ class FieldInput(Input):
         submits: whether enter submits the form.
 
     Args:
-        blank: meaning of an empty field.
-        edited: the focus comes to its end; else what is typed then replaces it.
+        edited: puts the cursor at the end on focus; otherwise typing replaces the text.
     """
 
     def __init__(self, value: str, blank: str, *, edited: bool = False) -> None:
@@ -125,7 +123,6 @@ class Choice(Widget, can_focus=True):
 
     Args:
         options: value and label of each; at least one.
-        value: chosen at first, or empty for the first option.
     """
 
     BINDINGS: ClassVar = [
@@ -210,7 +207,8 @@ class Choice(Widget, can_focus=True):
 
     def _type(self, text: str) -> None:
         typed = self._typed + text
-        named = [value for value, label in self._options if _begins((value, label), typed)]
+        start = typed.casefold()
+        named = [each[0] for each in self._options if any(name.casefold().startswith(start) for name in each)]
         if not self._typed:
             self._before = self.value
         if named:
@@ -222,7 +220,6 @@ class Choice(Widget, can_focus=True):
             self.post_message(self.Mistyped(typed, self))
 
     def action_submit(self) -> None:
-        """Submit the field, like enter in any other field."""
         self.post_message(self.Submitted())
 
     def _pieces(self) -> list[str]:
@@ -232,10 +229,8 @@ class Choice(Widget, can_focus=True):
         pieces, at = self._pieces(), self._at
         if cell_len("".join(pieces)) > self.size.width:
             return Content(f"◀ {self._options[at][1]} ▶  {at + 1} of {len(pieces)}")
-        looks = ["choice--chosen" if index == at else "choice--other" for index in range(len(pieces))]
-        return Content.assemble(
-            *((piece, self.get_visual_style(look, partial=True)) for piece, look in zip(pieces, looks, strict=True))
-        )
+        chosen, other = (self.get_visual_style(f"choice--{name}", partial=True) for name in ("chosen", "other"))
+        return Content.assemble(*((piece, chosen if index == at else other) for index, piece in enumerate(pieces)))
 
     def on_click(self, event: events.Click) -> None:
         edge = 0
@@ -244,7 +239,3 @@ class Choice(Widget, can_focus=True):
             if event.x < edge:
                 self.value = value
                 return
-
-
-def _begins(names: tuple[str, ...], typed: str) -> bool:
-    return any(name.casefold().startswith(typed.casefold()) for name in names)

@@ -34,24 +34,16 @@ _SHOWN_WHILE_WAITING = (Cause.TYPE_UNKNOWN, Cause.SIMILAR_NAME)
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of a link or a topic.
-
-    Attributes:
-        robot: robot of the topic if there are several robots, or empty.
-        name: the link's, or the topic's.
-        of_link: whether it is a link's.
-        others: names of others with the same cause, ignoring names and durations.
-        measured: whether the cause has figures that change all the time, so that no other fault shares it for long.
-    """
+    """One fault of a link or a topic."""
 
     sign: str
     look: str
-    robot: str
-    name: str
+    robot: str  # of a topic, if there are several robots
+    name: str  # the link's, or the topic's
     cause: str
     of_link: bool
-    others: tuple[str, ...] = ()
-    measured: bool = False
+    others: tuple[str, ...] = ()  # names of others with the same cause, ignoring names and durations
+    measured: bool = False  # its figures change all the time, so that no other fault shares them for long
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -84,12 +76,7 @@ class FaultLines(FixedLines):
         self._now = 0.0
 
     def show(self, faults: list[Fault], most: int, keys: MoreKeys, now: float) -> None:
-        """Show as many of `faults` as fit.
-
-        Args:
-            most: lines that fit.
-            now: the time of the snapshot.
-        """
+        """Show as many faults as fit in `most` lines, of a snapshot of the time `now`."""
         self._faults, self._most, self._keys, self._now = faults, most, keys, now
         self._lay_out(self.app.size.width)
         self.sync()
@@ -111,11 +98,7 @@ class Heights:
         self._needed: dict[tuple[str, str, str], tuple[int, float]] = {}
 
     def record(self, faults: list[Fault], width: int, now: float) -> None:
-        """Record how many lines faults need.
-
-        Args:
-            faults: all that are shown.
-        """
+        """Record how many lines each fault that is shown needs."""
         before = self._needed if width == self._width else {}
         self._width, self._needed = width, {}
         for fault in faults:
@@ -132,10 +115,9 @@ class Heights:
 def fault_lines(
     faults: list[Fault], width: int, most: int, keys: MoreKeys, heights: Heights | None = None
 ) -> list[Line]:
-    """Return the lines of as many whole faults as fit; the first one is cut if it is too long by itself.
+    """Return the lines of as many whole faults as fit, the worst first; the first is cut if it alone is too long.
 
     Args:
-        faults: faults, the worst first.
         heights: least number of lines for each fault, or None.
     """
     # Each fault takes a line at least, so there is no room for further ones.
@@ -150,7 +132,12 @@ def fault_lines(
             shown += lines
         else:
             left_out.append(fault)
-    return [*shown, fit(((f"   {_how_many_more(left_out, keys)}", "dim"),), width)] if left_out else shown
+    if not left_out:
+        return shown
+    press = [keys.links] * any(fault.of_link for fault in left_out)
+    press += [keys.topics] * any(not fault.of_link for fault in left_out)
+    more = f"and {sum(1 + len(fault.others) for fault in left_out)} more: press {' or '.join(press)}"
+    return [*shown, fit(((f"   {more}", "dim"),), width)]
 
 
 def _wrapped(fault: Fault, width: int, least: int = 0) -> list[Line]:
@@ -164,19 +151,12 @@ def _cut(line: Line, width: int) -> Line:
     return fit((*line[:-1], (f"{text} …", look)), width)
 
 
-def _how_many_more(faults: list[Fault], keys: MoreKeys) -> str:
-    """Return the line with the number of faults that do not fit, and the keys that show them."""
-    press = [keys.links] * any(fault.of_link for fault in faults)
-    press += [keys.topics] * any(not fault.of_link for fault in faults)
-    return f"and {sum(1 + len(fault.others) for fault in faults)} more: press {' or '.join(press)}"
-
-
 def faults_of(snapshot: Snapshot) -> list[Fault]:
     """Return the faults of links, then of topics, the worst first, then waits; none that a link explains."""
     if not snapshot.running:
         return []
     alike: dict[tuple[str, str, str, bool], list[Fault]] = {}
-    found = (*_link_faults(snapshot), *_refused_clients(snapshot), *_topic_faults(snapshot))
+    found = (*_link_faults(snapshot), *_topic_faults(snapshot))
     for fault in sorted(found, key=lambda fault: fault.look == State.WAITING.value):
         cause = _DURATION.sub("", fault.cause.replace(fault.name, _OWN_NAME))
         key = fault.sign, fault.robot, fault.name if fault.measured else cause, fault.of_link
@@ -185,7 +165,7 @@ def faults_of(snapshot: Snapshot) -> list[Fault]:
 
 
 def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
-    """Return the faults of links, without a single waiting link, which the header shows."""
+    """Yield the faults of links, without a single waiting link, which the header shows, and the refused clients."""
     single = len(snapshot.links) == 1
     for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name)):
         if link.acknowledged is not None:
@@ -195,9 +175,6 @@ def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
             yield Fault("!", State.SLOW.value, "", link.name, cause, of_link=True)
         elif link.state is not State.OK and not (single and link.state is State.WAITING):
             yield Fault(STATE_SIGN[link.state], link.state.value, "", link.name, cause, of_link=True)
-
-
-def _refused_clients(snapshot: Snapshot) -> Iterator[Fault]:
     for client in snapshot.refused:
         name = f"{client.name or 'a client'} at {client.host}"
         yield Fault("!", State.SLOW.value, "", name, client.reason, of_link=True)
@@ -239,8 +216,6 @@ def link_fault(link: LinkSnapshot, *, server: bool) -> str:
         return link.reason
     if link.peer:
         return f"missing since {since}, last seen at {link.peer}: {link.reason}"
-    return (
-        f"not connected yet, since {since}"
-        if link.cause == LinkCause.NOT_YET
-        else f"missing since {since}, not seen yet"
-    )
+    if link.cause == LinkCause.NOT_YET:
+        return f"not connected yet, since {since}"
+    return f"missing since {since}, not seen yet"

@@ -29,20 +29,13 @@ class PatternProblem(Wording):
 
 
 class PatternError(ValueError):
-    """Not a regular expression; the message says where."""
+    """Not a regular expression; the message has the place."""
 
 
 class _Term(NamedTuple):
-    """One term of a filter.
-
-    Attributes:
-        column: column to search, or an empty string for all columns.
-        excludes: whether it must not match.
-    """
-
-    column: str
+    column: str  # to search, or an empty string for all columns
     regex: re.Pattern[str]
-    excludes: bool
+    excludes: bool  # it must not match
 
 
 @dataclass(frozen=True)
@@ -51,9 +44,6 @@ class RowFilter:
 
     Each term is a regular expression without spaces. It searches one column if it begins with that column's name, and
     otherwise all. A term without text, such as a single ``!``, is ignored.
-
-    Attributes:
-        text: typed text without the slash.
     """
 
     text: str
@@ -111,7 +101,7 @@ class Prompt(Horizontal):
     """``/`` and an input. Typing filters at once; enter keeps the filter, escape restores the previous one.
 
     Args:
-        columns: those by whose name one may look, as a hint.
+        columns: a hint at the columns that a term may begin with.
     """
 
     BINDINGS: ClassVar = [Binding("escape", "cancel", show=False)]
@@ -124,7 +114,7 @@ class Prompt(Horizontal):
             self.pattern = pattern
 
     class Closed(Message):
-        """The operator has left the prompt."""
+        """The operator left the prompt."""
 
     def __init__(self, columns: str = "state: kind: robot: type: via: why:") -> None:
         super().__init__(id="prompt")
@@ -133,7 +123,6 @@ class Prompt(Horizontal):
         self._before = ""
 
     def compose(self) -> ComposeResult:
-        """Compose the slash, the input, and room for its problem."""
         yield Static(" /", id="sign")
         yield Input(id="pattern", placeholder=f"terms that match, !terms that do not; {self._columns}")
         yield Static("", id="problem", classes="problem")

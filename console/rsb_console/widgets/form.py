@@ -29,22 +29,15 @@ _DRAWN_AFTER = 0.1  # s from a refusal until it is drawn, which takes two or thr
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """One field of a form.
-
-    Attributes:
-        help: one or two lines, shown while the field has the focus.
-        blank: meaning of an empty field, shown in it.
-        options: value and label of each choice, or empty for a text field.
-        edited: whether operators usually edit the value rather than replace it, as with a path.
-    """
+    """One field of a form."""
 
     key: str
     label: str
-    help: str
+    help: str  # one or two lines, shown while the field has the focus
     value: str = ""
-    blank: str = ""
-    options: tuple[tuple[str, str], ...] = ()
-    edited: bool = False
+    blank: str = ""  # meaning of an empty field, shown in it
+    options: tuple[tuple[str, str], ...] = ()  # value and label of each choice, or empty for a text field
+    edited: bool = False  # operators usually edit the value rather than replace it, as with a path
 
 
 class Notice(Static):
@@ -56,7 +49,6 @@ class Notice(Static):
         self._text = ""
 
     def set_text(self, text: str) -> None:
-        """Show a text; an empty one takes no room."""
         if text != self._text:  # Textual lays the screen out again even for the same text
             self._text = text
             self.update(text)
@@ -94,7 +86,6 @@ class Field(Vertical):
         self.note = Notice("hint note")
 
     def compose(self) -> ComposeResult:
-        """Compose the label and the control side by side, with notes about the value below."""
         with Horizontal():
             yield self._label
             yield self.control
@@ -103,11 +94,8 @@ class Field(Vertical):
 
     @property
     def _focus_sort_key(self) -> tuple[int, int]:
-        """Its place in the order of the tab key (Textual's).
-
-        Textual orders widgets by their place on the screen. A field that has just appeared has none yet and would come
-        before all others, so that fast typing would go to it.
-        """
+        # Textual orders widgets by their place on the screen. A field that has just appeared has none yet and would
+        # come before all others, so that fast typing would go to it.
         return self.position, 0
 
     def describe(self, spec: Spec) -> None:
@@ -126,7 +114,6 @@ class Field(Vertical):
 
     @property
     def value(self) -> str:
-        """The field's text, without surrounding blanks."""
         return self.control.value.strip()
 
     @value.setter
@@ -191,11 +178,7 @@ class Form(VerticalScroll, can_focus=False):
         return {key: field.value for key, field in self.fields.items() if field.styles.display != "none"}
 
     def show_problems(self, problems: Mapping[str, str]) -> None:
-        """Show the problems, a field's below the field, others below the form.
-
-        Args:
-            problems: messages by the field's key; another key is about the form as a whole.
-        """
+        """Show problems by their keys: a field's below the field, others below the form."""
         self._problems = problems
         for key, field in self.fields.items():
             field.problem.set_text(problems.get(key, "") if field.is_ready else "")
@@ -204,21 +187,24 @@ class Form(VerticalScroll, can_focus=False):
         self.problem.set_text("\n".join(elsewhere))
 
     def settle(self) -> bool:
-        """Whether there is no problem; else show every problem and focus the first."""
+        """Return whether there is no problem; else show every problem and focus the first."""
         for field in self.fields.values():
             field.touched = True
         self.show_problems(self._problems)
-        wrong = [field for key, field in self.fields.items() if key in self._problems and field.display]
-        if wrong:
+        if wrong := self._wrong:
             wrong[0].control.focus()
         return not self._problems
 
+    @property
+    def _wrong(self) -> list[Field]:
+        return [field for key, field in self.fields.items() if key in self._problems and field.display]
+
     def empty_after(self, submitted: Field) -> Field | None:
         """Return the next untouched field that needs a value, or None if there are other mistakes."""
-        wrong = [field for key, field in self.fields.items() if key in self._problems and field.display]
+        wrong = self._wrong
         if len(wrong) < len(self._problems) or submitted in wrong or any(each.touched or each.value for each in wrong):
             return None
-        return next(iter(wrong), None)
+        return wrong[0] if wrong else None
 
     def on_descendant_focus(self, event: events.DescendantFocus) -> None:
         for position, field in enumerate(self.fields.values()):
@@ -274,7 +260,8 @@ class FieldSearch(Notice, can_focus=True):
             if len(found) == 1:
                 found[0].control.focus()
                 return
-            self._typed = self._typed if found else before  # a letter that no name has there is left out
+            if not found:  # a letter that no name has there is left out
+                self._typed = before
             self._show(self._found() if self._typed else [])
 
     def on_blur(self) -> None:
@@ -282,12 +269,9 @@ class FieldSearch(Notice, can_focus=True):
 
 
 class FormScreen(ModalScreen[T | None]):
-    """Fields and two buttons; escape gives None.
+    """Fields and two buttons, the first of which (`yes`) accepts; escape gives None.
 
-    A subclass says what is wrong with the values (`problems`) and what they make (`result`).
-
-    Args:
-        yes: the label of the button that accepts.
+    A subclass checks the values (`problems`) and makes the result of them (`result`).
     """
 
     BINDINGS: ClassVar = [Binding("escape", "dismiss", show=False)]
@@ -299,7 +283,6 @@ class FormScreen(ModalScreen[T | None]):
         self._title, self._yes = title, yes
 
     def compose(self) -> ComposeResult:
-        """Compose the form, its problem as a whole, the help and the buttons."""
         with Vertical(classes="dialog -wide") as dialog:
             dialog.border_title = self._title
             yield self.form
@@ -317,7 +300,7 @@ class FormScreen(ModalScreen[T | None]):
         raise NotImplementedError
 
     def result(self, values: Mapping[str, str]) -> T:
-        """Return the result of values without problems."""
+        """Return the result, which is valid only for values without problems."""
         raise NotImplementedError
 
     def on_mount(self) -> None:
@@ -344,7 +327,6 @@ class FormScreen(ModalScreen[T | None]):
             self.check()
 
     def check(self) -> None:
-        """Show the problems of the present values."""
         self.form.show_problems(self.problems(self.form.values))
 
     def submit(self) -> None:

@@ -25,11 +25,7 @@ Line = tuple[tuple[str, str], ...]
 BREATH = 0.5e-3
 """s that a pane sleeps before it is drawn: see `yield_gil`."""
 
-LOOKS = (
-    *(state.value for state in State), "dim", "strong", "armed", "key", "head", "alarm", "plot",
-)  # fmt: skip
-
-
+LOOKS = (*(state.value for state in State), "dim", "strong", "armed", "key", "head", "alarm", "plot")
 LOOK_CLASSES = {look: f"line--{look}" for look in LOOKS}
 """The CSS component class of each look. The app has them, not each pane: whenever the classes or the focus of a node
 change, Textual styles all component classes of that node, which took a fifth of the console's time."""
@@ -38,8 +34,8 @@ change, Textual styles all component classes of that node, which took a fifth of
 class LiveLines(ScrollView):
     """Lines drawn on demand: makes only the lines on screen, and writes only what differs from the last picture.
 
-    A subclass says how many lines there are (`line_count`) and makes one (`line`); after its data changed it calls
-    `sync`. The first `sticky` lines stay at the top while the rest scrolls.
+    A subclass counts the lines (`line_count`) and makes each (`line`); after its data changed it calls `sync`. The
+    first `sticky` lines stay at the top while the rest scrolls.
 
     Attributes:
         width: cells; asking Textual's `size` for each line costs too much.
@@ -62,7 +58,7 @@ class LiveLines(ScrollView):
         raise NotImplementedError
 
     def line(self, index: int) -> Line:
-        """Line number `index`, for the present width."""
+        """Make line number `index` for the present width."""
         raise NotImplementedError
 
     def is_cursor(self, index: int) -> bool:
@@ -104,12 +100,10 @@ class LiveLines(ScrollView):
         return self.line(index), self.is_cursor(index)
 
     def refresh(self, *regions: Region, repaint: bool = True, layout: bool = False, recompose: bool = False) -> Self:
-        """Redraw the widget (Textual's)."""
         self._finished = None
         return super().refresh(*regions, repaint=repaint, layout=layout, recompose=recompose)
 
     def notify_style_update(self) -> None:
-        """Forget the cached styles (Textual's)."""
         self._looks.clear()
         super().notify_style_update()
 
@@ -122,7 +116,6 @@ class LiveLines(ScrollView):
         return self._finished[1]
 
     def render_line(self, y: int) -> Strip:
-        """Draw screen row `y` (Textual's line API)."""
         made, cursor = self._drawn[y] = self._make(y)
         strip = Strip([Segment(text, self._style(look, cursor=cursor)) for text, look in made])
         return strip.adjust_cell_length(self.width, self._style("", cursor=cursor)).simplify()
@@ -158,11 +151,7 @@ def yield_gil() -> None:
 
 
 def changed_width(old: Line, new: Line, width: int) -> int:
-    """Return how many cells from the left edge two lines differ; Textual draws from a pane's left edge anyway.
-
-    Args:
-        old: the line on screen.
-    """
+    """Return how many cells from the left edge two lines differ; Textual draws from a pane's left edge anyway."""
     cells = width_of(new)
     if width_of(old) != cells:
         return width
@@ -241,7 +230,6 @@ class ScrolledLines(FixedLines, can_focus=True):
     ]
 
     def show(self, lines: Iterable[Line]) -> None:
-        """Show other lines in place of the present ones."""
         width = self.scrollable_content_region.width
         self._lines = [fit(line, width) for line in lines]
         self.sync()

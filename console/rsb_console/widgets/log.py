@@ -35,8 +35,6 @@ class LogPane(SelectableList):
         self.level = Level.INFO
         self.pattern: RowFilter | None = None
         self._shown: dict[str, Event] = {}
-        self._room = 0
-        """Cells of a line that no scrollbar covers."""
 
     def add(self, events: Iterable[Event]) -> None:
         events = list(events)
@@ -55,22 +53,18 @@ class LogPane(SelectableList):
     def relist(self) -> None:
         self._shown = {str(event.number): event for event in reversed(self.events) if self._wanted(event)}
         self.show_keys(list(self._shown))
-        self.entitle(self._heading())
-
-    def _wanted(self, event: Event) -> bool:
-        if SEVERITY[event.level] < SEVERITY[self.level]:
-            return False
-        return self.pattern is None or self.pattern.matches(
-            {"": plain(event), "state": WORD[event.level], "topic": event.topic, "robot": event.link}
-        )
-
-    def _heading(self) -> str:
         parts = ["Log"]
         if self.level is not Level.INFO:
             parts.append("all" if self.level is Level.DEBUG else f"{WORD[self.level]}+")
         if self.pattern is not None:
             parts.append(f"/{self.pattern.text}")
-        return f" {' ▸ '.join(parts)} "
+        self.entitle(f" {' ▸ '.join(parts)} ")
+
+    def _wanted(self, event: Event) -> bool:
+        if SEVERITY[event.level] < SEVERITY[self.level]:
+            return False
+        texts = {"": plain(event), "state": WORD[event.level], "topic": event.topic, "robot": event.link}
+        return self.pattern is None or self.pattern.matches(texts)
 
     def next_level(self) -> None:
         """Show one level less; after errors only, everything."""
@@ -103,12 +97,7 @@ class LogPane(SelectableList):
             self.move_to(0)
 
     def is_cursor(self, index: int) -> bool:
-        """Whether the cursor is on a line and the log has the focus."""
         return self.has_focus and super().is_cursor(index)
-
-    def _measure(self) -> None:
-        super()._measure()
-        self._room = self.scrollable_content_region.width
 
     def line(self, index: int) -> Line:
         event = self._shown[self.keys[index]]
@@ -119,14 +108,12 @@ class LogPane(SelectableList):
             (f"{event.source:<6} ", "dim"),
             (_named(event), "dim" if event.level is Level.DEBUG else ""),
         )
-        return fit(whole, self._room)
+        return fit(whole, self.width)
 
 
 def plain(event: Event) -> str:
-    """Format an event as one line of text."""
     return f"{formats.time_of_day(event.time)} {WORD[event.level]:<5} {event.source:<6} {_named(event)}"
 
 
 def _named(event: Event) -> str:
-    """Return an event's text, with its link before it."""
     return f"{event.link}: {event.text}" if event.link and not event.text.startswith(f"{event.link}: ") else event.text

@@ -26,18 +26,12 @@ WHOLE = 1000  # cells in which nothing is cut
 
 
 class Suggestion(NamedTuple):
-    """One suggestion.
-
-    Attributes:
-        value: value for the field once it is picked.
-        line: formats its line for a width in cells.
-        fills: values for other fields of the form, by their keys.
-    """
+    """One suggestion."""
 
     key: str
-    value: str
-    line: Callable[[int], Line]
-    fills: Mapping[str, str] = MappingProxyType({})
+    value: str  # for the field once it is picked
+    line: Callable[[int], Line]  # formats its line for a width in cells
+    fills: Mapping[str, str] = MappingProxyType({})  # values for other fields of the form, by their keys
 
 
 class SuggestionList(SelectableList, can_focus=False):
@@ -59,12 +53,10 @@ class SuggestionList(SelectableList, can_focus=False):
 
     @property
     def current(self) -> Suggestion | None:
-        """The suggestion under the cursor, or None."""
         return None if self.cursor_key is None else self._suggestions[self.cursor_key]
 
     @property
     def line_count(self) -> int:
-        """Number of lines: one for each suggestion, or a text for an empty list."""
         return len(self.keys) or len(self._empty_lines)
 
     @property
@@ -89,11 +81,8 @@ def _matches(suggestion: Suggestion, pattern: RowFilter) -> bool:
 class PickField(Field):
     """A text field over a list. Arrows move in the list, enter picks from it.
 
-    What is typed narrows the list down. A text that `is_literal` is meant as it stands, and enter takes it, unless the
-    operator has gone into the list.
-
-    Args:
-        is_literal: whether a text is a value rather than something to look for.
+    Typing narrows the list down. Enter takes a text that `is_literal` as the value, unless the operator has gone into
+    the list.
     """
 
     BINDINGS: ClassVar = [
@@ -104,11 +93,7 @@ class PickField(Field):
     ]
 
     class Picked(Field.Changed):
-        """A suggestion was picked, or a text was kept as it is.
-
-        Attributes:
-            suggestion: the picked suggestion, or None for the text in the field.
-        """
+        """A suggestion was picked, or None, which keeps the text in the field."""
 
         def __init__(self, field: Field, suggestion: Suggestion | None) -> None:
             super().__init__(field)
@@ -130,12 +115,7 @@ class PickField(Field):
         yield self.list
 
     def suggest(self, suggestions: Sequence[Suggestion], empty: Callable[[str], str]) -> None:
-        """Set what can be picked.
-
-        Args:
-            suggestions: in the order of the list.
-            empty: returns the text for an input without a match.
-        """
+        """Offer suggestions in this order; `empty` returns the text for an input without a match."""
         self._suggestions, self._empty = suggestions, empty
         self._relist()
 
@@ -150,7 +130,7 @@ class PickField(Field):
 
     @property
     def is_ready(self) -> bool:
-        """Whether to show the field's mistakes: not while its text is a search."""
+        """Whether to show the field's mistakes, which a search has not."""
         return super().is_ready and not (self.control.has_focus and self.list.marks_cursor)
 
     @property

@@ -68,16 +68,13 @@ class SelectableList(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """Number of lines: the heading and one for each item."""
         return self.sticky + len(self.keys)
 
     def is_cursor(self, index: int) -> bool:
-        """Whether line `index` holds the item under the cursor."""
         return index == self.sticky + self._cursor
 
     @property
     def cursor_key(self) -> str | None:
-        """The key of the item under the cursor, or None if the list is empty."""
         return self.keys[self._cursor] if self._cursor < len(self.keys) else None
 
     def show_keys(self, keys: Sequence[str]) -> None:
@@ -123,7 +120,6 @@ class SelectableList(LiveLines, can_focus=True):
 
     @property
     def position(self) -> int:
-        """Number of the item under the cursor."""
         return self._cursor
 
     @property
@@ -168,42 +164,27 @@ class SelectableList(LiveLines, can_focus=True):
 
     def on_focus(self) -> None:
         """Redraw the cursor's line, which looks different in the focused pane."""
-        self._refresh_cursor()
-
-    def on_blur(self) -> None:
-        self._refresh_cursor()
-
-    def _refresh_cursor(self) -> None:
         y = self.sticky + self._cursor - round(self.scroll_offset.y)
         self.refresh(Region(0, y, self.size.width, 1))
+
+    on_blur = on_focus
 
 
 # Compared by identity: by value, each look into a set of columns would hash all fields.
 @dataclass(frozen=True, slots=True, eq=False)
 class Column(Generic[R]):
-    """One column of a table.
-
-    Attributes:
-        width: cells, or 0 for all remaining ones.
-        text: formats the cell of a route or another row.
-        right: whether cells are aligned to the right.
-        from_width: cells; a narrower table leaves the column out.
-        beside_calls: the same for a table with calls, or None to use `from_width`.
-        only_calls: whether a table with only topics leaves it out.
-        names: whether it has names, which are cut in their middle.
-        least: cells to which it shrinks before names are cut, losing its beginning; 0 if it does not shrink.
-    """
+    """One column of a table. Widths are in cells."""
 
     title: str
-    width: int
+    width: int  # 0 for all remaining cells
     text: Callable[[R], str]
     order: Callable[[R], Any]
-    right: bool = True
-    from_width: int = 0
-    beside_calls: int | None = None
-    only_calls: bool = False
-    names: bool = False
-    least: int = 0
+    right: bool = True  # aligned to the right
+    from_width: int = 0  # a narrower table leaves the column out
+    beside_calls: int | None = None  # the same for a table with calls, or None to use `from_width`
+    only_calls: bool = False  # a table with only topics leaves it out
+    names: bool = False  # names are cut in their middle
+    least: int = 0  # to which it shrinks before names are cut, losing its beginning; 0 if it does not shrink
 
     def needs(self, *, calls: bool) -> int:
         """Return the least width of a table that has this column."""
@@ -229,10 +210,9 @@ Layout = tuple[tuple[Column[R], int], ...]
 
 
 def filled(columns: Sequence[Column[R]], width: int, names: int = 0) -> Layout[R]:
-    """Columns with their widths in cells: one of width 0 gets what the others leave of `width`, a blank behind each.
+    """Return columns with their widths in cells: one of width 0 gets the rest of `width`, a blank behind each.
 
-    Args:
-        names: cells of the longest name, for which others shrink.
+    Other columns shrink for `names`, the cells of the longest name.
     """
     rest = max(8, width - sum(column.width + 1 for column in columns))
     shrinking = next((column for column in columns if column.least), None)
@@ -269,7 +249,7 @@ class SortedTable(SelectableList, Generic[R]):
 
     @property
     def columns(self) -> Layout[R]:
-        """The columns that fit the present width, each with its own in cells."""
+        """The columns that fit the present width."""
         raise NotImplementedError
 
     def relist(self) -> None:
@@ -277,7 +257,6 @@ class SortedTable(SelectableList, Generic[R]):
         raise NotImplementedError
 
     def row_line(self, key: str, *, cursor: bool) -> Line:
-        """Line of the row with a key."""
         raise NotImplementedError
 
     def is_match(self, key: str) -> bool:
@@ -286,7 +265,6 @@ class SortedTable(SelectableList, Generic[R]):
 
     @property
     def line_count(self) -> int:
-        """Number of lines: the heading and the rows, or a text for an empty table."""
         return self.sticky + (len(self.keys) or len(self._empty))
 
     def line(self, index: int) -> Line:
@@ -301,7 +279,6 @@ class SortedTable(SelectableList, Generic[R]):
         return column.aligned(clip(column.title + arrow, width), width), "head"
 
     def is_cursor(self, index: int) -> bool:
-        """Whether the cursor is on a line; an empty table has none."""
         return bool(self.keys) and super().is_cursor(index)
 
     def explain(self, empty: str) -> None:

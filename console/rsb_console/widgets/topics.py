@@ -62,12 +62,7 @@ def _sign(row: Row) -> str:
 
 
 def is_armed(row: Row) -> bool:
-    """Whether a topic requires arming and is armed."""
     return row.arming is not None and row.arming.armed
-
-
-def _by_way(row: Row) -> tuple[bool, str, int]:
-    return row.outgoing, row.transport, 0 if isinstance(row, PatternRow) else row.port
 
 
 def via(row: Row) -> str:
@@ -111,7 +106,6 @@ def _milliseconds(seconds: float | None) -> str:
 
 
 def last_failure(route: RouteSnapshot) -> str:
-    """Return the last failure of a route's calls, or an empty string."""
     return "" if route.calls is None else route.calls.last_failure
 
 
@@ -157,11 +151,7 @@ _FIGURES: tuple[Column[RouteSnapshot], ...] = (
 
 
 def _of_routes(column: Column[RouteSnapshot], of_pattern: Callable[[PatternRow], str] = lambda _: "") -> Column[Row]:
-    """Make a column of figures, which patterns don't have. They come after all routes if it sorts the table.
-
-    Args:
-        of_pattern: formats a pattern's cell.
-    """
+    """Make a column of figures, which patterns don't have. They come after all routes if it sorts the table."""
     text, order = column.text, column.order
     return replace(
         cast("Column[Row]", column),
@@ -184,7 +174,14 @@ COLUMNS: tuple[Column[Row], ...] = (
     ),
     Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False, names=True),
     Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
-    Column("VIA", 7, via, _by_way, right=False, from_width=40),
+    Column(
+        "VIA",
+        7,
+        via,
+        lambda r: (r.outgoing, r.transport, 0 if isinstance(r, PatternRow) else r.port),
+        right=False,
+        from_width=40,
+    ),
     _of_routes(
         Column("HZ/EXP", 9, _rate, lambda r: (-present_rate(r), -r.calls.in_flight if r.calls else 0)),
         lambda pattern: f"{pattern.routes} {plural(pattern.routes, 'name')}",
@@ -213,10 +210,9 @@ def layout(
     wanted: frozenset[str] | None = None,
     names: int = 0,
 ) -> Layout[Row]:
-    """Return the columns that fit, each with its width in cells.
+    """Return the columns that fit into so many cells, each with its width.
 
     Args:
-        width: width of the table in cells.
         peers: whether there are several peers, so that the table needs a column for them.
         grouped: whether that column comes first, however narrow the table is.
         calls: whether the table has more than topics.
@@ -238,7 +234,7 @@ def layout(
 
 
 def _chosen(columns: list[Column[Row]], width: int, wanted: frozenset[str], *, calls: bool) -> list[Column[Row]]:
-    """Return the wanted columns that have room: those of the narrowest tables, and all that they leave room for."""
+    """Return the wanted columns that have room; the columns of narrow tables come first."""
     shown = [each for each in columns if each in _ALWAYS]
     room = width - 1 - _LEAST_NAME - sum(each.width + 1 for each in shown)
     for column in sorted(columns, key=lambda each: each.needs(calls=calls)):
@@ -255,11 +251,9 @@ class TopicsTable(SortedTable[Row]):
         super().__init__(Order(STATE), id="topics")
         self.rows: dict[str, Row] = {}
         self.faults_only = False
-        self.grouped = False
-        """Whether the topics of each robot stand together."""
+        self.grouped = False  # by robot
         self.pattern: RowFilter | None = None
-        self.wanted_columns: frozenset[str] | None = None
-        """Headings of the operator's choice besides state and topic, or None for all that fit."""
+        self.wanted_columns: frozenset[str] | None = None  # headings besides state and topic; None for all that fit
         self.now = 0.0
         self._peers = self._calls = False
         self._names = 0
@@ -280,12 +274,9 @@ class TopicsTable(SortedTable[Row]):
             # Sorting is stable: within a robot, the chosen order stays.
             shown.sort(key=lambda row: row.link)
         self.show_keys([row.key for row in shown])
-        self._show_title()
-
-    def _show_title(self) -> None:
         name = f"{'Topics and calls' if self._calls else 'Topics'}{' by robot' if self.grouped else ''}"
-        shown, rows = len(self.keys), len(self.rows)
-        parts = table_title(name, self.pattern, faults_only=self.faults_only, shown=shown, rows=rows)
+        counts = {"shown": len(shown), "rows": len(self.rows)}
+        parts = table_title(name, self.pattern, faults_only=self.faults_only, **counts)
         self.entitle(f" {' ▸ '.join(parts)} ")
 
     def _wanted(self, row: Row) -> bool:
@@ -296,7 +287,6 @@ class TopicsTable(SortedTable[Row]):
         return self.pattern is None or self.pattern.matches(_searched(row), hidden=hidden)
 
     def select(self, key: str) -> None:
-        """Put the cursor on a row, if the filter shows it."""
         if key in self.keys:
             self.move_to(self.keys.index(key))
 
@@ -321,13 +311,14 @@ class TopicsTable(SortedTable[Row]):
 
     def row_line(self, key: str, *, cursor: bool) -> Line:
         row = self.rows[key]
-        edge = ("▌", row.state.value) if cursor else (" ", "")
-        return (edge, *((self._cell(column, row, width), _look(column, row)) for column, width in self.columns))
-
-    def _cell(self, column: Column[Row], row: Row, width: int) -> str:
-        if column is not _AGE or isinstance(row, PatternRow) or row.last_at is None:
-            return column.cell(row, width)
-        return column.aligned(formats.age_of(row.last_at, self.now), width)
+        pieces = [("▌", row.state.value) if cursor else (" ", "")]
+        for column, width in self.columns:
+            if column is _AGE and not isinstance(row, PatternRow) and row.last_at is not None:
+                text = column.aligned(formats.age_of(row.last_at, self.now), width)
+            else:
+                text = column.cell(row, width)
+            pieces.append((text, _look(column, row)))
+        return tuple(pieces)
 
     @property
     def columns(self) -> Layout[Row]:
