@@ -20,11 +20,7 @@ def scan_bluetooth(arguments: Namespace) -> int:
 
 
 def run_bt_scan(adapter: str | None, as_json: bool) -> int:
-    """Scan once and print; problems go to standard error, or are part of the JSON.
-
-    Args:
-        adapter: name or address of the adapter to scan with, or None for all.
-        as_json: print one JSON object: whether Bluetooth can be used (`ok`), and the fields of `Scan`.
+    """Scan once, with an adapter by its name or address, or all of them, and print the result.
 
     Returns:
         0, or 1 if Bluetooth cannot be used in its present state.

@@ -69,7 +69,7 @@ def call_service(arguments: Namespace) -> int:
 
 
 def _cut(route: RouteSnapshot, text: str) -> str:
-    """Return the parts of an answer that the bridge left out, as a sentence, or an empty string."""
+    """Name the parts of an answer that the bridge left out, or return an empty string."""
     notes = [line.removeprefix("# ") for line in text.splitlines() if line.startswith("#")]
     what = "; ".join(note for note in notes if not f"# {note}".startswith(_NEW_GOAL))
     return CallProblem.CUT(topic=route.topic, what=what) if what else ""
@@ -94,10 +94,6 @@ def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str
         request: fields of the request, as YAML.
         lane: name of the service, if the route has several.
         timeout: s, or None for the route's own timeout, which does not limit a goal's result.
-
-    Raises:
-        EngineError: the bridge refuses it, or no response comes in time.
-        TimeoutError: the bridge does not answer.
     """
     future = engine.call(route.key, request, lane)
     patient = any(each.patient for each in LANES[route.spec.kind] if each.name == lane)

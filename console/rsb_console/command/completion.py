@@ -68,6 +68,7 @@ def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
 
 
 def _insert(word: str, number: int) -> None:
+    """Insert a word before word `number` of the line to complete."""
     line = os.environ["COMP_LINE"]
     at = [found.start() for found in re.finditer(r"\S+", line)][number]
     os.environ["COMP_LINE"] = f"{line[:at]}{word} {line[at:]}"

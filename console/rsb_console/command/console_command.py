@@ -44,13 +44,11 @@ def run_console(
 
     Args:
         path: session file to run, or None to ask.
-        ascii_only: draw only ASCII, even if the terminal can draw more.
         theme: name of the theme, or None for one that suits the terminal.
         on_hangup: ``stop`` or ``continue``: the bridge's reaction when the terminal hangs up.
         control: control socket to serve the engine on, or None for one in the user's folder.
         attach_to: control socket of a bridge to attach to, or a function that attaches to one, or None.
-        mouse: take the mouse from the terminal.
-        temporary: the session file is deleted when the session ends, as the demo's is.
+        temporary: whether the session file is deleted when the session ends, as the demo's is.
         resources: closed when that session ends, or None.
 
     Returns:

@@ -32,11 +32,7 @@ _NEVER = float("inf")
 
 
 def echo(engine: EngineApi, route: RouteSnapshot, arguments: Namespace) -> bool:
-    """Print messages of a route up to the wanted number; return whether enough came.
-
-    Raises:
-        EngineError: the bridge has ended, or does not bridge the topic any more.
-    """
+    """Print messages of a route up to the wanted number; return whether enough came."""
     count = 1 if arguments.once else arguments.count
     deadline = _NEVER if arguments.timeout is None else time.monotonic() + arguments.timeout
     types = KnownTypes(time.monotonic)

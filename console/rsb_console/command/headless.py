@@ -120,12 +120,10 @@ def bridge_until_told(
 
     Args:
         signals: entered already, so that no signal is missed.
-        log_format: as for `run_headless`.
         status_every: s between status lines.
         seconds: s after which it stops by itself, or None to run on.
-        supervisor: gets reports of the engine's state, or None.
     """
-    supervisor = supervisor or Supervisor({})  # which tells nobody
+    supervisor = supervisor or Supervisor({})  # which informs nobody
     format_event = json_event if log_format == "json" else text_event
     status = json_status if log_format == "json" else StatusLines().text
 
@@ -197,12 +195,8 @@ def _has_terminal() -> bool:
 class Signals:
     """Catches the signals to a bridge, for as long as it is entered.
 
-    SIGHUP means that the terminal has gone. A process that never had a terminal, such as a service, gets it as a
-    request to reload.
-
-    Args:
-        ignore_hangup: keep the bridge running when its terminal goes away.
-        has_terminal: whether the process has a terminal that can go.
+    SIGHUP means that the terminal has gone; if `ignore_hangup`, the bridge goes on. A process that never had a
+    terminal, such as a service, gets it as a request to reload.
 
     Attributes:
         caught: the name of the first signal that ends the bridge, or empty.
@@ -243,12 +237,8 @@ class Signals:
 class LogWriter:
     """Writes lines on a thread of its own.
 
-    Counts the lines that cannot be written; when too many wait, the oldest go. As soon as writing works again, one line
-    says how many are missing and why.
-
-    Args:
-        fd: the file descriptor; stays open.
-        lost_line: makes that line, given the number of lines and the reason.
+    When too many wait, the oldest are dropped. As soon as writing works again, `lost_line` makes a line of the number
+    of lines that were not written and the reason. The file descriptor stays open.
     """
 
     def __init__(self, fd: int, lost_line: Callable[[int, str], str]) -> None:

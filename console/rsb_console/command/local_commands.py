@@ -10,7 +10,7 @@ import errno
 import os
 import sys
 import termios
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.files import is_there
 from rsb_bridge.config.keys import KeyFileError, fingerprint, write_key
@@ -74,17 +74,7 @@ def run(arguments: Namespace) -> int:
         )
     if not can_draw(f"rsb-console run --no-ui {path or 'SESSION'}"):
         return USAGE
-    from rsb_console.command.console_command import run_console  # noqa: PLC0415 (needs Textual)
-
-    return run_console(
-        path,
-        readonly=arguments.readonly,
-        ascii_only=arguments.ascii,
-        theme=arguments.theme,
-        on_hangup=arguments.on_hangup,
-        mouse=not arguments.no_mouse,
-        control=arguments.control,
-    )
+    return _open_console(arguments, path, on_hangup=arguments.on_hangup, control=arguments.control)
 
 
 def attach(arguments: Namespace) -> int:
@@ -92,16 +82,19 @@ def attach(arguments: Namespace) -> int:
 
     if not can_draw("rsb-console status"):
         return USAGE
-    bridge = what_to_attach(arguments)
+    return _open_console(arguments, None, attach_to=what_to_attach(arguments))
+
+
+def _open_console(arguments: Namespace, path: Path | None, **options: Any) -> int:
     from rsb_console.command.console_command import run_console  # noqa: PLC0415 (needs Textual)
 
     return run_console(
-        None,
+        path,
         readonly=arguments.readonly,
         ascii_only=arguments.ascii,
         theme=arguments.theme,
         mouse=not arguments.no_mouse,
-        attach_to=bridge,
+        **options,
     )
 
 

@@ -39,8 +39,7 @@ exit codes:
 def subcommand(place: str) -> Callable[[argparse.Namespace], int]:
     """Return a function that imports a command when it is run, and reports its errors.
 
-    Args:
-        place: ``package.module:function``, or ``module:function`` of `rsb_console.command`.
+    Its place is ``package.module:function``, or ``module:function`` of `rsb_console.command`.
     """
     module, function = place.split(":")
     if "." not in module:

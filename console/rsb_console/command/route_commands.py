@@ -33,6 +33,14 @@ if TYPE_CHECKING:
 
 _DIRECTIONS = ("transmit", "receive")  # as the client sees it
 _NOT_SAVED = "; not saved (rsb-console save)"
+_ABOUT_DIRECTION = (
+    "transmit takes it from the client to the server, receive from the server to the client, "
+    "for example: rsb-console add {topic} transmit"
+)
+_ABOUT_PROVIDER = (
+    "the side whose node answers, client or server, for example: "
+    "rsb-console add {topic} --kind {kind} --provider client"
+)
 
 
 class TopicCommandProblem(Wording):
@@ -44,25 +52,12 @@ class TopicCommandProblem(Wording):
     RATE_WITHOUT_DRY_RUN = "add {topic}: --rate and --size are for --dry-run, which adds nothing"
     NOTHING_TO_CHANGE = "edit {topic}: nothing to change; for example: max_rate=5"
     PROVIDER_OF_A_TOPIC = (
-        "add {topic}: a topic has a direction, and no provider; --service adds a service. transmit takes it from the "
-        "client to the server, receive from the server to the client, for example: rsb-console add {topic} transmit"
+        "add {topic}: a topic has a direction, and no provider; --service adds a service. " + _ABOUT_DIRECTION
     )
-    DIRECTION_MISSING = (
-        "add {topic}: the direction is missing. transmit takes it from the client to the server, receive from the "
-        "server to the client, for example: rsb-console add {topic} transmit"
-    )
-    DIRECTION_UNKNOWN = (
-        "add {topic}: {word!r} is no direction{hint} transmit takes it from the client to the server, receive from the "
-        "server to the client, for example: rsb-console add {topic} transmit"
-    )
-    PROVIDER_MISSING = (
-        "add {topic}: the provider is missing. It is the side whose node answers, client or server, for example: "
-        "rsb-console add {topic} --kind {kind} --provider client"
-    )
-    KEY_WITHOUT_VALUE = (
-        "add {topic}: {word!r} is no KEY=VALUE. The provider is the side whose node answers, client or server, for "
-        "example: rsb-console add {topic} --kind {kind} --provider client"
-    )
+    DIRECTION_MISSING = "add {topic}: the direction is missing. " + _ABOUT_DIRECTION
+    DIRECTION_UNKNOWN = "add {topic}: {word!r} is no direction{hint} " + _ABOUT_DIRECTION
+    PROVIDER_MISSING = "add {topic}: the provider is missing. It is " + _ABOUT_PROVIDER
+    KEY_WITHOUT_VALUE = "add {topic}: {word!r} is no KEY=VALUE. The provider is " + _ABOUT_PROVIDER
 
 
 def print_topics(arguments: Namespace) -> int:

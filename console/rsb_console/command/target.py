@@ -47,8 +47,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import PatternSnapshot
 
 ANSWERED_WITHIN = 60.0
-"""s. A round figure, not measured: with ten times as much, a bridge that hangs would hold up a script for ten
-minutes."""
+"""s. A round figure: with ten times as much, a bridge that hangs would hold up a script for ten minutes."""
 Attach: TypeAlias = "Callable[[], RemoteEngine]"
 
 T = TypeVar("T")
@@ -160,15 +159,14 @@ def _answering(bridge: RunningBridge) -> RunningBridge:
 
 @contextlib.contextmanager
 def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = False) -> Iterator[RemoteEngine]:
-    """Be attached to the bridge that the arguments mean; of a command for a fleet's robot, to what `attach` gives.
+    """Be attached to the bridge that the arguments mean, or in `fleet exec` to the robot that `arguments.attach` opens.
 
-    Args:
-        expires: whether the command must not be carried out late, counted from now: a slow computer takes longer to
-            start this process than a command may be old.
+    A command that `expires` must not be carried out late, counted from now: a slow computer takes longer to start this
+    process than a command may be old.
     """
     began = Clock.steady()
-    if (open_it := getattr(arguments, "attach", None)) is not None:
-        engine = open_it(read_only=read_only)
+    if (attach_robot := getattr(arguments, "attach", None)) is not None:
+        engine = attach_robot(read_only=read_only)
     elif (way := getattr(arguments, "way", None)) is not None:
         engine = way.attach(arguments.bridge or "", read_only=read_only)
     else:
@@ -217,8 +215,7 @@ def agreed(question: str) -> bool:
 def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
     """Return the route that the arguments name: by its name on this side, otherwise on the client.
 
-    Raises:
-        UsageError: none or several do.
+    Raise UsageError if none or several have it.
     """
     routes = _routes_meant(engine, arguments)
     if len(routes) == 1:
@@ -253,11 +250,7 @@ def other_side(engine: RemoteEngine, link: str) -> str:
 
 
 def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | PatternSnapshot:
-    """Return the route or the pattern that the arguments name.
-
-    Raises:
-        UsageError: none or several do.
-    """
+    """Return the route or the pattern that the arguments name. Raise UsageError if none or several do."""
     if not is_pattern(arguments.topic):
         return chosen_route(engine, arguments)
     found = _patterns_meant(engine, arguments)
@@ -268,11 +261,7 @@ def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | Patter
 
 
 def all_chosen(engine: RemoteEngine, arguments: Namespace) -> Sequence[RouteSnapshot | PatternSnapshot]:
-    """Return every route of the name that the arguments give, of all links, or every such pattern: at least one.
-
-    Raises:
-        UsageError: no route or pattern has the name.
-    """
+    """Return every route or pattern of a name, of all links, at least one. Raise UsageError if there is none."""
     return (_patterns_meant if is_pattern(arguments.topic) else _routes_meant)(engine, arguments)
 
 

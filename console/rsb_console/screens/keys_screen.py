@@ -55,12 +55,12 @@ class KeyText(Wording):
 
 
 class KeyFile(NamedTuple):
-    """The facts about a key file. All but `note` are empty if the file is missing or cannot be read."""
+    """The facts about a key file."""
 
     path: Path
     user: str  # a client, an operator or the session
-    mode: str  # "0600"
-    fingerprint: str
+    mode: str  # "0600", or empty if the file is missing
+    fingerprint: str  # empty if the file cannot be read
     written: str  # in words
     note: str  # advice for an operator
 

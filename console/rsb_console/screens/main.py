@@ -109,13 +109,6 @@ class MainScreen(Screen[None]):
     """Topics, detail and log.
 
     Textual looks up an action's handler on the screen, as ``action_<id>``: each does the registry's action.
-
-    Attributes:
-        filtered: the pane that the prompt filters.
-        frozen_since: when the operator froze the view, as of ``time.time()``, or None.
-        is_unsaved: whether the session differs from its file.
-        topic_counts: how many topics have which fault.
-        link_counts: the same of links.
     """
 
     BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
@@ -134,11 +127,11 @@ class MainScreen(Screen[None]):
                 setattr(self, f"action_{action.id}", partial(self.act, action))
         self.status, self.faults, self.prompt, self.key_bar = StatusBar(), FaultLines(), Prompt(), KeyBar()
         self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()
-        self.filtered: TopicsTable | LogPane = self.topics
-        self.frozen_since: float | None = None
+        self.filtered: TopicsTable | LogPane = self.topics  # by the prompt
+        self.frozen_since: float | None = None  # s since the epoch, or None while the view is live
         self._held: list[Event] = []
         self._keys_shown: list[KeyEntry] | None = None
-        self.topic_counts: Line = ()
+        self.topic_counts: Line = ()  # of faults
         self.link_counts: Line = ()
         self.is_unsaved = False
 
