@@ -18,6 +18,7 @@ from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.server_link import ServerLink
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
+from rsb_bridge.transport.tcp import Tcp
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.link.data_channels import DataChannels
     from rsb_bridge.model.session import Direction
+    from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.sealing import SessionKeys
 
 
@@ -119,9 +121,24 @@ def test_frozen_connections_end_a_link(
         eventually(lambda: len(there.payloads) > before)
 
 
+def find_by_announcements(monkeypatch: pytest.MonkeyPatch, bridge: Bridge) -> None:
+    """Have clients look for their server over TCP as they do in a network that announces servers."""
+    connect = Tcp.connect
+
+    async def servers(transport: Tcp) -> list[str]:
+        return ["127.0.0.1"]
+
+    async def connect_to(transport: Tcp, host: str, port: int, *rest: Any) -> Stream:
+        return await connect(transport, host, port or bridge.port, *rest)
+
+    monkeypatch.setattr(Tcp, "servers", servers)
+    monkeypatch.setattr(Tcp, "connect", connect_to)
+
+
+@pytest.mark.parametrize("announced", [False, True])
 @pytest.mark.parametrize("side", [ClientLink, ServerLink])
 def test_connection_that_failed_internally_is_tried_again(
-    bridge: Bridge, monkeypatch: pytest.MonkeyPatch, side: type[ClientLink | ServerLink]
+    bridge: Bridge, monkeypatch: pytest.MonkeyPatch, side: type[ClientLink | ServerLink], announced: bool
 ) -> None:
     made = side.channels_class
     fails = iter([MemoryError("no room")])
@@ -132,6 +149,9 @@ def test_connection_that_failed_internally_is_tried_again(
         return made(link, control, keys)
 
     monkeypatch.setattr(side, "channels_class", staticmethod(make))
+    if announced:
+        find_by_announcements(monkeypatch, bridge)
     engines = bridge.both()
     bridge.expected.update(engines)
     assert any(happened(engine, EventCode.ENGINE_ERROR, "no room") for engine in engines)
+    assert not happened(engines[0], EventCode.LINK_REPLACED)  # it was closed, and no second one came beside it

@@ -247,7 +247,11 @@ class BaseLink(ABC):
         control = ControlChannel(stream, connection, self.handlers, self.lost)
         peer = self.peer = event.peer
         self.instance = peer.instance
-        self._channels = self.channels_class(self, control, event.keys)
+        try:
+            self._channels = self.channels_class(self, control, event.keys)
+        except BaseException:
+            control.abort("internal error")  # `fail` does not know it, and its goodbye would end the next connection
+            raise
         self.connections += 1
         self.linked_at = self.context.now()
         self.keepalive = Keepalive(self, stream)
