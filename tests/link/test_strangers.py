@@ -9,20 +9,25 @@ import os
 import socket
 import struct
 import weakref
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support import constants, replaced
 from tests.support.acceptors import Accepting
 from tests.support.bridge import happened, link, linked
-from tests.support.inside import inside
+from tests.support.inside import inside, pretend_linked
 from tests.support.ports import free_port
+from tests.support.steps import counted
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
+from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.link_server import Server
+from rsb_bridge.link.server_link import ClientEntry
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Client
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
@@ -31,8 +36,11 @@ from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tests.support.bridge import Bridge
 
+    from rsb_bridge.context import Context
     from rsb_bridge.engine import Engine
 
 
@@ -177,3 +185,16 @@ def test_a_client_that_is_linked_is_no_stranger(bridge: Bridge, monkeypatch: pyt
         recorded.sendall(first_message(key=secret))
         eventually(lambda: strangers_of(server).used == CONNECTION)
     eventually(lambda: strangers_of(server).used == 0)
+
+
+def test_datagram_of_stranger_costs_one_call_a_link(make_context: Callable[..., Context]) -> None:
+    clients = [Client(f"robot{number}") for number in range(100)]
+    entries = [ClientEntry(each, (), use_name=False, rights=rights_of_client(each, "pc")) for each in clients]
+    server = Server(make_context(role="server"), entries, aes=False)
+    for each in server.links.values():
+        pretend_linked(each, SimpleNamespace())
+        each.channels.session_keys = SimpleNamespace(link_id=os.urandom(8))  # type: ignore[assignment]
+    socket: Any = SimpleNamespace(port=1)
+    channel, calls = counted(lambda: server.new_udp_channel(bytes(8), socket, ("10.0.0.66", 4242)))
+    assert channel is None
+    assert calls < 1.5 * len(clients)

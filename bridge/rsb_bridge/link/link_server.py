@@ -261,8 +261,7 @@ class Server:
         return "" if link is None else link.name
 
     def _link_of(self, link_id: bytes) -> ServerLink | None:
-        linked = (link for link in self.links.values() if link.linked)
-        return next((link for link in linked if link.channels.session_keys.link_id == link_id), None)
+        return next((link for link in self.links.values() if link.has_id(link_id)), None)
 
     def new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
         link = self._link_of(link_id)

@@ -274,6 +274,10 @@ class ServerLink(Link):
         assert self._channels is not None
         return self._channels
 
+    def has_id(self, link_id: bytes) -> bool:
+        """Whether its present connection has an id; all links are asked for each datagram of a stranger."""
+        return self._channels is not None and self._channels.session_keys.link_id == link_id
+
     @property
     def use_name(self) -> bool:
         return self.entry.use_name
