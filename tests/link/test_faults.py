@@ -105,7 +105,7 @@ async def test_only_without_a_goodbye_is_there_a_remedy(
     ("code", "cause"), [(EventCode.LINK_LOST, LinkCause.LOST), (EventCode.LINK_CLOSED, LinkCause.CLOSED)]
 )
 def test_link_that_ends_has_cause_of_its_code(code: EventCode, cause: LinkCause) -> None:
-    broken = MagicMock(**{"channels.is_silent": False})
+    broken = MagicMock(**{"_channels.is_silent": False})
     broken.transport.problem = ""
     Link.lost(broken, "in words", code)
     assert broken.status.down.call_args.args == (cause, "in words")
