@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from std_srvs.srv import SetBool
+from tests.support import replaced
 from tests.support.bridge import balance, carries, happened, linked, outgoing, route, settled
 from tests.support.constants import DEAD_AFTER
 from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
+from tests.support.ports import free_port
 from tests.support.steady import Steady
 from tests.support.waiting import eventually
 
 from rsb_bridge.link.client_link import ClientLink
+from rsb_bridge.link.connecting import Failure
 from rsb_bridge.link.server_link import ServerLink
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -119,6 +122,31 @@ def test_frozen_connections_end_a_link(
         eventually(lambda: linked(server) and linked(client))
         before = len(there.payloads)
         eventually(lambda: len(there.payloads) > before)
+
+
+def test_topic_that_never_gets_its_stream_leaves_nothing_behind(
+    bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A firewall may block its port for months, and it is tried again all the time."""
+    port, openings = free_port(), set[int]()
+
+    async def blocked(*_: Any, **__: Any) -> Failure:
+        return Failure("blocked")
+
+    def waiting() -> list[int]:
+        (link,) = inside(server).links()
+        return list(link.channels.awaiting.get(("tcp", port), {}))
+
+    def tried() -> int:
+        openings.update(waiting())
+        client.retry().result(60)
+        return len(openings)
+
+    replaced.OPEN_DATA_STREAM.set(monkeypatch, blocked)
+    robot.publisher("/scan")
+    server, client = bridge.both(Topic("/scan", "transmit", port=port))
+    eventually(lambda: tried() > 3, what="it is tried again")
+    eventually(lambda: len(waiting()) <= 1, what="only the newest opening waits")
 
 
 def find_by_announcements(monkeypatch: pytest.MonkeyPatch, bridge: Bridge) -> None:

@@ -259,6 +259,9 @@ class DataChannels:
 
     def tick(self) -> None:
         """Send pending receipts, and close the window of a stalled link. Called once a second."""
+        # Without those that were closed meanwhile: a client may try again for months, and never get its streams.
+        open_ones = {key: {at: each for at, each in its.items() if each.id == at} for key, its in self.awaiting.items()}
+        self.awaiting = {key: its for key, its in open_ones.items() if its}
         self._tick_udp()
         self.scheduler.tick()
         self.book.report()
