@@ -15,23 +15,25 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support import constants, replaced
 from tests.support.acceptors import Accepting
-from tests.support.bridge import happened, link, linked
+from tests.support.bridge import happened, link, linked, route
 from tests.support.inside import inside, pretend_linked
 from tests.support.ports import free_port
 from tests.support.steps import counted
 from tests.support.waiting import eventually
 
+from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.link_server import Server
 from rsb_bridge.link.server_link import ClientEntry
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Client
+from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.wire.connection import ClientConnection
+from rsb_bridge.wire.datagram import MAGIC
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import CipherSuite
 
@@ -198,3 +200,27 @@ def test_datagram_of_stranger_costs_one_call_a_link(make_context: Callable[..., 
     channel, calls = counted(lambda: server.new_udp_channel(bytes(8), socket, ("10.0.0.66", 4242)))
     assert channel is None
     assert calls < 1.5 * len(clients)
+
+
+@pytest.mark.parametrize("own_port", [False, True])
+def test_datagram_for_no_topic_opens_nothing_that_lasts(bridge: Bridge, own_port: bool) -> None:
+    """It is late, or of a stranger who has seen the link's id. A channel without topics is silent, or has no socket."""
+    port = free_port() if own_port else bridge.port
+    topics = [Topic("/scan", "transmit", protocol="udp", port=port)] if own_port else []
+    server, client = bridge.both(*topics)
+    (one,) = inside(server).links()
+    datagram = struct.pack(">B5xI8s24x", MAGIC, 1, one.channels.session_keys.link_id)
+
+    def opened() -> list[UdpChannel]:
+        return [each for each in one.carriers() if isinstance(each, UdpChannel)]
+
+    def opens() -> list[UdpChannel]:
+        stranger.sendto(datagram, ("127.0.0.1", port))
+        return opened()
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        eventually(opens, what="a channel")
+    if own_port:
+        client.remove_topic(route(client, "/scan").key).result(60)
+    eventually(lambda: not opened(), what="no channel any more")
+    assert not happened(server, EventCode.LINK_LOST)

@@ -169,10 +169,14 @@ class UdpChannel(ABC):
     def remove(self, route_id: int) -> None:
         """Remove a route; the last one closes the UDP channel."""
         self.receivers.pop(route_id, None)
-        senders = {} if self._carrier is None else self._carrier.senders
-        senders.pop(route_id, None)
-        if not senders and not self.receivers:
+        if self._carrier is not None:
+            self._carrier.senders.pop(route_id, None)
+        if self.is_unused:
             self.close()
+
+    @property
+    def is_unused(self) -> bool:
+        return not self.receivers and (self._carrier is None or not self._carrier.senders)
 
     def send(self, datagrams: Sequence[bytes]) -> None:
         """Send datagrams; nothing happens while the peer's address is not known."""

@@ -234,6 +234,11 @@ class DataChannels:
 
     def _tick_udp(self) -> None:
         """Probe, and log when a path breaks or recovers, or a kernel buffer is too small."""
+        # A late datagram, or that of a stranger who has seen the link's id, opens a channel that no route uses: its
+        # silence is no fault, and its socket may be closed.
+        for channel in self._udp.values():
+            if channel.is_unused:
+                channel.close()
         self._udp = {port: channel for port, channel in self._udp.items() if not channel.over}
         log = self._link.log_of_peer
         for channel in self._udp.values():
