@@ -103,6 +103,23 @@ async def test_route_goes_on_in_order_counting_losses(name: str, size: int, cut_
         await far.acknowledges_all()
 
 
+async def test_route_that_moves_to_a_lost_stream_goes_on() -> None:
+    """The receiving end has noticed the loss of the large stream before the last frame on the small one."""
+    async with connected(Route(1, outgoing=True), Route(2, outgoing=True)) as (near, far):
+        numbers, others = Numbers(near, 1, LARGE), Numbers(near, 2, LARGE)
+        others.send(1)  # a stream on which nothing got through would be given up
+        await until(others.all_known)
+        await far.acknowledges_all()
+        far.pair.cut(stream_of(far, "large"), CUT)
+        numbers.send(1)
+        await until(lambda: far.routes[1].channel.uses(stream_of(far, "large")))
+        assert far.routes[1].channel.is_cut
+        await reopen(near, far, names=("large",))
+        numbers.send(3)
+        await far.ticks_until(numbers.all_known)
+        assert numbers.arrived == [1, 2, 3]
+
+
 @pytest.mark.parametrize("name", ["small", "large"])
 async def test_stream_that_passes_nothing_ends(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Something acknowledges its bytes, and keeps them. If the control connection is silent, too, it may be a gap."""

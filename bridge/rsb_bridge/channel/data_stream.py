@@ -630,6 +630,8 @@ class StreamReceiver(_StreamEnd, ReceivingChannel):
                 raise ProtocolError(Broken.DATA_AGAINST_ROUTE(route=self._route_id))
             self._reader.open_moved(frames[0])
             self._from = large
+            # Lost already, while this frame was on the way: nothing else would have the route go on on the next one.
+            self.is_cut = self.is_cut or large.over
             large.resume()
         else:
             for frame in frames:
