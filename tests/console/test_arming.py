@@ -406,6 +406,7 @@ def test_dying_console_of_robot_disarms_other_side(tmp_path: Path) -> None:
             if "⊘ DISARMED" in tmux.picture:  # again, if a busy machine has stood still meanwhile
                 tmux("send-keys", "A")
                 tmux.agree(f"Arm {CHATTER} of robot1?")
+                tmux.wait_for("⊘ DISARMED", there=False)  # else the next `A` may disarm it
             return "◆ ARMED" in tmux.picture and (at := there.topic()["arming"]) and at["armed"] and at
 
         armed = every_so_often(arms, "armed on both sides")

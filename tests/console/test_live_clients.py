@@ -63,7 +63,9 @@ def test_fleet_grows_and_shrinks_under_its_operators_hands(tmp_path: Path) -> No
             await until(pilot, lambda: [link.name for link in app.snapshot().links] == ["robot1"], "robot1 alone")
         now = link_of(app, "robot1")
         assert now is not None
-        assert now.since == first.since, "its link stayed all along"
+        assert app.engine is not None
+        of_link = [event.text for event in app.engine.events() if event.link == "robot1"]
+        assert now.since == first.since, f"its link stayed all along: {of_link}"
         await pilot.press("escape", "w")
         await shown(pilot, f"added {CHATTER} for robot1")
         await pilot.press("y")
