@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 from geometry_msgs.msg import Twist
 from tests.support.locks import domains_of
 from tests.support.spun import Spun
@@ -25,3 +29,11 @@ def test_a_base_tells_its_timeouts() -> None:
     finally:
         base.close()
         arm.close()
+
+
+def test_answers_without_home() -> None:
+    """In a process of its own, as the doctor asks: ROS would have no folder for its log."""
+    environ = {name: value for name, value in os.environ.items() if name not in ("HOME", "ROS_HOME", "ROS_LOG_DIR")}
+    command = (sys.executable, "-m", "rsb_bridge.ros.base_timeouts", str(domains_of("nodes")), "/nobodys")
+    asked = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=180, check=False)
+    assert (asked.returncode, asked.stdout) == (0, '{"/nobodys": {}}\n'), asked.stderr

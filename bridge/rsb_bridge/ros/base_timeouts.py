@@ -12,12 +12,13 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import rclpy
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import HIDDEN_NODE_PREFIX, Node
+
+from rsb_bridge.ros.self_test import ARGUMENTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,7 +43,7 @@ class _Asking:
 
     def __init__(self, domain: int) -> None:
         self._context = Context()
-        rclpy.init(args=[], context=self._context, domain_id=domain)
+        self._context.init(ARGUMENTS, domain_id=domain)
         self._node = Node("_rsb_doctor", context=self._context, enable_rosout=False, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)

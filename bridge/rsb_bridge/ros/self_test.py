@@ -55,7 +55,8 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.native.rclpy_extension import Kind, OwnNode
 
 ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
-"""ROS arguments of ours alone, not the process's; and no log line of rcl's may garble a terminal user interface."""
+"""ROS arguments of ours alone, not the process's. No log line of rcl's may garble a terminal user interface, and no log
+file is written: it would need a home."""
 FAST_DDS = "rmw_fastrtps_cpp"
 
 _DOMAIN = 101

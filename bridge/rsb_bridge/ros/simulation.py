@@ -17,7 +17,6 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
@@ -26,10 +25,11 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState, Image, LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
+
+from rsb_bridge.ros.self_test import ARGUMENTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -97,7 +97,7 @@ class Simulation:
         self.muted: set[str] = set()
         self.received: dict[str, int] = {}
         self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+        self._context.init(ARGUMENTS, domain_id=domain_id)
         self._node = Node(name, context=self._context, enable_rosout=False, start_parameter_services=parameters)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -111,7 +111,7 @@ class Simulation:
         """Leave the domain."""
         self._executor.shutdown()
         self._node.destroy_node()
-        rclpy.shutdown(context=self._context)
+        self._context.shutdown()
 
     def _publishes(self, kind: type, topic: str, qos: Any, rate: float, make: Callable[[float], Any]) -> None:
         publisher = self._node.create_publisher(kind, topic, qos)

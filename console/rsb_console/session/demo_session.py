@@ -78,7 +78,6 @@ class SimulatedPart:
                 stdout=subprocess.PIPE,
                 stderr=log,
                 process_group=0,
-                env=os.environ | {"ROS_LOG_DIR": str(folder / "log")},  # else stock ROS needs a home
             )
         self = cls(process)
         self._reader = threading.Thread(target=self._read, name=f"demo-{part}", daemon=True)
