@@ -24,7 +24,7 @@ from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.part import MovingPart
-from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, named_in, undo_mark
+from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, named_in, route_in, undo_mark
 from rsb_bridge.feature import installed
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.graph_watch import Follower, GraphWatch, NameWatch
@@ -350,13 +350,10 @@ class Bridge:
                     self._show_effect(command)
 
     def _show_effect(self, command: Command[Any]) -> None:
-        if isinstance(command, _OF_ONE_ROUTE):
-            for link in self.role.links():
-                if (route := link.routes.get(command.key)) is not None:
-                    self._snapshots.refresh_route(self.role, link, route)
-                    return
-        # The key may also be a pattern's, or of a route that is gone.
-        self._snapshots.refresh_now(self.role)
+        if isinstance(command, _OF_ONE_ROUTE) and (found := route_in(self.links(), command.key)) is not None:
+            self._snapshots.refresh_route(self.role, *found)
+        else:  # the key may also be a pattern's, or of a route that is gone
+            self._snapshots.refresh_now(self.role)
 
     async def _acknowledge(self, command: commands.Acknowledge) -> None:
         self._snapshots.refresh_now(self.role)

@@ -33,7 +33,7 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lifecycle import pause_word
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from enum import StrEnum
 
     from rsb_bridge.context import Context
@@ -123,15 +123,24 @@ class Named(NamedTuple):
         return self.link.patterns.routes_of(self.entry)
 
 
-def named_in(links: Iterable[Link], key: str) -> Named:
+def route_in(links: Iterable[Link], key: str) -> tuple[Link, Route] | None:
+    """Return the route of a key with its link, or None if there is none, or the key is a pattern's."""
+    for link in links:
+        if (route := link.routes.get(key)) is not None:
+            return link, route
+    return None
+
+
+def named_in(links: Sequence[Link], key: str) -> Named:
     """Return the entry of a key.
 
     Raises:
         LinkError: there is none.
     """
+    if (found := route_in(links, key)) is not None:
+        link, route = found
+        return Named(link, route.spec, route)
     for link in links:
-        if (route := link.routes.get(key)) is not None:
-            return Named(link, route.spec, route)
         if (pattern := link.patterns.find(key)) is not None:
             return Named(link, pattern, None)
     raise LinkError(Denied.NO_ROUTE(key=key))
