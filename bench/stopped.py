@@ -24,7 +24,7 @@ from tests.support.asked import Asked, answers
 from tests.support.domain import Domain, text
 
 from rsb_bridge.ros.memory import PROFILE_VARIABLES
-from rsb_bridge.ros.native.shared_memory import lost_ports
+from rsb_bridge.ros.native.shared_memory import ReadPorts
 
 _HEARS_WITHIN = 15.0
 _PROFILE = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -109,10 +109,10 @@ def _talk(number: int) -> None:
 def _listen(talkers: int) -> None:
     domain = Domain(NEAR)
     ends = [domain.listener(f"/talker_{number}") for number in range(talkers)]
-    newest = [0] * talkers
+    newest, ports = [0] * talkers, ReadPorts()
 
     def act(_: dict[str, Any]) -> object:
-        return {"newest": newest, "ports": [each.path for each in lost_ports()]}
+        return {"newest": newest, "ports": [each.path for each in ports.lost()]}
 
     while answers(act, 0.05):
         for number, end in enumerate(ends):

@@ -102,7 +102,7 @@ def test_the_engine_stops_when_dds_hears_no_node(
     lost, later, other = LostPort("/a", 1), LostPort("/a", 2), LostPort("/b", 3)
     # It may follow its senders a moment later, and then lose the port again.
     told = iter(({lost}, (), {lost}, {later}, {other}, {later, other}))
-    replaced.LOST_PORTS.set(monkeypatch, lambda: frozenset(next(told)))
+    monkeypatch.setattr(node, "lost_ports", lambda: frozenset(next(told)))
     client = bridge.start(bridge.client_session(), node)
     eventually(lambda: not client.snapshot().running)
     assert happened(client, EventCode.ENGINE_ROS_FAILED, f"{RosProblem.DEAF(port='/b')}: the engine stops")

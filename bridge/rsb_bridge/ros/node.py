@@ -16,7 +16,7 @@ from weakref import WeakSet
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.distribution import check_middleware
 from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
-from rsb_bridge.ros.native.shared_memory import lost_ports
+from rsb_bridge.ros.native.shared_memory import ReadPorts
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
 from rsb_bridge.ros.ros_interface import BATCH, Liveliness, RawMessage, Request, Response, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
@@ -107,6 +107,7 @@ class RosNode:
         self._failure = ""
         self._own: defaultdict[_Key, set[bytes]] = defaultdict(set)
         self._closed: deque[tuple[_Key, bytes]] = deque()  # still in `_own`: their messages may yet arrive
+        self._ports = ReadPorts()
 
     def start(self) -> None:
         """Join the domain and start the thread.
@@ -135,7 +136,7 @@ class RosNode:
             on_failure(self._failure)
 
     def lost_ports(self) -> frozenset[LostPort]:
-        return lost_ports()
+        return self._ports.lost()
 
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice, and from a sink.

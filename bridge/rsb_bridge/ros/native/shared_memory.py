@@ -16,18 +16,34 @@ from rsb_bridge.ros.ros_interface import LostPort
 
 _LOCK = re.compile(r"(/dev/shm/fast(?:rtps|dds)_port\d+)_el(?: \(deleted\))?")
 """Of a port that this process reads, it keeps this file open; of a port that it sends to, it only maps the memory."""
-_MAPPED = re.compile(r"(\d+) +(/dev/shm/fast(?:rtps|dds)_port\d+)( \(deleted\))?\n")
+_MAPPED = re.compile(r".* (\d+) +(/dev/shm/fast(?:rtps|dds)_port\d+)( \(deleted\))?")
 
 
-def lost_ports() -> frozenset[LostPort]:
-    """Return the ports that this process reads at a file that senders no longer open."""
-    own = {found[1] for path in _open_files() if (found := _LOCK.fullmatch(path))}
-    if not own:
-        return frozenset()
-    mapped = _MAPPED.findall(Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace"))
-    # A process that has followed may have the old file mapped, too.
-    followed = {port for _, port, deleted in mapped if not deleted}
-    return frozenset(LostPort(port, int(inode)) for inode, port, _ in mapped if port in own - followed)
+class ReadPorts:
+    """The ports that this process reads."""
+
+    def __init__(self) -> None:
+        self._well: dict[str, int] = {}  # inodes by port, if the last whole look found all well
+
+    def lost(self) -> frozenset[LostPort]:
+        """Return those that it reads at a file that senders no longer open."""
+        # A whole look takes several ms, of which messages would have to wait for the end.
+        if self._well and all(_inode(port) == inode for port, inode in self._well.items()):
+            return frozenset()
+        own = {found[1] for path in _open_files() if (found := _LOCK.fullmatch(path))}
+        mapped = _mapped_ports() if own else []
+        # A process that has followed may have the old file mapped, too.
+        followed = {port: inode for port, inode, deleted in mapped if port in own and not deleted}
+        lost = frozenset(LostPort(port, inode) for port, inode, _ in mapped if port in own - followed.keys())
+        self._well = {} if lost else followed
+        return lost
+
+
+def _inode(port: str) -> int:
+    try:
+        return Path(port).stat().st_ino
+    except FileNotFoundError:
+        return 0
 
 
 def _open_files() -> list[str]:
@@ -36,3 +52,10 @@ def _open_files() -> list[str]:
         with contextlib.suppress(FileNotFoundError):  # closed meanwhile, as that of the listing
             found.append(str(each.readlink()))
     return found
+
+
+def _mapped_ports() -> list[tuple[str, int, bool]]:
+    """Return each mapped port with its file's inode, and whether that file has been deleted."""
+    lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
+    found = [_MAPPED.fullmatch(line) for line in lines if "_port" in line]
+    return [(each[2], int(each[1]), bool(each[3])) for each in found if each]
