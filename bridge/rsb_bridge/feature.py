@@ -77,7 +77,7 @@ class ShownField(Generic[T]):
 
     Attributes:
         type: of the value. Attached consoles get it as plain data, of which `of` makes this type again.
-        default: of a link or a route for which there is none.
+        default: of a link or a route without this value.
     """
 
     name: str

@@ -80,7 +80,7 @@ class RadioSocket:
 
 
 class RadioChannel(UdpChannel):
-    """A UDP channel whose path is known."""
+    """A UDP channel that knows its peer's address."""
 
     def __init__(self, socket: RadioSocket, side: Side) -> None:
         super().__init__(side, socket)

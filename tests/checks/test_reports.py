@@ -1,4 +1,4 @@
-"""What a run of the tests says of a failure."""
+"""Failures that pytest itself cannot report."""
 
 from __future__ import annotations
 

@@ -182,4 +182,4 @@ def test_connection_that_failed_internally_is_tried_again(
     engines = bridge.both()
     bridge.expected.update(engines)
     assert any(happened(engine, EventCode.ENGINE_ERROR, "no room") for engine in engines)
-    assert not happened(engines[0], EventCode.LINK_REPLACED)  # it was closed, and no second one came beside it
+    assert not happened(engines[0], EventCode.LINK_REPLACED)  # it was closed, and not replaced by a second one

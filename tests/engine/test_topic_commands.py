@@ -47,7 +47,7 @@ class Role:
 
 def route(name: str) -> Any:
     async def wait() -> None:
-        """Nothing is under way."""
+        """Return at once."""
 
     pausing, settling = SimpleNamespace(paused=False), SimpleNamespace(wait=wait)
     return SimpleNamespace(local_topic=name, spec=None, pausing=pausing, settling=settling)

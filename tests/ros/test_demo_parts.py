@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def test_robot_publishes_without_home(robot: Domain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As under a service manager, or with ``env -i``: ROS would have no folder for its log."""
+    """Under a service manager, or with ``env -i``, ROS has no folder for its log."""
     for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR"):
         monkeypatch.delenv(name, raising=False)
     part = SimulatedPart.start("robot", robot.id, tmp_path)

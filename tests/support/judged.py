@@ -93,7 +93,7 @@ _OF_CALLS: dict[str, Any] = {
 
 
 def topic_half(now: float = 0.0, **facts: Any) -> Any:
-    """Make a half of a topic's route at `now` (s). Facts that are not given are those of one that is not open."""
+    """Make a half of a topic's route at `now` (s). Other facts are as in a route that is not open."""
     known = _known(_OF_TOPIC, facts)
     half = _half(known, now)
     half.notices.warning, half.notices.undelivered = known["left_out"], known["undelivered"]
@@ -126,7 +126,7 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
 
 
 def calls_half(now: float = 0.0, **facts: Any) -> Any:
-    """Make a half of a route of calls at `now` (s). Facts that are not given are those of one that is not open."""
+    """Make a half of a route of calls at `now` (s). Other facts are as in a route that is not open."""
     known = _known(_OF_CALLS, facts)
     half = _half(known, now)
     half.calls = SimpleNamespace(

@@ -1,4 +1,4 @@
-"""What a route and its channel know of each other; the sending end is `rsb_bridge.channel.scheduler.SendingChannel`."""
+"""The interface between a route and its channel; the sending end is `rsb_bridge.channel.scheduler.SendingChannel`."""
 
 from __future__ import annotations
 

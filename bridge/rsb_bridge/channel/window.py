@@ -41,7 +41,7 @@ _NOT_SHORTER = 0.75  # part of the time that data takes after the window has shr
 _SILENT = 2.0  # s without a receipt after which the path has stalled: the last bytes are acknowledged within a second
 _MEASURED_OVER = 1.0  # s over which the rate counts: a receiver sends a receipt at least once in it
 _MARKS_PER_WINDOW, _MARK_EVERY = 64, 0.02  # a mark after each such part, or so many s: ages are as exact
-_MOST_MARKS, _LAST_RECEIPTS = 1024, 64  # kept, whatever a peer acknowledges
+_MOST_MARKS, _LAST_RECEIPTS = 1024, 64  # most that are kept, even if a peer acknowledges nothing
 
 
 class Window:

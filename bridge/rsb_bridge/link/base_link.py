@@ -92,7 +92,7 @@ _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCa
 class BaseLink(ABC):
     """The connection to a peer with the routes that use it, and the features that have registered.
 
-    What is said of a peer or a connection holds of the present one, or of the last one while there is none.
+    Facts about a peer or a connection are of the present one, and while the link is down of the last one.
     """
 
     channels_class: type[DataChannels]
@@ -130,7 +130,7 @@ class BaseLink(ABC):
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
-            # Not those of keepalive and channels, as each connection has others.
+            # Keepalive and channels register theirs with each connection.
             Ping: self._on_ping,
             Pong: self._on_pong,
             Receipts: self._on_receipts,
@@ -200,7 +200,7 @@ class BaseLink(ABC):
 
     @property
     def channels(self) -> DataChannels:
-        """What a link has as long as it is up; there has to be one."""
+        """The present connection's channels; the link has to be up."""
         assert self._channels is not None
         return self._channels
 

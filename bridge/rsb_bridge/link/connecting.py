@@ -280,7 +280,7 @@ class _HostSearch:
         self._outcome: asyncio.Future[ProvenServer] = asyncio.get_running_loop().create_future()
 
     def ask(self, suite: CipherSuite | None) -> None:
-        """Try with a suite that an answer asks for, forged or not; None stands for the usual one."""
+        """Try with a suite that an answer asks for, forged or not; None is the usual one."""
         if suite not in self._asked:
             self._asked.add(suite)
             self._connecting.append(asyncio.create_task(self._connect(suite)))

@@ -50,7 +50,7 @@ class CarriedLink(Protocol):
     ids: RouteIds
     budget: PeerBudget
     keepalive: Keepalive
-    shortages_told: set[bool]  # kernel buffers, here (True) or there, that the operator was told of
+    shortages_told: set[bool]  # kernel buffers of this side (True) or the peer that are logged already
 
     def shared_port(self) -> int: ...
 
@@ -264,7 +264,7 @@ class DataChannels:
 
     def tick(self) -> None:
         """Send pending receipts, and close the window of a stalled link. Called once a second."""
-        # Without those that were closed meanwhile: a client may try again for months, and never get its streams.
+        # Openings closed meanwhile are dropped: a client may try again for months, and never get its streams.
         open_ones = {key: {at: each for at, each in its.items() if each.id == at} for key, its in self.awaiting.items()}
         self.awaiting = {key: its for key, its in open_ones.items() if its}
         self._tick_udp()

@@ -79,7 +79,7 @@ class Extensions:
     def __init__(self) -> None:
         self._all: list[Extension] = []
         self._of_features: list[Extension] = []
-        self._told: list[Extension] = []  # those of the present connection, whose feature the peer has, too
+        self._told: list[Extension] = []  # of the present connection, if the peer has their feature, too
 
     def add(self, extension: Extension) -> None:
         self._all.append(extension)

@@ -36,7 +36,7 @@ class Looks(NamedTuple):
         return max(self.every, min(self.longest_pause, cost * (self.share - 1)))
 
 
-# Round figures, but for the first: a robot that starts changes its graph a hundred times a second, and a Followed comes
+# Round figures, except the first: a robot that starts changes its graph a hundred times a second, and a Followed comes
 # once a second at most (PROTOCOL.md, 11).
 FOR_ROUTES = Looks(every=0.25, share=10, longest_pause=2.0, always_after=10.0)
 FOR_NAMES = Looks(every=1.0, share=20, longest_pause=10.0, always_after=60.0)

@@ -352,7 +352,7 @@ class LinkPatterns(Extension):
             self._add(wanted)
 
     def _keep_made(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
-        """Change the routes that patterns have made to what these say now, and drop those that no pattern matches."""
+        """Change the routes that patterns have made to what these say now, and drop routes that no pattern matches."""
         routes = self._link.routes
         # Others are removed by now, or an operator has made entries of their own of them.
         self._gone = {each: at for each, at in self._gone.items() if each.pattern and routes.get(each.key) is each}

@@ -156,7 +156,7 @@ _OF_SESSION = frozenset({*ARMING_KEYS, "paused", "excepts"})
 
 
 def edited_entry(entry: Topic, old: Propose, new: Propose, link: BaseLink) -> Topic:
-    """Return an entry with what differs between two proposals of it, but for what each session demands for itself."""
+    """Return an entry with what differs between two proposals of it, except what each session demands for itself."""
     before, after = topic_of(old), topic_of(new)
     differing = (name for name in Topic.__struct_fields__ if getattr(after, name) != getattr(before, name))
     changed = {name: getattr(after, name) for name in differing if name not in _OF_SESSION}

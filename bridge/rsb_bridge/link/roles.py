@@ -129,7 +129,7 @@ class ClientRole:
         await _until(lambda: self._link.linked, lambda: self._link.status.reason)
         step("linked; opening topics and services")
 
-        def listed() -> list[Route]:  # anew each time, as an edit replaces a route; without those of views
+        def listed() -> list[Route]:  # at each call, as an edit replaces a route; views are not listed
             return [route for route in self._link.routes.values() if route.purpose.in_graph]
 
         await _until(

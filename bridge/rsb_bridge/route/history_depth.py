@@ -77,7 +77,7 @@ class _Publisher:
 
     @property
     def exact(self) -> bool:
-        """Whether the depth is known, or as much of it as can be: it never pauses, or shows no history."""
+        """Whether no further probe helps: the depth is found, or the publisher never pauses or shows no history."""
         return self.at_least >= self.at_most or self.tries >= _MOST_TRIES
 
     def wants_probe(self) -> bool:

@@ -67,7 +67,7 @@ _ASKED_EVERY = 0.9
 _MATCHED_WITHIN = 2.0
 """s. A round figure: DDS matches a subscription that it lists within milliseconds."""
 _ANNOUNCED_WITHIN = 0.25
-"""Seconds in which other bridges hear an announcement: it is said and read within 0.1 s. A round figure."""
+"""Seconds in which other bridges hear an announcement, which is sent and read within 0.1 s. A round figure."""
 _REPORTS_AFTER = 100
 """Messages after which an early report is sent: if this process is killed, the sender never learns whether the
 unreported messages arrived."""

@@ -380,7 +380,7 @@ class LatchedTopic:
             message.dropped(why)
 
     def _is_next(self, history: _History, output: _OutputHistory, now: float) -> bool:
-        """Whether the next message may be published: all subscribers will hear it, after those of other outputs."""
+        """Whether the next message may be published: all subscribers will hear it, after other outputs' messages."""
         last = history.last
         if last is None or (last is output and (output.discovered or self._overwrites_nothing(output, now))):
             return True

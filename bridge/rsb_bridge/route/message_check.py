@@ -288,7 +288,7 @@ class Unpacker:
             self._reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, _BACKLOG_FULL)
 
     def go_on(self) -> None:
-        """Deliver the messages that wait, as far as they need not wait any longer."""
+        """Deliver the messages that wait."""
         waiting, self._waiting, self._size = self._waiting, [], 0
         self.holds = False
         self._deliver(waiting)

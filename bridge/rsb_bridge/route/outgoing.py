@@ -389,7 +389,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if self.type_name and self.endpoints:
             return TypeVersion(self.type_name, self.type_hash)
         hint, named = self._resolver.hint, self.spec.type
-        # It carries no other than the session's, whatever nodes of the other side have.
+        # Only the session's type crosses, even if nodes of the other side have another one.
         return hint if named == "auto" or expand_type_name(named) == hint.name else TypeVersion(expand_type_name(named))
 
     def takes(self, gid: bytes) -> bool:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 # Round figures.
 _LOOKS_EVERY = 1.0  # s, at most, between two looks at who is alive
-_ASKED_ANEW = 10.0, 60.0  # s: the longest until DDS is first asked anew who is alive, the shortest between late times
+_ASKED_ANEW = 10.0, 60.0  # s: most until DDS is first asked again who is alive, least between later questions
 _MATCHED_WITHIN = 2  # ticks: DDS matches a publisher that it lists within milliseconds
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.transport.streams import Address
 
-# Round figures but for those with a source.
+# Round figures, if no source is named.
 _DATAGRAMS_PER_WAKE, _BYTES_PER_WAKE = 64, 1024 * 1024  # that are read before the I/O loop turns to other work
 # s. Wake-ups that are closer than this read until nothing is left. Others read once: one read mostly returns all that
 # came together (UDP_GRO), a further one that finds nothing costs 1.3 µs, a quarter of a message's way through the

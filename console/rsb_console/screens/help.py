@@ -44,7 +44,7 @@ class KeyList(ScrolledLines):
 
 
 class HelpScreen(ModalScreen[None]):
-    """Every key; those of the screen `below`, on which the operator asks, come first."""
+    """Every key, first the keys of the screen `below`, on which the operator asks."""
 
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,f1,enter", "dismiss", show=False)]
 

@@ -199,7 +199,7 @@ def _topic(page: _Page, route: RouteSnapshot, peer: str, now: float) -> None:
     _plot(page, route, "Rate", "Hz")
     page.add()
     ledger, limit = route.ledger, route.max_rate
-    # The share leaves out what was meant not to arrive, and what may still have.
+    # The share leaves out messages dropped on purpose, and those that may have arrived.
     due = ledger.offered - ledger.throttled - ledger.unknown - ledger.in_flight
     rows = [
         ("offered", ledger.offered, "", ""),

@@ -1,4 +1,4 @@
-"""The parsers, a module for each family, and those of features. Each module lists its parsers in `PARSERS`."""
+"""The parsers, also of features: a module for each family, which lists them in `PARSERS`."""
 
 from __future__ import annotations
 

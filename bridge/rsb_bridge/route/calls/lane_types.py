@@ -108,7 +108,7 @@ class TypeComparison:
     def __init__(self, route: Route) -> None:
         self._compared: tuple[str, str, str] | None = None  # type, hash there and here, in the present opening
         self._comparing = False
-        self._difference = ""  # of those compared, once it is known
+        self._difference = ""  # between the compared types, once the fields are known
         self._route = route
 
     def difference(self, entry: LaneEntry, installed: str) -> str:
