@@ -135,7 +135,7 @@ class Pair(NamedTuple):
 
     def accepted(self, topic: str) -> bool:
         """Whether both sides have agreed about one of the client's topics."""
-        (link,) = inside(self.client).links()
+        (link,) = inside(self.client).role.links()
         return any(route.life.accepted for route in tuple(link.routes.values()) if route.local_topic == topic)
 
     def opened(self, topic: str) -> int:
@@ -147,7 +147,7 @@ class Pair(NamedTuple):
     @property
     def waiting(self) -> Collection[object]:
         """The client's topics that wait for the connection."""
-        (link,) = inside(self.client).links()
+        (link,) = inside(self.client).role.links()
         assert isinstance(link, ClientLink)
         return link.channels.awaiting.get(("bluetooth", _CHANNEL), {})
 

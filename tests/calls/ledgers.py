@@ -110,6 +110,6 @@ def _faults(before: CallsSnapshot | None, now: CallsSnapshot) -> list[str]:
 def nothing_left(*engines: Engine) -> None:
     """Wait until no call is in flight, and the links' budgets for calls are free."""
     for engine in engines:
-        for link in inside(engine).links():
+        for link in inside(engine).role.links():
             for budget in (link.budget.asked, link.budget.provided):
                 eventually(lambda budget=budget: budget.held == (0, 0), what=f"no calls held by {link.name}")

@@ -156,7 +156,7 @@ def states(engine: Engine) -> list[str]:
 
 def servers(engine: Engine) -> set[bytes]:
     """The services of nodes that serve the action in an engine's domain, three of each, as its route knows."""
-    (found,) = (each for link in inside(engine).links() for each in tuple(link.routes.values()))
+    (found,) = (each for link in inside(engine).role.links() for each in tuple(link.routes.values()))
     return {each.gid for each in found.endpoints}
 
 

@@ -50,7 +50,7 @@ def disarmings(engine: Engine) -> int:
 
 def published(engine: Engine) -> int:
     """How many messages it has published of the opening that was armed, which is over."""
-    (found,) = [each for link in inside(engine).links() for each in tuple(link.routes.values())]
+    (found,) = [each for link in inside(engine).role.links() for each in tuple(link.routes.values())]
     assert isinstance(found, IncomingRoute)
     before = found._before
     return before[1].delivered if before else 0
@@ -188,7 +188,7 @@ def test_disarming_ends_once_nothing_is_published(what: str, both_armed: tuple[E
     """The network holds back the sent messages and the disarming."""
     server, _ = both_armed
     key = route(server, "/cmd").key
-    (link,) = inside(server).links()
+    (link,) = inside(server).role.links()
     half, lease = link.routes[key], link.table.arming.lease.state
     relay.stall()
     began = time.monotonic()  # first: this thread may stand still before it looks
@@ -243,7 +243,7 @@ def test_robot_publishes_no_unarmed_message_of_peer(
     motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
     server, client = bridge.both(COMMANDS)
     eventually(lambda: is_set_up(server, client))
-    (liar,) = [each for link in inside(server).links() for each in tuple(link.routes.values())]
+    (liar,) = [each for link in inside(server).role.links() for each in tuple(link.routes.values())]
     truth = replaced.ARMING_CROSSING.value
 
     def lie(arming: Any, now: float) -> Crossing:

@@ -142,7 +142,7 @@ def test_log_tells_arrivals_and_departures_only(bridge: Bridge) -> None:
     server = bridge.server()
     bridge.make_key("robot2")
     server.add_client(ROBOT2).result(60)
-    kept = [weakref.ref(each) for each in inside(server).links() if each.name == "robot2"]
+    kept = [weakref.ref(each) for each in inside(server).role.links() if each.name == "robot2"]
     server.remove_client("robot2").result(60)
     eventually(lambda: gc.collect() >= 0 and [each() for each in kept] == [None])
     assert happened(server, EventCode.OPERATOR_CLIENTS, "client robot2: added")

@@ -196,7 +196,7 @@ def test_half_a_pair_of_streams_holds_no_descriptor(
         return failure
 
     def carriers() -> list[int]:
-        links = [each for engine in (server, client) for each in inside(engine).links()]
+        links = [each for engine in (server, client) for each in inside(engine).role.links()]
         return [len(each.carriers()) for each in links]
 
     with monkeypatch.context() as short:
@@ -219,7 +219,7 @@ def test_simultaneous_topics_share_descriptors(bridge: Bridge, monkeypatch: pyte
 
     def left() -> int:
         """Six; sockets that are being opened count, too."""
-        links = inside(client).links()
+        links = inside(client).role.links()
         return 6 - sum(len(each.carriers()) - 1 for each in links if each.linked) - opening
 
     opening, in_vain = 0, list[bool]()
@@ -242,7 +242,7 @@ def test_simultaneous_topics_share_descriptors(bridge: Bridge, monkeypatch: pyte
     replaced.CLIENTS_DESCRIPTORS.set(monkeypatch, short)
     server = bridge.server(ports=tuple(ports))
     eventually(lambda: sum(event.code == EventCode.ROUTE_CONNECTED for event in server.events()) >= 3)
-    eventually(lambda: [len(each.carriers()) for each in inside(client).links()] == [7])
+    eventually(lambda: [len(each.carriers()) for each in inside(client).role.links()] == [7])
     eventually(lambda: any("none is left" in route.reason for route in now(client).routes))
     assert in_vain == [], "the first to begin gets both"
 

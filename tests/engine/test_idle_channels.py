@@ -25,7 +25,7 @@ TIMED_OUT = Reason("it has timed out", EndCode.TIMED_OUT)
 
 def lose_channel(engine: Engine) -> None:
     """End the only route's channel, as the kernel does if keepalive packets get no answer; wait for the next one."""
-    (link,), context = inside(engine).links(), inside(engine).context
+    (link,), context = inside(engine).role.links(), inside(engine).context
     (half,) = link.routes.values()
     eventually(lambda: half.connected)
     opening = half.id

@@ -127,7 +127,7 @@ def test_two_bridges_in_a_row(
 def brought_by(receiver: Engine, sender: Engine) -> bool:
     """Whether all that an engine publishes has crossed another one's bridge."""
     node = inside(sender).context.ros.node_name
-    routes = [route for link in inside(receiver).links() for route in tuple(link.routes.values())]
+    routes = [route for link in inside(receiver).role.links() for route in tuple(link.routes.values())]
     outputs = [output for route in routes for output in tuple(outputs_of(route)._outputs)]  # type: ignore[arg-type]
     return bool(outputs) and all(node in map(node_of_hop, output.came_by) for output in outputs)
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 def cut(engine: Engine, *, large: bool) -> None:
     """End one of the link's own data connections, as a firewall between does; the other side hears of it."""
-    (link,) = inside(engine).links()
+    (link,) = inside(engine).role.links()
 
     def abort() -> None:
         pair = link.channels.pair_of("tcp", link.shared_port())
@@ -134,7 +134,7 @@ def test_topic_that_never_gets_its_stream_leaves_nothing_behind(
         return Failure("blocked")
 
     def waiting() -> list[int]:
-        (link,) = inside(server).links()
+        (link,) = inside(server).role.links()
         return list(link.channels.awaiting.get(("tcp", port), {}))
 
     def tried() -> int:

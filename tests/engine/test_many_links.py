@@ -90,7 +90,7 @@ def test_links_tick_one_at_a_time(loop: VirtualLoop, make_context: Callable[...,
     context = make_context(name="control", role="server", clients=CLIENTS, use_encryption=False)
     bridge = Bridge(context, {client.name: () for client in CLIENTS}, publisher(context))
     turns = Turns(loop)
-    for link in bridge.links():
+    for link in bridge.role.links():
         link.tick = turns.called  # type: ignore[method-assign]
     ticking = loop.create_task(bridge._tick())
     loop.run_until_complete(asyncio.sleep(1.5))

@@ -49,7 +49,7 @@ def troubles(engine: Engine) -> list[str]:
 
 
 def link_of(engine: Engine) -> Link:
-    (link,) = inside(engine).links()
+    (link,) = inside(engine).role.links()
     return link
 
 

@@ -80,7 +80,7 @@ def ages(listener: Listener, out: Noting) -> list[float]:
 
 
 def clocks_known(*engines: Engine) -> bool:
-    return all(link.keepalive.stamps.offset is not None for each in engines for link in inside(each).links())
+    return all(link.keepalive.stamps.offset is not None for each in engines for link in inside(each).role.links())
 
 
 @pytest.mark.parametrize(

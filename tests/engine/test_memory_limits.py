@@ -72,7 +72,7 @@ def rogue(bridge: Bridge, server: Engine, monkeypatch: pytest.MonkeyPatch) -> It
 
 
 def link_of(server: Engine) -> Link:
-    return next(iter(inside(server).links()))
+    return next(iter(inside(server).role.links()))
 
 
 def received(server: Engine, topic: str) -> int:

@@ -71,7 +71,7 @@ class Seen(NamedTuple):
 
 
 def _look(engine: Engine, at: float) -> Seen:
-    (link,) = inside(engine).links()
+    (link,) = inside(engine).role.links()
     (route,) = [each for each in tuple(link.routes.values()) if isinstance(each, TopicRoute)]
     verdict = route.judged.shown(route.verdict()).verdict
     return Seen(at, verdict.state, verdict.cause, verdict.text, link.fullness.out or link.fullness.into)

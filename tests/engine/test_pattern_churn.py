@@ -113,7 +113,7 @@ def test_topics_of_patterns_leave_nothing_behind(tmp_path: Path, monkeypatch: py
 
         eventually(lambda: not grown(), what="what grows goes again")
         bridge = inside(engines[1])
-        (link,) = bridge.links()
+        (link,) = bridge.role.links()
         # Plain values are not among the objects that are counted.
         tables = link.patterns, bridge._names
         eventually(lambda: seen(lambda: not any(each._known for each in tables)), what="names are gone")

@@ -63,7 +63,7 @@ def key(engine: Engine, topic: str) -> str:
 def look(engine: Engine, topic: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
     """Look at a topic; the engine waits for a message when this returns."""
     future = engine.peek(key(engine, topic), kept=kept)
-    link = inside(engine).links()[0]
+    link = inside(engine).role.links()[0]
     eventually(lambda: future.done() or any(wanted(link)))
     return future
 
@@ -153,7 +153,7 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
         return [_unless_refused(future) for future in futures] == [[None]] * peeking.LOOKERS
 
     eventually(all_again, what="their places are free again")
-    eventually(lambda: not any(wanted(inside(client).links()[0])))
+    eventually(lambda: not any(wanted(inside(client).role.links()[0])))
     with pytest.raises(EngineError, match="no route"):
         client.peek("nonsense").result(60)
 

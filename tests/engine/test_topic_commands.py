@@ -62,7 +62,7 @@ def pause(role: Role, context: Context, meanwhile: Callable[[], None]) -> None:
         return True
 
     log = CommandLog(EventLog(context.clock))
-    bridge = SimpleNamespace(context=context, log=log, links=role.links, end_motions=end_motions)
+    bridge = SimpleNamespace(context=context, log=log, role=role, end_motions=end_motions)
     commands = TopicCommands(cast("Any", bridge))
     cast("VirtualLoop", context.loop).run_until_complete(commands.pause(PauseTopics(KEY, True)))
 

@@ -36,7 +36,7 @@ def rogue(bridge: Bridge) -> Rogue:
 
 
 def link(engine: Engine) -> Link:
-    return inside(engine).links()[0]
+    return inside(engine).role.links()[0]
 
 
 def names(engine: Engine, side: str | None) -> set[tuple[str, str]]:

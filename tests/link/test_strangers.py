@@ -208,7 +208,7 @@ def test_datagram_for_no_topic_opens_nothing_that_lasts(bridge: Bridge, own_port
     port = free_port() if own_port else bridge.port
     topics = [Topic("/scan", "transmit", protocol="udp", port=port)] if own_port else []
     server, client = bridge.both(*topics)
-    (one,) = inside(server).links()
+    (one,) = inside(server).role.links()
     datagram = struct.pack(">B5xI8s24x", MAGIC, 1, one.channels.session_keys.link_id)
 
     def opened() -> list[UdpChannel]:

@@ -174,7 +174,7 @@ class Run:
             self.bridge.context.transports.close()
 
     def links(self) -> list[Link]:
-        return self.bridge.links()
+        return self.bridge.role.links()
 
     async def command(self, work: Coroutine[None, None, T], who: str = "") -> T | None:
         """Carry out an operator's command in the engine's process. Return None if the process died before the end of

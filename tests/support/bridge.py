@@ -163,16 +163,16 @@ def link(engine: Engine, name: str = "robot1") -> LinkSnapshot:
 
 def linked(engine: Engine, name: str = "robot1") -> bool:
     """Whether that link is up, asked of itself: the snapshot may be a second behind."""
-    return any(link.linked for link in inside(engine).links() if link.name == name)
+    return any(link.linked for link in inside(engine).role.links() if link.name == name)
 
 
 def connections(engine: Engine, name: str = "robot1") -> int:
     """How many connections that link has had: one that drops may be back before anybody sees that it is down."""
-    return next(link.connections for link in inside(engine).links() if link.name == name)
+    return next(link.connections for link in inside(engine).role.links() if link.name == name)
 
 
 def _routes(engine: Engine) -> list[Route]:
-    return [route for link in inside(engine).links() for route in tuple(link.routes.values())]
+    return [route for link in inside(engine).role.links() for route in tuple(link.routes.values())]
 
 
 def is_accepted(engine: Engine, topic: str) -> bool:
@@ -242,7 +242,7 @@ def opened(receiver: Engine) -> set[str]:
     A side that has lost a route's channel closes it a moment before the other one hears of that.
     """
     found = set()
-    for link in inside(receiver).links():
+    for link in inside(receiver).role.links():
         for route in tuple(link.routes.values()):
             if isinstance(route, IncomingRoute) and route.connected:
                 senders = _senders(receiver, link.name, route)
@@ -254,7 +254,7 @@ def opened(receiver: Engine) -> set[str]:
 def _senders(receiver: Engine, name: str, route: IncomingRoute) -> list[OutgoingRoute]:
     """Return a route's other half, or None if it is in another process."""
     bridges = [inside(each) for each in Bridge.started if each is not receiver and is_running(each)]
-    links = [link for bridge in bridges for link in bridge.links() if link.name == name]
+    links = [link for bridge in bridges for link in bridge.role.links() if link.name == name]
     return [
         each
         for link in links

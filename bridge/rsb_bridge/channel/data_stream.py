@@ -261,6 +261,7 @@ class StreamPair:
     Attributes:
         small: the stream of small messages, or None until it is accepted.
         large: that of large messages, or the same one.
+        stuck: those on which nothing got through at the last tick.
         over: whether they have ended, and routes need another pair.
         kept: whether they stay open while no route uses them.
     """
@@ -268,6 +269,7 @@ class StreamPair:
     def __init__(self, owner: StreamsOwner, transport: StreamTransport, port: int) -> None:
         self.small: DataStream | None = None
         self.large: DataStream | None = None
+        self.stuck: Sequence[DataStream] = ()
         self.over = False
         self.kept = True
         self.scheduler, self.book, self.keys = owner.scheduler, owner.book, owner.keys
@@ -405,6 +407,8 @@ class StreamPair:
             if self._unheard_at < since and each.passes_nothing(since):
                 self.book.give_up(each.number)
                 self.cut(each, Reason("nothing got through for 10 s, check firewalls and proxies", EndCode.BROKE))
+        # The kernel is asked here, and not by each of hundreds of routes.
+        self.stuck = [each for each in self.streams() if each.stream.stuck]
         if not self.ends or self.ready:
             return
         if self._waiting() and now - self._lost_at > _AWAITED_FOR:
@@ -453,7 +457,7 @@ class _StreamEnd(DataChannel):
     def trouble(self) -> Verdict | None:
         if self.is_cut:
             return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
-        if not any(each.stream.stuck for each in self._pair.streams() if self.uses(each)):
+        if not any(self.uses(each) for each in self._pair.stuck if not each.over):
             return None
         text = "nothing gets through its data connection now: check the network and firewalls between the two sides"
         return Verdict(State.DOWN, Cause.NO_PATH, text)

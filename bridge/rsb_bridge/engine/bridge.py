@@ -140,17 +140,13 @@ class Bridge:
             self.handlers |= part.handlers
         self._errors_logged: dict[str, float] = {}
 
-    def links(self) -> list[Link]:
-        """Return all links, up or down: a client's one, or a server's many."""
-        return self.role.links()
-
     def find(self, key: str) -> tuple[Link, Route]:
         """Return a route and its link by the route's key.
 
         Raises:
             LinkError: there is none.
         """
-        link, _, route = named_in(self.links(), key)
+        link, _, route = named_in(self.role.links(), key)
         if route is None:
             raise LinkError("a pattern carries nothing itself: choose one of the topics that it matches")
         return link, route
@@ -229,7 +225,7 @@ class Bridge:
             await asyncio.sleep(due - now())
             self.context.limited.tick()
             self.role.tick()
-            for link in self.links():
+            for link in self.role.links():
                 await link.table.tick_routes()
                 link.guarded(link.tick)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
@@ -277,7 +273,7 @@ class Bridge:
                 part.join()
 
     def _bridges_changed(self) -> None:
-        for link in self.links():
+        for link in self.role.links():
             if link.linked:
                 link.neighbourhood.tell()
         self.graph_watch.changed()
@@ -350,7 +346,7 @@ class Bridge:
                     self._show_effect(command)
 
     def _show_effect(self, command: Command[Any]) -> None:
-        if isinstance(command, _OF_ONE_ROUTE) and (found := route_in(self.links(), command.key)) is not None:
+        if isinstance(command, _OF_ONE_ROUTE) and (found := route_in(self.role.links(), command.key)) is not None:
             self._snapshots.refresh_route(self.role, *found)
         else:  # the key may also be a pattern's, or of a route that is gone
             self._snapshots.refresh_now(self.role)
@@ -486,13 +482,13 @@ class Bridge:
         return steps + self.role.steps_to(session, keys)
 
     def _set_stale_after(self) -> None:
-        for link in self.links():
+        for link in self.role.links():
             for route in link.routes.values():
                 if isinstance(route, TopicRoute):
                     route.set_stale_after()
 
     def _set_check(self) -> None:
-        for link in self.links():
+        for link in self.role.links():
             for route in link.routes.values():
                 route.set_check()
 
@@ -504,7 +500,7 @@ class Bridge:
 
     def _followers(self) -> Iterator[Follower]:
         """Yield the parts that follow the names of this side's graph."""
-        for link in self.links():
+        for link in self.role.links():
             yield link.patterns
             if (followed := link.patterns.followed) is not None:
                 yield followed
@@ -512,4 +508,4 @@ class Bridge:
     async def _topics(self, command: commands.Topics) -> tuple[TopicInfo, ...]:
         if command.link is None:
             return tuple(await asyncio.to_thread(graph_of, self.context.ros, CALLED))
-        return tuple(await topics_of_peer(self.links(), command.link))
+        return tuple(await topics_of_peer(self.role.links(), command.link))

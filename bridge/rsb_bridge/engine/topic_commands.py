@@ -30,7 +30,7 @@ from rsb_bridge.model.commands import (
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import Disarmed
-from rsb_bridge.route.lifecycle import pause_word
+from rsb_bridge.route.lifecycle import PAUSE_WORDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -77,9 +77,6 @@ class CommandedBridge(Protocol):
     role: BridgeRole
     log: CommandLog
     peeking: Peeking
-
-    def links(self) -> list[Link]:
-        """Return all links, up or down."""
 
     def find(self, key: str) -> tuple[Link, Route]:
         """Return a route and its link by the route's key.
@@ -162,10 +159,10 @@ class TopicCommands(EnginePart):
 
     async def _stopped(self, key: str) -> Named:
         """Return what a key names after the motions on its topics have ended."""
-        named = named_in(self._bridge.links(), key)
+        named = named_in(self._bridge.role.links(), key)
         if await self._bridge.end_motions({route.local_topic for route in named.routes()}):
             # The peer may have removed or edited it while the robots came to rest.
-            return named_in(self._bridge.links(), key)
+            return named_in(self._bridge.role.links(), key)
         return named
 
     async def add(self, command: AddTopic) -> str:
@@ -292,17 +289,18 @@ class TopicCommands(EnginePart):
         paused = command.paused
         named = await self._stopped(command.key)
         link, entry, route = named
-        stopped = named.routes()
+        stopped = routes = named.routes()
         code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
         if route is None:
-            old, name = pause_word(paused=entry.paused), entry.topic
+            old, name = PAUSE_WORDS[entry.paused], entry.topic
             link.patterns.replace(entry.identity, msgspec.structs.replace(entry, paused=paused))
+            routes = named.routes()
         else:
-            old, name = pause_word(paused=route.pausing.paused), route.local_topic
-        for each in named.routes():  # the pattern's routes as it is now
+            old, name = PAUSE_WORDS[route.pausing.paused], route.local_topic
+        for each in routes:
             link.table.pause(each, paused=paused)
-        word = pause_word(paused=paused)
-        self._log.add(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)
+        what, new = "paused" if paused else "resumed", PAUSE_WORDS[paused]
+        self._log.add(code, what, topic=name, link=link.name, old=old, new=new)
         await _settled(stopped)
 
 
@@ -368,22 +366,22 @@ class ArmingCommands(EnginePart):
         await _settled((route,))
 
     async def keep(self, command: KeepArmed) -> Held:
-        for link in self._bridge.links():
+        for link in self._bridge.role.links():
             link.table.arming.seen(console(), pressed=command.pressed)
             link.table.questions.seen(console())
-        routes = (route for link in self._bridge.links() for route in link.routes.values())
+        routes = (route for link in self._bridge.role.links() for route in link.routes.values())
         held = (route.key for route in routes if route.arming.held and route.arming.console == console())
         return Held(tuple(held))
 
     async def release(self, _: ReleaseArmed) -> None:
-        routes = (route for link in self._bridge.links() for route in link.routes.values())
+        routes = (route for link in self._bridge.role.links() for route in link.routes.values())
         await self._bridge.end_motions({route.local_topic for route in routes if route.arming.console == console()})
-        for link in self._bridge.links():
+        for link in self._bridge.role.links():
             link.table.arming.gone(console())
 
     def end_all(self, why: Disarmed) -> None:
         """Disarm everything, before a change of the whole bridge: that takes time, in which robots would go on."""
-        for link in self._bridge.links():
+        for link in self._bridge.role.links():
             link.table.arming.disarm_all(why)
 
 

@@ -78,13 +78,18 @@ class Extensions:
 
     def __init__(self) -> None:
         self._all: list[Extension] = []
-        self._of_features: list[Extension] = []
+        # Each snapshot of a route asks them: an extension that shows nothing costs nothing.
+        self._showing_links: list[Extension] = []
+        self._showing_routes: list[Extension] = []
         self._told: list[Extension] = []  # of the present connection, if the peer has their feature, too
 
     def add(self, extension: Extension) -> None:
         self._all.append(extension)
-        if extension.feature:
-            self._of_features.append(extension)
+        kind = type(extension)
+        if kind.link_fields is not Extension.link_fields:
+            self._showing_links.append(extension)
+        if kind.route_fields is not Extension.route_fields:
+            self._showing_routes.append(extension)
 
     def find(self, kind: type[_E]) -> _E:
         return next(each for each in self._all if isinstance(each, kind))
@@ -117,10 +122,16 @@ class Extensions:
         return next((each for each in meters if each is not None), None)
 
     def link_fields(self) -> dict[str, Any]:
-        return {name: value for each in self._of_features for name, value in each.link_fields().items()}
+        shown: dict[str, Any] = {}
+        for each in self._showing_links:
+            shown.update(each.link_fields())
+        return shown
 
     def route_fields(self, route: Route) -> dict[str, Any]:
-        return {name: value for each in self._of_features for name, value in each.route_fields(route).items()}
+        shown: dict[str, Any] = {}
+        for each in self._showing_routes:
+            shown.update(each.route_fields(route))
+        return shown
 
 
 class Denied(Wording):

@@ -12,7 +12,7 @@ from rsb_bridge.model.commands import operator
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.route.lifecycle import pause_word
+from rsb_bridge.route.lifecycle import PAUSE_WORDS
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
@@ -59,7 +59,7 @@ class PeerOperators:
         paused = route.pausing.paused
         code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
         what = "paused" if paused else "resumed"
-        self._did(code, what, route, who, pause_word(paused=not paused), pause_word(paused=paused))
+        self._did(code, what, route, who, PAUSE_WORDS[not paused], PAUSE_WORDS[paused])
 
     def proposed(self, route: Route, proposal: Propose, *, edited: bool) -> None:
         """Record that an operator there has added or edited a topic, if the proposal names one."""

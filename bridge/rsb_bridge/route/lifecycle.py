@@ -215,6 +215,5 @@ class PauseState:
             self.adopt(paused=paused, revision=revision, who=who)
 
 
-def pause_word(*, paused: bool) -> str:
-    """Return the state as the value of an operator's action."""
-    return "paused" if paused else "not paused"
+PAUSE_WORDS = "not paused", "paused"
+"""The states as values of operators' actions."""

@@ -508,7 +508,7 @@ class BenchPart(EnginePart):
         self.handlers = {Bench: self._bench}
 
     async def _bench(self, command: Bench) -> Outcome:
-        order, links = command.order, self._bridge.links()
+        order, links = command.order, self._bridge.role.links()
         if order.what == "measure":
             cpu, memory = resources()
             # (0, 0), as there may be no link.

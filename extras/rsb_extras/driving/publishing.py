@@ -352,7 +352,7 @@ class Publishing(MovingPart):
     # --- types
 
     def _routes(self, topic: str) -> list[TopicRoute[DataChannel]]:
-        routes = [route for link in self._bridge.links() for route in link.routes.values()]
+        routes = [route for link in self._bridge.role.links() for route in link.routes.values()]
         return [route for route in routes if isinstance(route, TopicRoute) and route.local_topic == topic]
 
     async def _resolve(self, topic: str, wanted: str) -> TopicSpec:
@@ -401,7 +401,7 @@ class Publishing(MovingPart):
         for route in routes:
             # A side that does not answer hides none of the others.
             with contextlib.suppress(LinkError):
-                for info in await topics_of_peer(self._bridge.links(), route.peer.name):
+                for info in await topics_of_peer(self._bridge.role.links(), route.peer.name):
                     if info.topic == route.far_topic and info.kind == "topic" and info.type_name:
                         types[info.type_name] = set()
         return types

@@ -126,7 +126,7 @@ class Viewing(EnginePart):
     def __init__(self, bridge: Bridge) -> None:
         super().__init__()
         self._context = bridge.context
-        self._links = bridge.links
+        self._links = bridge.role.links
         self._renderer = bridge.context.shared(renderer_of)
         self._tasks = Tasks(bridge.context.loop, lambda: None)
         self._views: dict[str, _View] = {}

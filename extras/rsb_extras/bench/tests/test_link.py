@@ -162,7 +162,7 @@ def test_run_with_reopened_topic_has_no_figures(
     running = both.client.do(Bench(step))
 
     async def open_anew(bridge: Bridge) -> bool:
-        (link,) = bridge.links()
+        (link,) = bridge.role.links()
         (route,) = link.routes.values()
         source = bridge.context.internal[BENCH.name].sources[route.local_topic, link.name]
         if not source.busy or source.sent < 20:
@@ -274,7 +274,7 @@ def test_peer_orders_runs_on_its_own_topic_only(pair: Callable[..., Pair]) -> No
     both.run(both.client)
 
     async def ask(bridge: Bridge) -> BenchAnswer:
-        (link,) = bridge.links()
+        (link,) = bridge.role.links()
         (route,) = link.routes.values()
         return await link.extensions.find(LinkBench)._ask(route, route.id, size=100, rate=10.0, count=5)
 
@@ -297,7 +297,7 @@ def let_in(server: Engine) -> tuple[int, int, int]:
     """Return the bytes of a measuring peer: as received, unpacked, and of incomplete messages."""
 
     async def ask(bridge: Bridge) -> tuple[int, int, int]:
-        (link,) = bridge.links()
+        (link,) = bridge.role.links()
         budget = link.extensions.find(LinkBench)._budget
         return budget._wire, budget._payload, link.budget.unfinished.held
 
@@ -308,7 +308,7 @@ def measures(server: Engine) -> bool:
     """Whether the link has a topic; a snapshot may be older than the topic."""
 
     async def ask(bridge: Bridge) -> bool:
-        (link,) = bridge.links()
+        (link,) = bridge.role.links()
         return bool(link.routes)
 
     return on_bridge(server, ask)

@@ -131,7 +131,7 @@ def views_drawn_by(link: Link) -> dict[Any, Any]:
 def views(engine: Engine) -> list[str]:
     return [
         key
-        for link in inside(engine).links()
+        for link in inside(engine).role.links()
         for key, route in tuple(link.routes.items())
         if not route.purpose.is_shown
     ]
@@ -278,7 +278,7 @@ def test_right_that_is_taken_away_ends_view(bridge: Bridge, robot: Domain) -> No
     server, client = bridge.server(), bridge.client()
     eventually(lambda: linked(client) and linked(server))
     looked_while(talker, server, "/pose")
-    (link,), context = inside(client).links(), inside(client).context
+    (link,), context = inside(client).role.links(), inside(client).context
     assert views_drawn_by(link)
     denied = msgspec.structs.replace(context.session, deny=(Grant("/pose", may="look"),))
 
@@ -349,7 +349,7 @@ def test_a_peer_names_topics_as_rights_do(bridge: Bridge, robot: Domain, monkeyp
     server, client = bridge.server(), bridge.client(deny=("/pose",))
     eventually(lambda: linked(client) and linked(server))
     picture_places.CHECK_NAMES.set(monkeypatch, lambda _: None)
-    (link,) = inside(client).links()
+    (link,) = inside(client).role.links()
     for name in NO_NAMES:
         with pytest.raises(EngineError, match=pattern(NameMistake.NOT_ABSOLUTE)):
             look_at(server, "me", (name,), WISH, "robot1").result(30)
@@ -471,7 +471,7 @@ def test_a_view_goes_on_over_a_new_connection(pair: tuple[Engine, Engine], robot
     talker = Talker(robot, "/pose")
     server, client = pair
     looked_while(talker, server, "/pose")
-    (link,), context = inside(client).links(), inside(client).context
+    (link,), context = inside(client).role.links(), inside(client).context
     before = {view for view, _ in views_drawn_by(link).values()}
     assert before
     context.call(link.fail)
