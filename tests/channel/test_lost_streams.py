@@ -103,7 +103,7 @@ async def test_route_goes_on_in_order_counting_losses(name: str, size: int, cut_
         await far.acknowledges_all()
 
 
-async def test_route_that_moves_to_a_lost_stream_goes_on() -> None:
+async def test_route_survives_loss_of_its_new_stream() -> None:
     """The receiving end has noticed the loss of the large stream before the last frame on the small one."""
     async with connected(Route(1, outgoing=True), Route(2, outgoing=True)) as (near, far):
         numbers, others = Numbers(near, 1, LARGE), Numbers(near, 2, LARGE)

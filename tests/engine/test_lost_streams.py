@@ -124,7 +124,7 @@ def test_frozen_connections_end_a_link(
         eventually(lambda: len(there.payloads) > before)
 
 
-def test_topic_that_never_gets_its_stream_leaves_nothing_behind(
+def test_topics_without_streams_leave_nothing_behind(
     bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A firewall may block its port for months, and it is tried again all the time."""
