@@ -160,7 +160,8 @@ def command(
     async def no_motions(_: set[str]) -> None:
         """Nobody drives by hand."""
 
-    bridge = SimpleNamespace(links=lambda: [side], find=lambda key: (side, side.routes[key]), end_motions=no_motions)
+    role = SimpleNamespace(links=lambda: [side])
+    bridge = SimpleNamespace(role=role, find=lambda key: (side, side.routes[key]), end_motions=no_motions)
     commands = ArmingCommands(cast("Any", bridge))
     key = route(side).key
 

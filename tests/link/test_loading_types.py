@@ -57,7 +57,8 @@ def test_before_a_topic_is_armed(loop: VirtualLoop, ros: Loads, make_context: Ca
 
     async def end_motions(_: set[str]) -> None: ...
 
-    bridge = SimpleNamespace(links=lambda: [pc], find=lambda key: (pc, pc.routes[key]), end_motions=end_motions)
+    role = SimpleNamespace(links=lambda: [pc])
+    bridge = SimpleNamespace(role=role, find=lambda key: (pc, pc.routes[key]), end_motions=end_motions)
     arming = ArmingCommands(cast("Any", bridge))
     armed = loop.create_task(arming.arm(ArmTopic(route(pc).key)))
     loop.run_until_complete(asyncio.sleep(0.01))

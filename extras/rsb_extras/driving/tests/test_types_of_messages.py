@@ -26,7 +26,7 @@ ros = test_loading_types.ros
 
 
 def test_before_a_message_by_hand(loop: VirtualLoop, ros: Loads, make_context: Callable[..., Context]) -> None:
-    bridge = SimpleNamespace(context=make_context(ros=ros), links=list)
+    bridge = SimpleNamespace(context=make_context(ros=ros), role=SimpleNamespace(links=list))
     publishing = Publishing(cast("Any", bridge))
     with contextlib.suppress(LinkError, RosError, asyncio.CancelledError):
         loop.run_until_complete(publishing.draft(DraftMessage("/cmd_vel", "Twist")))
