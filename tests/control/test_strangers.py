@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.operator_keys import Granted
 
+CONNECTIONS, OPERATORS = 32, 24  # docs/budgets.md, of operators over a network
 TOPIC = Topic("/scan", "transmit")
 CHANGES: tuple[AnyCommand, ...] = (
     commands.AddTopic(TOPIC),
@@ -135,7 +136,7 @@ def test_who_has_no_confirmation_is_closed_in_time(machine: Machine, monkeypatch
 def test_many_who_say_nothing_keep_nobody_out(reachable: Reachable) -> None:
     with contextlib.ExitStack() as silent:
         first = silent.enter_context(Stranger(reachable.port))
-        for _ in range(constants.CONSOLE_LIMITS.value.total):
+        for _ in range(CONNECTIONS):
             silent.enter_context(Stranger(reachable.port))
         assert first.is_closed()
         reachable.attach()
@@ -192,14 +193,14 @@ def test_who_hears_only_is_closed(reachable: Reachable) -> None:
 
 def test_operators_leave_places_to_this_machine_s_consoles(reachable: Reachable, machine: Machine) -> None:
     with contextlib.ExitStack() as attached:
-        for _ in range(constants.OPERATORS_PLACES.value):
+        for _ in range(OPERATORS):
             attached.enter_context(Stranger(reachable.port)).attach()
         one_more = attached.enter_context(Stranger(reachable.port))
         one_more.send(one_more.console.start())
         assert one_more.hear() == [events.Admitted()]
         one_more.say(ConsoleHello(1, "0.1.0"))
         assert isinstance(one_more.answer(), HelloRefused)
-        for _ in range(CONSOLES - constants.OPERATORS_PLACES.value):
+        for _ in range(CONSOLES - OPERATORS):
             machine.attach()
 
 
@@ -211,11 +212,11 @@ def test_replayed_first_messages_leave_room_for_others(reachable: Reachable) -> 
         eventually(
             lambda: [each for each in reachable.acceptor.pending.present if each.stage is ConnectionStage.ACCEPTED]
         )
-        for _ in range(constants.CONSOLE_LIMITS.value.accepted):
+        for _ in range(OPERATORS):
             one = played.enter_context(Stranger(reachable.port))
             one.send(one.console.start())
         assert first.is_closed()
-        assert len(reachable.acceptor.pending.present) <= constants.CONSOLE_LIMITS.value.accepted
+        assert len(reachable.acceptor.pending.present) <= OPERATORS
         reachable.attach("bob", BOB)
 
 

@@ -138,7 +138,7 @@ def test_long_messages_take_one_turn_each() -> None:
     for message in (Describe(1, "a/msg/B", "", Qos(depth=1), sources), Ping(1, 0)):
         peer = Peer([MessageReceived(encode(message))] * 100, entries_of)
         peer.run(100)
-        assert peer.most <= (1 if isinstance(message, Describe) else constants.CONTROL_AT_ONCE.value)
+        assert peer.most <= (1 if isinstance(message, Describe) else 8)
     report = encode(Report(sent=(SentReport(route=1, dropped=DROPPED),) * 18, received=()))
     assert WHOLE - 1000 < len(report) <= WHOLE
     peer = Peer([MessageReceived(report)] * 20, entries_of)
@@ -171,7 +171,7 @@ async def test_entries_come_no_faster_than_thousand_routes_report(loop: VirtualL
     report = Report(sent=(SentReport(route=1),) * entries, received=())
     channel, _ = receives([report], lambda each: entries_of(each, done.append))
     every = 0.002 if entries < ENTRIES else 0.01
-    burst, rate = constants.CONTROL_ENTRIES.value, constants.CONTROL_ENTRIES_A_SECOND.value
+    burst, rate = 40_000, 10_000  # docs/budgets.md
     for room in (burst, 0):
         done.clear()
         await flood(channel, 9 * entries, every, 10.0)

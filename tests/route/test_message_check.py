@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from tests.support import constants
 from tests.support.held import held_by
 
 from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
@@ -170,15 +169,14 @@ def test_claimed_length_costs_links_budget_nothing() -> None:
     bed.check.check(names(1000))
 
 
-def test_checkers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.CHECKERS_KEPT.set(monkeypatch, 2)
-    texts = {f"t/msg/T{n}": text_of(_described(f"t/msg/T{n}")) for n in range(4)}
+def test_checkers_are_bounded() -> None:
+    texts = {f"t/msg/T{n}": text_of(_described(f"t/msg/T{n}")) for n in range(513)}
     bed = Bed(texts)
     kept = [bed.context.checkers.installed(name) for name in texts]
     assert all(kept)
-    assert bed.context.checkers.installed("t/msg/T3") is kept[3]
+    assert bed.context.checkers.installed("t/msg/T512") is kept[512]
     assert bed.context.checkers.installed("t/msg/T0") is not kept[0]
-    assert held_by(bed.context.checkers) == 2
+    assert held_by(bed.context.checkers) == 512
 
 
 def _described(name: str) -> TypeDescription:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
-from tests.support import constants
 
 from rsb_bridge.model.calls import FEEDBACK, LANES, SEND_GOAL, STATUS
 from rsb_bridge.route.calls.calls_route import CallsOutbox
@@ -118,27 +117,25 @@ def test_link_that_stands_still_keeps_more_messages(outbox: CallsOutbox) -> None
     assert [each.content for each in flushed(outbox).frames()] == [b"%d" % number for number in range(5, 30)]
 
 
-def test_messages_that_wait_are_bounded_in_bytes(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.OUTBOX_MESSAGE_BYTES.set(monkeypatch, 100)
+def test_messages_that_wait_are_bounded_in_bytes(outbox: CallsOutbox) -> None:
     for _ in range(10):
-        outbox.put(message(FEEDBACK, bytes(40)))
+        outbox.put(message(FEEDBACK, bytes(12 << 20)))
     assert len(flushed(outbox).sent) == 2
 
 
-def test_large_message_displaces_as_much_as_it_needs(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.OUTBOX_MESSAGE_BYTES.set(monkeypatch, 100)
-    for size in (10, 10, 10, 90):
+def test_large_message_displaces_as_much_as_it_needs(outbox: CallsOutbox) -> None:
+    large = (32 << 20) - 10
+    for size in (10, 10, 10, large):
         outbox.put(message(FEEDBACK, bytes(size)))
-    assert [len(each.content) for each in flushed(outbox).frames()] == [10, 90]
+    assert [len(each.content) for each in flushed(outbox).frames()] == [10, large]
 
 
-def test_refusals_that_wait_are_bounded(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.OUTBOX_MOST_REFUSALS.set(monkeypatch, 5)
-    for number in range(1, 20):
+def test_refusals_that_wait_are_bounded(outbox: CallsOutbox) -> None:
+    for number in range(1, 8200):
         outbox.put(CallFrame(What.REFUSED, SEND_GOAL, number, 0, b"paused"))
-    assert [frame.call for frame in flushed(outbox).frames()] == [1, 2, 3, 4, 5]
-    outbox.put(CallFrame(What.REFUSED, SEND_GOAL, 20, 0, b"paused"))
-    assert flushed(outbox).frames()[-1].call == 20
+    assert [frame.call for frame in flushed(outbox).frames()] == [*range(1, 8193)]
+    outbox.put(CallFrame(What.REFUSED, SEND_GOAL, 8200, 0, b"paused"))
+    assert flushed(outbox).frames()[-1].call == 8200
 
 
 def test_a_new_opening_begins_with_nothing(outbox: CallsOutbox) -> None:

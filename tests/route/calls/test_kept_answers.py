@@ -161,14 +161,14 @@ def test_what_calls_wait_for_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -
     assert sum(asks(GET_RESULT, number) in answers for number in range(1, 11)) < 3
 
 
-def test_their_bytes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.ANSWER_BYTES_KEPT.set(monkeypatch, 2 * len(RESULT))
+def test_their_bytes_are_bounded() -> None:
+    half = RESULT.ljust(8 << 20, b"\0")
     answers = KeptAnswers()
     for number in range(1, 4):
         answers.asked(asks(GET_RESULT, number), number, SERVERS)
-        answers.answered(GET_RESULT, number, RESULT, 0.0, linked=True)
+        answers.answered(GET_RESULT, number, half, 0.0, linked=True)
     assert [asks(GET_RESULT, number) in answers for number in range(1, 4)] == [False, True, True]
     answers.asked(asks(GET_RESULT, 4), 4, SERVERS, 1)
-    assert answers.answered(GET_RESULT, 4, 3 * RESULT, 0.0, linked=True) == (asks(GET_RESULT, 4), [1])
+    assert answers.answered(GET_RESULT, 4, 3 * half, 0.0, linked=True) == (asks(GET_RESULT, 4), [1])
     assert asks(GET_RESULT, 4) not in answers
     assert asks(GET_RESULT, 3) in answers
