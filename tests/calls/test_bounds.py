@@ -9,6 +9,8 @@ from tests.support import constants
 from tests.support.bridge import route
 from tests.support.waiting import eventually, holds
 
+from rsb_bridge.route.peer import CallLimits
+
 if TYPE_CHECKING:
     import pytest
     from tests.support.bridge import Bridge
@@ -27,7 +29,7 @@ def test_calls_beyond_the_bytes_of_responses_are_refused(
 ) -> None:
     """Responses wait where the network stalls; the kernel takes some megabytes of them."""
     constants.DEAD_AFTER.set(monkeypatch, _SILENT)
-    constants.BYTES_UNDER_WAY.set(monkeypatch, 1_000_000)
+    constants.CALL_LIMITS.set(monkeypatch, CallLimits(bytes_under_way=1_000_000))
     far.serve(service, gather=90)
     engines = server, client = bridge.both(called(service, timeout=30.0))
     with balanced(*engines):

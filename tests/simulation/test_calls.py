@@ -22,11 +22,10 @@ from rsb_bridge.model.commands import ArmTopic, DisarmTopic, PauseTopics
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.peer import CallLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from tests.support.places import Place
 
     from rsb_bridge.route.calls.calls_route import CallsRoute
     from rsb_bridge.route.calls.pending_calls import PendingCall
@@ -372,16 +371,16 @@ async def test_server_on_callers_side_is_named(harness: CallHarness) -> None:
 
 
 @pytest.mark.parametrize(
-    ("limit", "most", "cause", "passing"),
+    ("limits", "cause", "passing"),
     [
-        (constants.CALLS_UNDER_WAY, 10, "calls under way", 10),
-        (constants.BYTES_UNDER_WAY, 10_000, "bytes under way", 9),
-        (constants.CALLS_A_SECOND, 20.0, "calls a second", 20),
+        (CallLimits(under_way=10), "calls under way", 10),
+        (CallLimits(bytes_under_way=10_000), "bytes under way", 9),
+        (CallLimits(a_second=20.0), "calls a second", 20),
     ],
 )
 @pytest.mark.bed(timeout=2.0)
 def test_beyond_its_bounds_call_is_refused_and_counted(
-    limit: Place, most: float, cause: str, passing: int, harness: CallHarness
+    limits: CallLimits, cause: str, passing: int, harness: CallHarness
 ) -> None:
     async def live() -> None:
         server, client = harness.server(waits=True), harness.client()
@@ -400,7 +399,7 @@ def test_beyond_its_bounds_call_is_refused_and_counted(
         client.ask(bytes(1000))  # the held bytes are free again
         await until(lambda: len(server.asked) == passing + 1, 2.0)
 
-    with limit.during(most):
+    with constants.CALL_LIMITS.during(limits):
         harness.world.play(life=harness.live(live()))
 
 
@@ -423,7 +422,7 @@ def test_the_providing_side_enforces_its_bounds(harness: CallHarness) -> None:
         near.peer.budget.asked._calls.held = calls.in_flight  # as if it had kept to them
         near.peer.budget.asked._bytes.held = sum(call.size for call in under_way(near))
 
-    with constants.CALLS_UNDER_WAY.during(10):
+    with constants.CALL_LIMITS.during(CallLimits(under_way=10)):
         harness.world.play(life=harness.live(live()))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import Refused
@@ -28,11 +28,7 @@ KEPT_LIMIT = 1 << 30  # bytes that its publishers keep: enough for 1,000 latched
 UNACKNOWLEDGED_LIMIT = 512 << 20  # bytes that they hold for slow subscribers; one topic gets half of that at most
 _FURTHER_PUBLISHERS = 256  # beyond one for each topic, which only loops of bridges need
 
-# Of its calls in one direction:
-CALLS_UNDER_WAY = 4096  # that wait for their answers
-BYTES_UNDER_WAY = 256 << 20  # of these
-CALLS_A_SECOND = 5000.0  # and at once after a quiet second
-PEERS_SHARE = 1.25  # of that on the providing side: calls end a little later there, and clocks differ
+PEERS_SHARE = 1.25  # of `CallLimits` on the providing side: calls end a little later there, and clocks differ
 _LINGERS = 22.0  # s for which DDS holds what a stopped program does not take: it is given up after 20
 _TOGETHER = 1.0  # s, of ended calls that are counted as one
 
@@ -175,18 +171,29 @@ class TypeUse:
             self._key = None
 
 
+class CallLimits(NamedTuple):
+    """Limits of one link's calls in one direction."""
+
+    under_way: int = 4096  # calls that wait for their answers
+    bytes_under_way: int = 256 << 20  # of these
+    a_second: float = 5000.0  # and at once after a quiet second
+
+
+CALL_LIMITS = CallLimits()
+
+
 class CallBudget:
     """Limits on the calls of one link in one direction, over all its routes. Further calls are refused and never wait.
 
     Args:
-        share: factor on the usual limits.
+        share: factor on the limits.
     """
 
-    def __init__(self, now: float, share: float = 1.0) -> None:
-        self._calls = Budget(int(CALLS_UNDER_WAY * share))
-        self._bytes = Budget(int(BYTES_UNDER_WAY * share))
+    def __init__(self, now: float, limits: CallLimits = CALL_LIMITS, share: float = 1.0) -> None:
+        self._calls = Budget(int(limits.under_way * share))
+        self._bytes = Budget(int(limits.bytes_under_way * share))
         self._lingering: deque[tuple[float, int]] = deque()
-        self._rate = TokenBucket(CALLS_A_SECOND * share, CALLS_A_SECOND * share, now)
+        self._rate = TokenBucket(limits.a_second * share, limits.a_second * share, now)
 
     @property
     def held(self) -> tuple[int, int]:
@@ -246,7 +253,7 @@ class PeerBudget:
         self.further_publishers = Budget(_FURTHER_PUBLISHERS)  # beyond one for each topic
         self.types = TypeBudget()  # that are not installed here
         self.rates = AllowedRates()  # of the peer's topics here
-        self.asked = CallBudget(now)  # calls of this side's callers
-        self.provided = CallBudget(now, PEERS_SHARE)  # calls of the peer's callers
+        self.asked = CallBudget(now, CALL_LIMITS)  # calls of this side's callers
+        self.provided = CallBudget(now, CALL_LIMITS, PEERS_SHARE)  # calls of the peer's callers
         # Lengths to read for checks of the peer's messages.
         self.checks = TokenBucket(CHECKED_AT_ONCE, CHECKED_A_SECOND, now)

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import pytest
-from tests.support import constants
 
 from rsb_bridge.model.calls import Refused
-from rsb_bridge.route import peer as module
-from rsb_bridge.route.peer import CallBudget
+from rsb_bridge.route.peer import PEERS_SHARE, CallBudget, CallLimits
+
+_LIMITS = CallLimits(under_way=3, bytes_under_way=1000, a_second=10.0)
 
 
 @pytest.fixture
-def budget(monkeypatch: pytest.MonkeyPatch) -> CallBudget:
-    constants.CALLS_UNDER_WAY.set(monkeypatch, 3)
-    constants.BYTES_UNDER_WAY.set(monkeypatch, 1000)
-    constants.CALLS_A_SECOND.set(monkeypatch, 10.0)
-    return CallBudget(0.0)
+def budget() -> CallBudget:
+    return CallBudget(0.0, _LIMITS)
 
 
 def test_calls_under_way(budget: CallBudget) -> None:
@@ -60,6 +57,6 @@ def test_expired_calls_count_while_dds_holds_them(budget: CallBudget) -> None:
 
 
 def test_the_peer_may_have_a_little_more(budget: CallBudget) -> None:
-    theirs = CallBudget(0.0, module.PEERS_SHARE)
+    theirs = CallBudget(0.0, _LIMITS, PEERS_SHARE)
     assert budget.take(1001, 0.0) is Refused.BYTES_UNDER_WAY
     assert theirs.take(1001, 0.0) is None

@@ -70,7 +70,7 @@ _ZSTD_LEVEL = 3
 """As of topics: 2.4 ns a byte of a map (bench/README.md)."""
 _MOST_REFUSALS = 8192
 """Refusals that wait at most; a peer that calls and reads nothing makes more. A call with a dropped refusal expires. A
-round figure, twice `peer.CALLS_UNDER_WAY`."""
+round figure, twice `peer.CallLimits.under_way`."""
 _KEPT_STILL = 1000
 """Messages of a lane that wait at most on a link that stands still: a gap may be over soon. A slow link gets as many as
 the lane's depth, the newest. A round figure."""
