@@ -6,6 +6,7 @@ import time
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING
 
+import pytest
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from tests.support.bridge import carries, connections, linked, now, outgoing
@@ -25,9 +26,12 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.model.snapshot import Ledger
 
 TUNNEL = 5_000
 """Bytes/s."""
+_STALL = 0.1
+"""s by which a thread is late only on a busy machine."""
 PINGED_EVERY = 1.0
 """s; the trip is that of the newest ping that was answered."""
 
@@ -92,17 +96,28 @@ def test_udp_topic_takes_its_share_and_no_more(bridge: Bridge, robot: Domain, pc
 def test_nothing_is_dropped_on_a_fast_link(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """From the first message on: a depth counts where a link is slow, not until the first receipts.
 
-    This one lasts for 0.25 s, which a busy machine may take from a thread.
+    This one lasts for 0.25 s, which a busy machine may take from a thread. Then a new link is tried.
     """
     out, there = robot.publisher("/tcp"), pc.listener("/tcp")
-    server, client = bridge.both(Topic("/tcp", "transmit", qos={"depth": 100}))
-    carries([out], server, ["/tcp"])
-    with publishing(out, 400.0, 10_000) as published:
-        eventually(lambda: published.count >= 800)
-    route = outgoing(client, "/tcp")
-    eventually(lambda: (ledger := route.ledger()).offered + ledger.lost_in_dds >= 800 and not ledger.in_flight)
-    assert route.ledger().dropped == {}
-    eventually(lambda: len(there.payloads) >= route.ledger().delivered)
+    for _ in range(3):
+        server, client = bridge.both(Topic("/tcp", "transmit", qos={"depth": 100}))
+        carries([out], server, ["/tcp"])
+        there.forget()
+        with publishing(out, 400.0, 10_000) as published:
+            eventually(lambda published=published: published.count >= 800)
+        route = outgoing(client, "/tcp")
+        eventually(lambda route=route: _is_settled(route.ledger(), 800))
+        ledger = route.ledger()
+        if not ledger.dropped:
+            eventually(lambda ledger=ledger: len(there.payloads) >= ledger.delivered)
+            return
+        assert published.latest > _STALL, (ledger, published.latest)
+        bridge.close()
+    pytest.skip("this process stood still three times")
+
+
+def _is_settled(ledger: Ledger, published: int) -> bool:
+    return ledger.offered + ledger.lost_in_dds >= published and not ledger.in_flight
 
 
 def test_calls_through_a_full_tunnel(bridge: Bridge, robot: Domain, pc: Domain) -> None:

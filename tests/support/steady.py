@@ -22,12 +22,14 @@ class Steady:
 
     Attributes:
         count: how many have been published.
+        latest: s by which the latest one came too late, as this process got no processor.
     """
 
     def __init__(
         self, publisher: Publisher, rate: float, message: Callable[[int], bytes], *, catches_up: bool = False
     ) -> None:
         self.count = 0
+        self.latest = 0.0
         self._publisher, self._pause, self._message, self._catches_up = publisher, 1 / rate, message, catches_up
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -35,6 +37,7 @@ class Steady:
     def _run(self) -> None:
         due = time.monotonic()
         while not self._over.wait(max(0.0, due - time.monotonic())):
+            self.latest = max(self.latest, time.monotonic() - due)
             self._publisher.publish(self._message(self.count))
             self.count += 1
             due = (due if self._catches_up else time.monotonic()) + self._pause
