@@ -12,6 +12,8 @@ from tests.support.frames import write_chunks, write_frame
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_stream import LARGE
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.transport.streams import PacketCounts
 from rsb_bridge.wire.framing import DATA, HEADER, MOVED, DataWriter, pack_frame
 from rsb_bridge.wire.sealing import CipherSuite
 
@@ -132,6 +134,20 @@ async def test_peer_that_breaks_format_loses_streams(frame: bytes) -> None:
     async with connected(Route(1, outgoing=True)) as (near, far):
         far.pair.streams()[0].stream.write(frame)
         await until(lambda: near.routes[1].lost)
+
+
+async def test_stuck_stream_is_trouble_of_its_routes_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with connected(Route(1, outgoing=True), Route(2, outgoing=True)) as (near, far):
+        near.routes[1].send(bytes(LARGE))  # which moves it to the stream of large messages
+        await until(lambda: len(far.routes[1].arrived) == 1)
+        _, big = near.pair.streams()
+        monkeypatch.setattr(big.stream, "packets", lambda: PacketCounts(4, 4, 0, LARGE, 4))
+        near.pair.tick()
+        trouble = near.routes[1].channel.trouble()
+        assert (trouble and trouble.cause, near.routes[2].channel.trouble()) == (Cause.NO_PATH, None)
+        monkeypatch.undo()
+        near.pair.tick()
+        assert near.routes[1].channel.trouble() is None
 
 
 @pytest.mark.parametrize("large", [False, True])
