@@ -261,7 +261,7 @@ class StreamPair:
     Attributes:
         small: the stream of small messages, or None until it is accepted.
         large: that of large messages, or the same one.
-        stuck: those on which nothing got through at the last tick.
+        stuck: the streams on which nothing got through at the last tick.
         over: whether they have ended, and routes need another pair.
         kept: whether they stay open while no route uses them.
     """
