@@ -3,6 +3,8 @@
 Each topic of two linked sides had one message two minutes ago, and none since. CPU in % of a core of either side, by
 thread, while nobody looks and while somebody looks four times a second, as a console does. Under ``stand-in`` there is
 no ROS behind the engines: what the bridge itself takes. Under ``real``, publishers are in a process of their own.
+
+``python -m bench.quiet table`` prints what a message costs beside quiet topics (`bench.beside_quiet`).
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from bench import bed
+from bench import bed, beside_quiet
 
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH, stamped_string
 from rsb_bridge.config.keys import write_key
@@ -52,8 +54,12 @@ def main() -> None:
     match sys.argv[1:]:
         case ["side", options]:
             _side(**json.loads(options))
-        case ["publish", domain, *names]:
+        case ["announce", domain, *names]:
             _publish(int(domain), names)
+        case ["table", *options]:
+            beside_quiet.main(options)
+        case ["publish" | "subscribe" | "talk" as part, domain, *names]:
+            beside_quiet.ends(part, int(domain), names)
         case [] | [_] | [_, _]:
             rounds, topics, *_ = [*map(int, sys.argv[1:]), *(ROUNDS, TOPICS)[len(sys.argv) - 1 :]]
             report(rounds, topics)
@@ -110,7 +116,7 @@ def _sides(ros: str, names: Sequence[str]) -> Iterator[tuple[bed.Process, bed.Pr
         common = {"ros": ros, "names": names, "folder": folder, "port": bed.free_port()}
         publishing = None
         if ros == "real":
-            publishing = stack.enter_context(bed.Process("-m", "bench.quiet", "publish", str(bed.NEAR), *names))
+            publishing = stack.enter_context(bed.Process("-m", "bench.quiet", "announce", str(bed.NEAR), *names))
             publishing.line()
         server, client = (
             stack.enter_context(bed.Process("-m", "bench.quiet", "side", json.dumps(common | {"role": role})))

@@ -62,6 +62,18 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     return name
 
 
+@pytest.fixture(params=["events", "sharing", "wait set"])
+def told(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Select how DDS tells of arrivals: by descriptors, by one that endpoints share, or by a wait set."""
+    name: str = request.param
+    if name == "sharing":
+        replaced.DESCRIPTORS_FOR_ARRIVALS.set(monkeypatch, lambda _: 0)
+    elif name == "wait set":
+        found = findings()._replace(no_arrivals="this is another middleware")
+        replaced.PARTICIPANT_FINDINGS.set(monkeypatch, lambda: found)
+    return name
+
+
 @pytest.fixture
 def rclpy_node() -> Iterator[Node]:
     with contextlib.closing(Joined(DOMAIN, "stock")) as stock:

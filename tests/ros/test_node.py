@@ -153,6 +153,7 @@ def test_messages_of_same_origin_never_come_back(open_node: Callable[..., RosNod
     assert len(received.payloads) == 3001  # those, and the last
 
 
+@pytest.mark.usefixtures("told")
 def test_latched_history_reaches_each_new_subscription(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     node = open_node()
     latched = rclpy_node.create_publisher(
@@ -204,6 +205,7 @@ def test_losses_in_dds_are_counted_by_publisher(open_node: Callable[..., RosNode
     assert subscription.lost == 200 - 4
 
 
+@pytest.mark.usefixtures("told")
 def test_flood_on_one_topic_leaves_turns_to_another(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     order: list[str] = []
@@ -225,6 +227,7 @@ def test_flood_on_one_topic_leaves_turns_to_another(open_node: Callable[..., Ros
     assert order.index("calm") <= 128
 
 
+@pytest.mark.usefixtures("told")
 def test_keep_all_keeps_all(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     received = Received()
@@ -270,6 +273,7 @@ def test_stamps_are_this_machines_clock(open_node: Callable[..., RosNode]) -> No
     assert before <= received.stamps[0] <= time.time_ns()
 
 
+@pytest.mark.usefixtures("told")
 def test_a_closed_subscription_is_silent(open_node: Callable[..., RosNode]) -> None:
     """`close` returns only once a sink that is being called has returned, and frees the endpoint."""
     node, other = open_node(), open_node(name="other")
@@ -292,6 +296,7 @@ def test_a_closed_subscription_is_silent(open_node: Callable[..., RosNode]) -> N
     assert received.payloads == [payload("1")]
 
 
+@pytest.mark.usefixtures("told")
 def test_sink_may_close_its_subscription_and_stop_node(open_node: Callable[..., RosNode]) -> None:
     before = set(threading.enumerate())
     node = open_node()
@@ -312,6 +317,7 @@ def test_sink_may_close_its_subscription_and_stop_node(open_node: Callable[..., 
     assert len(called) == 1
 
 
+@pytest.mark.usefixtures("told")
 def test_sink_may_close_another_subscription_with_messages(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     gate, closed, later = Received(), Received(), Received()

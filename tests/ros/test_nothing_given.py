@@ -50,7 +50,10 @@ class _Takes:
         place.set(monkeypatch, counted)
 
 
-@pytest.mark.parametrize("code", [0, TAKE_FAILED], ids=["empty", "none"])
+@pytest.mark.parametrize(
+    ("told", "code"), [("events", 0), ("sharing", 0), ("wait set", 0), ("wait set", TAKE_FAILED)], indirect=["told"]
+)
+@pytest.mark.usefixtures("told")
 def test_subscription_rests_and_fails(
     open_node: Callable[..., RosNode], rclpy_node: Node, monkeypatch: pytest.MonkeyPatch, code: int
 ) -> None:
@@ -68,6 +71,7 @@ def test_subscription_rests_and_fails(
     assert takes.count < 20
 
 
+@pytest.mark.usefixtures("told")
 def test_subscription_that_recovers_goes_on(
     open_node: Callable[..., RosNode], rclpy_node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,6 +91,7 @@ def test_subscription_that_recovers_goes_on(
     assert not failures
 
 
+@pytest.mark.usefixtures("told")
 def test_others_are_served_meanwhile(
     open_node: Callable[..., RosNode], rclpy_node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,6 +113,8 @@ def test_others_are_served_meanwhile(
     assert len(requests) > 10
 
 
+@pytest.mark.parametrize("told", ["wait set"], indirect=True)
+@pytest.mark.usefixtures("told")
 def test_server_and_client_rest_and_fail(open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch) -> None:
     provider, caller = open_node(name="provider"), open_node(name="caller")
     asked = _Takes(monkeypatch, replaced.TAKE_REQUEST, NO_REQUEST)
@@ -130,6 +137,29 @@ def test_server_and_client_rest_and_fail(open_node: Callable[..., RosNode], monk
     eventually(lambda: len(failures) == 2)
     assert answered.count < 20
     assert all(says(str(each), RosProblem.NOTHING_GIVEN) for each in failures)
+
+
+def test_announced_nothing_is_looked_at_once(
+    open_node: Callable[..., RosNode], rclpy_node: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By events, DDS that gives nothing is asked again only once something else comes."""
+    from std_msgs.msg import String
+
+    node, taken, others, failures = open_node(), list[Any](), list[Any](), list[RosError]()
+    takes = _Takes(monkeypatch, replaced.TAKE_MESSAGE, TAKE_FAILED)
+    node.subscribe(TopicSpec("/hollow", STRING, "", Qos()), taken.extend, "link", failures.append)
+    node.serve("/other", SET, "", others.extend)
+    publisher = rclpy_node.create_publisher(String, "/hollow", 10)
+    eventually(publisher.get_subscription_count)
+    publisher.publish(String(data="a"))
+    eventually(lambda: takes.count == 2)  # when it was made, and when the message came
+    for _ in range(100):
+        node.turns.watch(object())  # the thread turns
+    takes.gives_nothing = False
+    publisher.publish(String(data="b"))
+    eventually(lambda: len(taken) == 2)
+    assert takes.count <= 5
+    assert not failures
 
 
 def test_answers_of_other_clients_are_no_fault(

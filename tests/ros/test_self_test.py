@@ -100,6 +100,24 @@ def test_calls_that_do_not_cross_leave_messages_alone(
     node.serve("/set", SET, "", lambda _: None)
 
 
+@pytest.mark.parametrize("code", [3, 0], ids=["refused", "untold"])
+def test_arrivals_that_are_not_told_are_waited_for(
+    code: int, monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode]
+) -> None:
+    monkeypatch.setitem(replaced.ON_ARRIVAL.value, "subscription", lambda *_: code)
+    found = found_anew(monkeypatch)
+    assert found.shortfalls == (found.no_arrivals,)
+    assert found.no_arrivals
+    here, there = open_node(), open_node(name="other")
+    received: list[Any] = []
+    there.subscribe(TopicSpec("/chatter", STRING, "", Qos()), received.extend, "link")
+    publisher = here.advertise(TopicSpec("/chatter", STRING, "", Qos()), "link")
+    eventually(lambda: publisher.subscriber_count)
+    for number in range(1, 11):
+        publisher.publish(stamped_string(100))
+        eventually(lambda number=number: len(received) == number)
+
+
 def test_without_std_msgs_installed_types_cross(
     monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode]
 ) -> None:

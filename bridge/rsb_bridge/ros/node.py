@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.participant import Incoming, Participant
+    from rsb_bridge.ros.arrivals import Incoming
+    from rsb_bridge.ros.participant import Participant
     from rsb_bridge.ros.ros_interface import (
         Endpoint,
         LostPort,
@@ -62,8 +63,6 @@ _RESTS = 10
 
 A reader of Fast DDS 2.14 recovers with its publisher's next large message, if there is one: within 10 ms at 100 Hz.
 """
-_LOOKED_AT_EVERY = 0.005
-"""s between two looks at what rests. A round figure."""
 _RECOVERED_AFTER = 1.0
 """s after which an endpoint that gives nothing again has its first rest. A round figure."""
 _NOTHING_A_SECOND = 5000
@@ -78,7 +77,7 @@ class RosNode:
 
     See `rsb_bridge.ros.ros_interface.RosInterface`.
 
-    Endpoints are freed on that thread, between waits, so that the wait set never holds one that is gone.
+    Endpoints are freed on that thread, between waits, so that none that is gone is waited for.
 
     Args:
         name: the session's; the node's name is made of it, and is unique.
@@ -303,9 +302,20 @@ class RosNode:
         return participant
 
     def _drain(self, drain: Drain[Any], participant: Participant) -> None:
-        """Have the thread take from an endpoint."""
-        self._drains = {**self._drains, drain.endpoint.handle.address: drain}
-        participant.wake()
+        """Have the thread take from an endpoint.
+
+        Raises:
+            RosError: DDS does not tell what comes to it.
+        """
+        address, before = drain.endpoint.handle.address, self._drains
+        # First: what comes to it is reported once.
+        self._drains = {**before, address: drain}
+        try:
+            participant.arrivals.add(drain.endpoint)
+        except RosError:
+            self._drains = before
+            drain.endpoint.close()
+            raise
 
     def retire(self, drain: Drain[Any]) -> None:
         """Have the thread free a drain's endpoint.
@@ -330,28 +340,24 @@ class RosNode:
 
     @large_blocks_kept()
     def _serve(self, participant: Participant) -> None:
-        drains: dict[int, Drain[Any]] = {}
-        endpoints: tuple[Incoming, ...] = ()
-        some_rest = False
-        turns = self.turns
+        turns, arrivals = self.turns, participant.arrivals
         try:
             while self._participant is participant:
-                # Before `_drains` is read: an endpoint that is freed here is certainly missing there.
+                # Before the wait: what is reported then is there.
                 while self._retired:
-                    self._retired.popleft().close()
-                if some_rest or drains is not self._drains:
-                    drains, now = self._drains, time.monotonic()
-                    endpoints = tuple(each.endpoint for each in drains.values() if each.rests_until <= now)
-                    some_rest = len(endpoints) < len(drains)
+                    participant.free(self._retired.popleft())
                 # Unwatched, it waits without end: no timer wakes a quiet side.
-                longest = _LOOKED_AT_EVERY if some_rest else LONGEST_WAIT if turns.watched else None
-                addresses, graph_changed = participant.wait(endpoints, longest)
+                addresses, graph_changed = participant.wait(LONGEST_WAIT if turns.watched else None)
                 if turns.watched:
                     turns.turned()
                 for address in addresses:
-                    # A sink of this turn may have stopped the node. A drain that it has closed takes nothing.
-                    if self._participant is participant:
-                        some_rest = drains[address].deliver() or some_rest
+                    # A sink of this turn may have closed others, or stopped the node.
+                    drain = self._drains.get(address)
+                    if drain is None or self._participant is not participant:
+                        continue
+                    after = drain.deliver(arrivals.repeats)
+                    if after is not None:
+                        arrivals.look_again(address, after)
                 if graph_changed:
                     self._on_graph_change()
         except Exception as error:  # noqa: BLE001 — no error may end the thread unnoticed
@@ -368,7 +374,7 @@ class RosNode:
             self._drains = {}
             self._retired.clear()
         for endpoint in endpoints:
-            endpoint.close()
+            participant.free(endpoint)
         for writer in writers:
             writer.close(wait=True)
         with self._asking:
@@ -380,7 +386,7 @@ class Drain(Generic[_Taken]):
 
     Attributes:
         endpoint: which the thread frees.
-        rests_until: the thread leaves the endpoint alone until then (`time.monotonic`).
+        rests_until: the endpoint's last rest ends then (`time.monotonic`).
     """
 
     def __init__(
@@ -408,26 +414,33 @@ class Drain(Generic[_Taken]):
         self._delivering = threading.RLock()  # a sink may close its own endpoint
         self._closed = False
 
-    def deliver(self) -> bool:
-        """Take one batch and hand it on. Return whether the endpoint has to rest, as DDS gave nothing."""
+    def deliver(self, repeats: bool) -> float | None:
+        """Take one batch and hand it on.
+
+        Args:
+            repeats: see `rsb_bridge.ros.arrivals.Arrivals`.
+
+        Returns:
+            The time after which to look again, or None if that is needed only once something comes.
+        """
         with self._delivering:
             if self._closed:
-                return False
+                return None
             try:
                 batch = self._take(BATCH)
                 if batch is None:
-                    return self._rests_now()
+                    return self._rest() if repeats or self.endpoint.has_more else None
             except RosError as error:
                 self.close()
                 if self._on_failure is not None:
                     self._on_failure(error)
-                return False
+                return None
             self._rests = 0
             if batch:  # all of it may have been our own messages
                 self._sink(batch)
-            return False
+            return 0.0 if self.endpoint.has_more else None
 
-    def _rests_now(self) -> bool:
+    def _rest(self) -> float:
         """Note that nothing was given. If that happens too often, let the endpoint rest: it would go on for ever.
 
         Raises:
@@ -438,14 +451,15 @@ class Drain(Generic[_Taken]):
             self._given_nothing, self._counted_from = 0, now
         self._given_nothing += 1
         if self._given_nothing <= _NOTHING_A_SECOND:
-            return False
+            return 0.0
         if now > self.rests_until + _RECOVERED_AFTER:
             self._rests = 0
         if self._rests == _RESTS:
             raise RosError(RosProblem.NOTHING_GIVEN())
-        self.rests_until = now + _FIRST_REST * 2**self._rests
+        rest = float(_FIRST_REST * 2**self._rests)
+        self.rests_until = now + rest
         self._rests += 1
-        return True
+        return rest
 
     def close(self) -> None:
         """Take no more. The sink is not called again after this returns."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 import threading
-from collections import Counter
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from rclpy.context import Context
@@ -15,15 +13,10 @@ from rclpy.context import Context
 from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.arrivals import EventArrivals, WaitSetArrivals
 from rsb_bridge.ros.distribution import described
 from rsb_bridge.ros.native.description_service import ask_node
-from rsb_bridge.ros.native.librcl import (
-    TakeBuffer,
-    WaitSetHead,
-    add_guard_condition,
-    graph_guard_condition,
-    reset_error,
-)
+from rsb_bridge.ros.native.librcl import TakeBuffer, graph_guard_condition, reset_error
 from rsb_bridge.ros.native.rcl_endpoints import endpoint_of, safe_type_name
 from rsb_bridge.ros.native.rclpy_extension import (
     PUBLISHERS,
@@ -33,9 +26,7 @@ from rsb_bridge.ros.native.rclpy_extension import (
     Handle,
     LivelinessOfPublishers,
     ask,
-    guard_condition,
     reason_of,
-    wait_set,
 )
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
@@ -44,7 +35,6 @@ from rsb_bridge.ros.service_endpoints import (
     CallerTable,
     RawServiceClient,
     RawServiceServer,
-    ServiceEndpoint,
     TypedClient,
     TypedServer,
     callers_in_graph,
@@ -55,12 +45,13 @@ from rsb_bridge.ros.topic_endpoints import Reader, Writer
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.ros.arrivals import Arrivals, Incoming
     from rsb_bridge.ros.native.named_types import BorrowedType
     from rsb_bridge.ros.native.rclpy_extension import Entity, Kind, Question
     from rsb_bridge.ros.ros_interface import TopicSpec
 
-_TRY_AGAIN_NS = 100_000_000
-"""After that, kept answers are tried again if nothing happens before: half of the interval between two attempts."""
+_TRY_AGAIN = 0.1
+"""s. After that, kept answers are tried again if nothing happens before: half of the interval between two attempts."""
 _DIFFERENT_LEASES = 1000
 """Readers that may have the same lease at a time. A round figure: the last one's is 1 ms longer."""
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
@@ -69,15 +60,12 @@ _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
 """The QoS of all services, with a greater depth: simultaneous calls must not displace each other."""
 
 
-Incoming: TypeAlias = Reader | ServiceEndpoint
-"""An endpoint that messages, requests or responses come to. Its `kind` is what it is in a wait set."""
-
-
 class Participant:
     """Our one node in one domain.
 
     Attributes:
         shortfalls: what does not work with this ROS, in an operator's words.
+        arrivals: which endpoints something has come to.
 
     The graph may be asked from any thread; `wait`, and to take from endpoints, belong to one thread.
     """
@@ -99,16 +87,10 @@ class Participant:
             raise RosError(f"ROS domain {domain_id} cannot be joined: {reason_of(error)}") from error
         self.shortfalls = found.shortfalls
         self._name = self._node.handle.get_fully_qualified_name()
-        self._guard = guard_condition(self._context)
-        self._graph_guard = graph_guard_condition(self._node.handle.pointer)
-        self._graph_guard_index = ctypes.c_size_t()
-        self._waited_for: tuple[Incoming, ...] = ()
-        self._capacity: Counter[str] = Counter()
-        self._adding: list[tuple[Callable[[Any], object], Any]] = []  # the wait set's methods, and what they add
-        self._kinds: tuple[str, ...] = ()
+        tells = WaitSetArrivals if found.no_arrivals else EventArrivals
+        self.arrivals: Arrivals = tells(self._context, graph_guard_condition(self._node.handle.pointer))
         self._graph_version = 0
         self._late: dict[RawServiceServer, None] = {}
-        self._waits = self._wait_set(self._capacity)
         self._buffer = TakeBuffer()
         self._lease_numbers = itertools.count()
         # The middleware has a participant's entities locked while it asks a type support that is in Python, where the
@@ -118,8 +100,7 @@ class Participant:
     def leave(self) -> None:
         """Leave the domain; every endpoint is closed before."""
         self._buffer.free()
-        for handle in (self._waits, self._guard):
-            handle.destroy_when_not_in_use()
+        self.arrivals.close()
         self._node.destroy()
         self._context.shutdown()
         self._context.destroy()
@@ -207,46 +188,19 @@ class Participant:
         name: str = handle.rclpy.service_name
         return RawServiceClient(handle, name) if borrowed.raw else TypedClient(handle, name, borrowed.type.interface)
 
-    def wait(self, endpoints: tuple[Incoming, ...], longest: float | None = None) -> tuple[list[int], bool]:
-        """Block until something came to an endpoint, the graph changes, `wake` is called, or `longest` s are over.
-
-        What is quick here is felt by every message and call. It is quickest where `endpoints` is what it was last time.
-
-        Returns:
-            The addresses of the endpoints with new messages or calls, and whether a node or an endpoint came or went.
-        """
-        if endpoints is not self._waited_for:
-            self._wait_for(endpoints)
-        waits = self._waits
-        waits.clear_entities()
-        waits.add_guard_condition(self._guard)
-        # By rcl, because rclpy has no object for the guard condition of the graph.
-        add_guard_condition(waits.pointer, self._graph_guard, self._graph_guard_index)
-        for add, handle in self._adding:
-            add(handle)
-        within = -1 if longest is None else int(longest * 1e9)  # rcl waits without end
-        waits.wait(_TRY_AGAIN_NS if self._late else within)
-        head = WaitSetHead.from_address(waits.pointer)
-        graph_changed = bool(head.guard_conditions[self._graph_guard_index.value])
+    def wait(self, longest: float | None = None) -> tuple[list[int], bool]:
+        """Wait as `Arrivals.wait` does, and try late answers again."""
+        addresses, graph_changed = self.arrivals.wait(_TRY_AGAIN if self._late else longest)
         # Before the late answers, which look for their callers in the graph as it is now.
         self._graph_version += graph_changed
         if self._late:
             self._try_again()
-        addresses: list[int] = []
-        for kind in self._kinds:
-            addresses += waits.get_ready_entities(kind)
         return addresses, graph_changed
 
-    def _wait_for(self, endpoints: tuple[Incoming, ...]) -> None:
-        self._waited_for = endpoints
-        capacity = Counter[str](each.kind for each in endpoints)
-        if capacity != self._capacity:
-            self._waits.destroy_when_not_in_use()
-            self._waits, self._capacity = self._wait_set(capacity), capacity
-        waits = self._waits
-        add = {"subscription": waits.add_subscription, "client": waits.add_client, "service": waits.add_service}
-        self._adding = [(add[each.kind], each.handle.rclpy) for each in endpoints]
-        self._kinds = tuple(capacity)
+    def free(self, endpoint: Incoming) -> None:
+        """Free an endpoint, on the thread that waits."""
+        self.arrivals.remove(endpoint)
+        endpoint.close()
 
     def _try_again(self) -> None:
         """Try late answers again."""
@@ -258,16 +212,7 @@ class Participant:
 
     def wake(self) -> None:
         """Make `wait` return, now or the next time it is called. From any thread."""
-        self._guard.trigger_guard_condition()
-
-    def _wait_set(self, capacity: Counter[str]) -> Any:
-        return wait_set(
-            self._context,
-            subscriptions=capacity["subscription"],
-            guards=2,
-            clients=capacity["client"],
-            services=capacity["service"],
-        )
+        self.arrivals.wake()
 
     def _have_tried(self, server: RawServiceServer) -> None:
         """Have `wait` try a server's late answers again."""

@@ -44,6 +44,7 @@ class RosProblem(Wording):
     MESSAGE_TOO_SHORT = "a serialized message has at least 4 bytes, not {length}"
     NOT_TAKEN = "{topic}: a message could not be taken (rcl error {code})"
     NOTHING_GIVEN = "DDS announces messages and gives none, by a fault of the middleware (docs/support.md)"
+    ARRIVALS_NOT_TOLD = "DDS does not tell of messages that come (rcl error {code})"
     CLOSED = "the publisher is closed"
     NO_STRINGS = "std_msgs is not installed: install {package}"
     LACKS = (

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import sys
 import threading
 import time
@@ -24,6 +25,8 @@ from rsb_bridge.ros.distribution import described, package_of
 from rsb_bridge.ros.native.cyclone_dds import CYCLONE_DDS
 from rsb_bridge.ros.native.fast_cdr import copies_calls
 from rsb_bridge.ros.native.librcl import (
+    EVENTFD_WRITE,
+    ON_ARRIVAL,
     PUBLICATION_NUMBERS,
     TakeBuffer,
     WaitSetHead,
@@ -71,6 +74,9 @@ _PAYLOAD = b"\0\1\0\0\4\0\0\0rsb\0"
 """A std_msgs/msg/String, serialized."""
 _WITHIN = 1.0
 """s. A round figure: the whole test takes 15 ms, and what does not come within it is not held against ROS."""
+_ARRIVALS = "rmw_subscription_set_on_new_message_callback"
+"""The only one that is tried: a middleware that has it has those of services and clients, and to load an installed
+service takes 0.2 s."""
 _RECENT = 60 * 10**9
 """ns. A round figure: in another layout, the field has any number of 64 bits."""
 
@@ -89,6 +95,10 @@ class Shortfall(Wording):
     )
     MESSAGES = "{distribution} does not carry messages of types that are not installed ({error})"
     CALLS = "{distribution} does not carry calls of types that are not installed ({error})"
+    NO_ARRIVALS = (
+        "{distribution} with {middleware} does not tell which topic a message came to ({error}): each message costs "
+        "more, the more topics there are"
+    )
     PUBLIC_CLASSES = (
         "the inside of {distribution} differs from what this rsb-console knows ({error}): it uses rclpy's public "
         "classes, and its node publishes /parameter_events"
@@ -102,6 +112,7 @@ class Findings(NamedTuple):
         public_only: the reason why rclpy's public classes are used, or an empty string.
         no_messages: the reason why messages of types that are not installed can't be carried, or an empty string.
         no_numbers: the reason why neither losses in DDS nor depths of latched topics are known, or an empty string.
+        no_arrivals: the reason why a wait set finds what has come (`rsb_bridge.ros.arrivals`), or an empty string.
     """
 
     node: Callable[[str, Context], OwnNode]
@@ -110,11 +121,13 @@ class Findings(NamedTuple):
     no_messages: str = ""
     no_calls: str = ""
     no_numbers: str = ""
+    no_arrivals: str = ""
 
     @property
     def shortfalls(self) -> tuple[str, ...]:
         """The reasons that operators should know."""
-        return tuple(dict.fromkeys(filter(None, (self.public_only, self.no_messages, self.no_calls, self.no_numbers))))
+        reasons = self.public_only, self.no_messages, self.no_calls, self.no_numbers, self.no_arrivals
+        return tuple(dict.fromkeys(filter(None, reasons)))
 
 
 class _DiffersError(Exception):
@@ -164,7 +177,7 @@ def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Finding
         )
     else:
         no_calls = Shortfall.NO_CALLS(middleware=middleware)
-    return Findings(node, middleware, "", no_messages, no_calls, no_numbers)
+    return Findings(node, middleware, "", no_messages, no_calls, no_numbers, _no_arrivals(node, context, string))
 
 
 @contextmanager
@@ -202,6 +215,16 @@ def _why_not(
     return ""
 
 
+def _no_arrivals(node: Callable[[str, Context], OwnNode], context: Context, string: type) -> str:
+    try:
+        _try(node, context, _arrivals_are_told, string)
+    except (RosError, _DiffersError) as error:
+        return Shortfall.NO_ARRIVALS(
+            distribution=described(), middleware=get_rmw_implementation_identifier(), error=reason_of(error)
+        )
+    return ""
+
+
 def _try(
     node: Callable[[str, Context], OwnNode],
     context: Context,
@@ -220,7 +243,7 @@ class _Endpoints:
     def __init__(self, node: OwnNode, context: Context, ending: ExitStack) -> None:
         self.node = node
         self._context = context
-        self._ending = ending
+        self.ending = ending
         self._entities = threading.RLock()
 
     def make(self, kind: Kind, interface: type) -> Handle:
@@ -228,7 +251,7 @@ class _Endpoints:
         return Handle(entity, nothing, self._entities)
 
     def closed_at_end(self, endpoint: Any) -> None:
-        self._ending.callback(endpoint.close)
+        self.ending.callback(endpoint.close)
 
     def wait(self, kind: Kind, handle: Handle, take: Callable[[], Sequence[Any] | None]) -> Any:
         """Return the first thing that comes, or None if nothing comes."""
@@ -270,6 +293,26 @@ def _messages_cross(endpoints: _Endpoints, interface: type) -> None:
     known = taken.gid == writer.gid and taken.number in {0, 1}
     if not known or (taken.source and abs(taken.source - time.time_ns()) > _RECENT):
         raise _DiffersError("rmw_message_info_t")
+
+
+def _arrivals_are_told(endpoints: _Endpoints, interface: type) -> None:
+    """Publish a message, and wait for its event. If a middleware takes too long, the test passes."""
+    if sys.maxsize < 2**32:  # `EVENTFD_WRITE`
+        raise _DiffersError("eventfd_write")
+    descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+    endpoints.ending.callback(os.close, descriptor)
+    reader = Reader(endpoints.make("subscription", interface), TakeBuffer(), frozenset())
+    endpoints.closed_at_end(reader)
+    if ON_ARRIVAL["subscription"](reader.handle.address, EVENTFD_WRITE, descriptor):
+        reset_error()
+        raise _DiffersError(_ARRIVALS)
+    endpoints.ending.callback(ON_ARRIVAL["subscription"], reader.handle.address, None, None)
+    writer = Writer(endpoints.make("publisher", interface))
+    endpoints.closed_at_end(writer)
+    writer.publish(_PAYLOAD)
+    told, _, _ = select.select([descriptor], [], [], _WITHIN)
+    if not told and reader.take(1, ()):
+        raise _DiffersError(_ARRIVALS)
 
 
 def _calls_cross(endpoints: _Endpoints, interface: type) -> None:

@@ -170,13 +170,18 @@ class CallerTable:
 
 
 class ServiceEndpoint:
-    """A server or a client. One thread takes from it and frees it; any thread sends with it."""
+    """A server or a client. One thread takes from it and frees it; any thread sends with it.
+
+    Attributes:
+        has_more: whether the last take may have left something.
+    """
 
     kind: Literal["service", "client"]
 
     def __init__(self, handle: Handle, name: str) -> None:
         self.handle = handle
         self.name = name
+        self.has_more = False
         self._using = threading.Lock()
         self._closed = False
 
@@ -194,6 +199,7 @@ class ServiceEndpoint:
             RosError: rcl failed at the first of them.
         """
         taken: list[Any] = []
+        self.has_more = True
         while len(taken) < limit:
             try:
                 one = self._take()
@@ -202,6 +208,7 @@ class ServiceEndpoint:
                     break
                 raise
             if one is None:
+                self.has_more = False
                 break
             taken.append(one)
         return taken or None

@@ -59,6 +59,7 @@ class Reader:
     Attributes:
         lost: missing messages: between taken ones, and before the first of a publisher that came after the
             subscription.
+        has_more: whether the last take may have left something.
     """
 
     kind: Literal["subscription"] = "subscription"
@@ -80,6 +81,7 @@ class Reader:
         self.handle = handle
         self.topic: str = handle.rclpy.get_topic_name()
         self.lost = 0
+        self.has_more = False
         self._buffer = buffer
         self._info = ctypes.create_string_buffer(INFO_ROOM)
         self._last_size = 0  # bytes that the last message had
@@ -102,6 +104,7 @@ class Reader:
         buffer_reference, unpack = ctypes.byref(buffer), MESSAGE_INFO.unpack_from
         taken: list[RawMessage] = []
         size = 0
+        self.has_more = True
         for _ in range(limit):
             if size >= _ENOUGH:
                 break
@@ -110,6 +113,7 @@ class Reader:
             code = take(address, buffer_reference, info, None)
             if code:
                 if code == TAKE_FAILED:
+                    self.has_more = False
                     break
                 reset_error()
                 if taken:  # they have been counted; the next take meets an error that lasts

@@ -69,6 +69,14 @@ def _held() -> int:
     return os.stat(_OWN).st_size or len(os.listdir(_OWN))  # noqa: PTH116, PTH208 -- half the time
 
 
+def for_arrivals(limit: int) -> int:
+    """Return how many of so many descriptors tell of arrivals from ROS, one an endpoint; beyond, endpoints share one.
+
+    Half of them: without one, a message costs a little more, while a link without one does not come about.
+    """
+    return limit // 2
+
+
 def scarcity_message(side: str) -> str:
     """Return the reason why a route has no stream and the remedy, for the operators of both sides.
 

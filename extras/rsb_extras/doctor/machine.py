@@ -33,6 +33,7 @@ from rsb_bridge.feature import installed
 from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport.descriptors import for_arrivals
 from rsb_bridge.transport.tcp import BBR, congestion_control, prefer_bbr
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers, granted_receive_buffer
@@ -98,7 +99,7 @@ class MachineText(Wording):
     RULES_REMEDY = "sudo nft list ruleset shows them"
     FIREWALL_UNREADABLE = "only root may read the rules"
     NO_NFT = "the program nft is not installed, so the rules cannot be read"
-    DESCRIPTORS_FEW = "only {limit:,} open files at most: each TCP link takes three on either side"
+    DESCRIPTORS_FEW = "only {limit:,} open files: three a TCP link; beyond {own:,} topics, messages cost more"
     DESCRIPTORS_REMEDY = "raise the hard limit: LimitNOFILE=65536 under systemd, ulimit -Hn in a shell"
     DISK = "{free:,} MB are free for the history and events in {folder}"
 
@@ -385,7 +386,10 @@ def _descriptors() -> Iterator[Finding]:
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     limit = hard if hard != resource.RLIM_INFINITY else 1 << 30
     if limit < _FEW_DESCRIPTORS:
-        text, remedy = MachineText.DESCRIPTORS_FEW(limit=limit), MachineText.DESCRIPTORS_REMEDY()
+        text, remedy = (
+            MachineText.DESCRIPTORS_FEW(limit=limit, own=for_arrivals(limit)),
+            MachineText.DESCRIPTORS_REMEDY(),
+        )
         yield Finding("descriptors", Grade.WARNING, "open files", text, remedy, {"limit": limit})
     else:
         yield Finding("descriptors", Grade.OK, "open files", f"{limit:,} open files at most", facts={"limit": limit})

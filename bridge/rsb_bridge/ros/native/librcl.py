@@ -202,6 +202,20 @@ class WaitSetHead(ctypes.Structure):
 graph_guard_condition = function("rcl_node_get_graph_guard_condition", _POINTER, returns=_POINTER)
 add_guard_condition = function("rcl_wait_set_add_guard_condition", _POINTER, _POINTER, ctypes.POINTER(ctypes.c_size_t))
 
+ON_ARRIVAL: Final = {
+    kind: function(name, _POINTER, _POINTER, _POINTER)
+    for kind, name in (
+        ("subscription", "rcl_subscription_set_on_new_message_callback"),
+        ("service", "rcl_service_set_on_new_request_callback"),
+        ("client", "rcl_client_set_on_new_response_callback"),
+    )
+}
+"""Have DDS call a C function on its threads when something comes to an endpoint, with a pointer and a count. Given the
+endpoint's address, the function and the pointer, or None twice: the function has returned, and is called no more."""
+EVENTFD_WRITE: Final = ctypes.cast(ctypes.CDLL(None).eventfd_write, _POINTER)
+"""libc's `eventfd_write` is such a function, where a pointer and a count are passed as it takes a descriptor and 64
+bits: on 64-bit computers."""
+
 # --- messages
 
 feature_supported = function("rmw_feature_supported", ctypes.c_int, returns=ctypes.c_bool)

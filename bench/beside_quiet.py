@@ -1,0 +1,211 @@
+"""The price of a message beside quiet topics, for `bench.quiet table`.
+
+Each bed has two linked sides of ours, a talker and a listener of one topic, and quiet topics beside it: a publisher and
+a subscription each, and no message. All beds stand at once, each in two ROS domains of its own, and take turns.
+``--other FOLDER`` adds the same beds of another checkout, in the same turns; ``--many 100`` adds a bed of so many
+topics at 10 Hz of 500 B each.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from bench import bed
+from bench.figures import Figures, in_turn
+
+from rsb_bridge.cdr.known_types import STRING, STRING_HASH, stamped_string
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_extras.bench import loopback
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+QUIET = (0, 50, 200, 500)
+RATES = ((100, 2.0), (1_000, 1.0), (5_000, 1.0))
+"""Hz, and s of a burst."""
+_SIZE = 2_500
+_DOMAINS = range(66, 100, 2)
+_IDLE_SECONDS = 10.0
+_MANY_RATE, _MANY_SIZE, _MANY_SECONDS = 10.0, 500, 10.0
+_KEPT_UP = 0.9
+
+
+class Plan(NamedTuple):
+    """A bed to be made.
+
+    Attributes:
+        folder: a checkout of the bridge, or an empty string for this one.
+        busy: topics with messages.
+        quiet: topics without.
+    """
+
+    folder: str
+    busy: int
+    quiet: int
+
+    @property
+    def name(self) -> str:
+        topics = f"{self.busy} × {_MANY_RATE:g} Hz" if self.busy > 1 else f"{self.quiet} quiet"
+        return f"{topics}, other" if self.folder else topics
+
+
+def main(arguments: Sequence[str]) -> None:
+    parser = argparse.ArgumentParser(prog="python -m bench.quiet table")
+    parser.add_argument("rounds", nargs="?", type=int, default=3)
+    parser.add_argument("--quiet", default=",".join(map(str, QUIET)), help="numbers of quiet topics")
+    parser.add_argument("--many", type=int, default=0)
+    parser.add_argument("--other", default="")
+    parser.add_argument("--settles", type=float, default=0.0, help="s after all is open: routes rest after 140")
+    options = parser.parse_args(arguments)
+    folders = ["", *filter(None, [options.other])]
+    plans = [Plan(folder, 1, int(count)) for count in options.quiet.split(",") for folder in folders]
+    plans += [Plan(folder, options.many, 0) for folder in folders if options.many]
+    figures = Figures()
+    with contextlib.ExitStack() as stack:
+        beds = {
+            plan: stack.enter_context(_standing(plan, domain)) for plan, domain in zip(plans, _DOMAINS, strict=False)
+        }
+        time.sleep(options.settles)
+        _measure_idle(figures, beds)
+        for number in range(options.rounds):
+            for turn, (rate, seconds) in enumerate(RATES):
+                for name in in_turn([plan.name for plan in plans if plan.busy == 1], number + turn):
+                    plan = next(each for each in plans if each.name == name)
+                    _measure(figures, number, plan, beds[plan], rate, seconds)
+            for plan in plans:
+                if plan.busy > 1:
+                    _measure_many(figures, number, plan, beds[plan])
+        for plan, each in beds.items():
+            for at, process in enumerate(each.between):
+                figures.add(0, plan.name, f"memory {at}", process.memory())
+    _print(figures, plans)
+
+
+@contextlib.contextmanager
+def _standing(plan: Plan, near: int) -> Iterator[bed.Bed]:
+    far = near + 1
+    busy = [bed.TOPIC] if plan.busy == 1 else [f"{bed.TOPIC}_{number}" for number in range(plan.busy)]
+    quiet = [f"/quiet/topic_{number}" for number in range(plan.quiet)]
+    environ = {}
+    if plan.folder:
+        parts = [*(str(Path(plan.folder) / part) for part in ("bridge", "console", "extras")), str(bed.ROOT)]
+        environ["PYTHONPATH"] = os.pathsep.join(parts)
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        write_key(Path(folder) / "bench.key")
+        if plan.busy == 1:
+            made = stack.enter_context(loopback.ends(near, far))
+        else:
+            talker = stack.enter_context(bed.Process("-m", "bench.quiet", "talk", str(near), *busy))
+            listener = stack.enter_context(bed.Process("-m", loopback.TRAFFIC, "listen", str(far), *busy))
+            made = bed.Bed(talker, listener)
+        if quiet:
+            for part, domain in (("publish", near), ("subscribe", far)):
+                process = stack.enter_context(bed.Process("-m", "bench.quiet", part, str(domain), *quiet))
+                process.line()
+        port = bed.free_port()
+        for role, names in (("server", []), ("client", [*busy, *quiet])):
+            side = [role, folder, str(port), str(near if role == "client" else far), *names]
+            process = stack.enter_context(bed.Process("-m", "bench.quiet_side", *side, environ=environ))
+            process.line()
+            made.between.insert(0, process)
+        made.between[0].ask("open")
+        yield bed.ready(made) if plan.busy == 1 else made
+
+
+def _measure_idle(figures: Figures, beds: dict[Plan, bed.Bed]) -> None:
+    before, began = {plan: [each.cpu() for each in made.between] for plan, made in beds.items()}, time.monotonic()
+    time.sleep(_IDLE_SECONDS)
+    percent = 100 / (time.monotonic() - began)
+    for plan, made in beds.items():
+        for at, process in enumerate(made.between):
+            figures.add(0, plan.name, f"idle {at}", (process.cpu() - before[plan][at]) * percent)
+
+
+def _measure(figures: Figures, number: int, plan: Plan, made: bed.Bed, rate: int, seconds: float) -> None:
+    made.send(rate, 0.2, _SIZE)  # the beds before it have emptied the caches
+    for side in made.between:
+        side.ask("turn")
+    run = made.send(rate, seconds, _SIZE)
+    figures.add(number, plan.name, f"{rate} lost", 100 * (run.sent - run.received) / run.sent)
+    figures.add(number, plan.name, f"{rate} p99", run.p99)
+    figures.add(number, plan.name, f"{rate} turn", max(side.ask("turn")["longest"] for side in made.between))
+    if run.rate >= _KEPT_UP * rate:
+        figures.add(number, plan.name, f"{rate} CPU", sum(run.sides) / run.sent * 1e6)
+
+
+def _measure_many(figures: Figures, number: int, plan: Plan, made: bed.Bed) -> None:
+    made.talker.ask("talk 1")
+    made.listener.ask("reset")
+    before = [side.cpu() for side in made.between]
+    seconds = made.talker.ask(f"talk {_MANY_SECONDS}")["seconds"]
+    for at, (side, then) in enumerate(zip(made.between, before, strict=True)):
+        figures.add(number, plan.name, f"many {at}", 100 * (side.cpu() - then) / seconds)
+    report = made.listener.ask("report")
+    for name in ("p50", "p99"):
+        figures.add(number, plan.name, f"many {name}", report[name] / 1e6)
+
+
+def _print(figures: Figures, plans: Sequence[Plan]) -> None:
+    def cell(name: str, quantity: str, form: str = ",.0f") -> str:
+        spread = figures.spread(name, quantity)
+        return "–" if spread is None else f"{spread.middle:{form}} ({spread.low:{form}}–{spread.high:{form}})"
+
+    for plan in plans:
+        name = plan.name
+        idle, memory = ([figures.spread(name, f"{what} {at}") for at in (0, 1)] for what in ("idle", "memory"))
+        print(f"{name}: idle {_pair(idle, '.2f')} % of a core, {_pair(memory, '.0f')} MB")
+        if plan.busy > 1:
+            print(f"  {cell(name, 'many 0', '.1f')} + {cell(name, 'many 1', '.1f')} % of a core, "
+                  f"p50 {cell(name, 'many p50', '.2f')}, p99 {cell(name, 'many p99', '.1f')} ms")  # fmt: skip
+            continue
+        first = plan._replace(quiet=plans[0].quiet).name
+        for rate, _ in RATES:
+            ratio = figures.ratio(name, f"{rate} CPU", first)
+            print(
+                f"  {rate:>5,} Hz: {cell(name, f'{rate} CPU'):<22} µs a message, "
+                f"{'–' if ratio is None else f'{ratio.middle:.2f}':>5} × as beside {plans[0].quiet}, "
+                f"p99 {cell(name, f'{rate} p99', '.1f')} ms, longest turn {cell(name, f'{rate} turn', '.1f')} ms, "
+                f"lost {cell(name, f'{rate} lost', '.1f')} %"
+            )
+
+
+def _pair(spreads: Sequence[object], form: str) -> str:
+    return " + ".join(f"{spread.middle:{form}}" for spread in spreads if spread is not None)  # type: ignore[attr-defined]
+
+
+def ends(part: str, domain: int, names: Sequence[str]) -> None:
+    """Be the publishers, the subscriptions or the talker of many topics, until standard input ends."""
+    node = RosNode(domain, f"bench_{part}")
+    node.start()
+    specs = [TopicSpec(name, STRING, STRING_HASH, Qos()) for name in names]
+    if part == "subscribe":
+        held: list[object] = [node.subscribe(spec, lambda _: None, "bench") for spec in specs]
+    else:
+        publishers = [node.advertise(spec, "bench") for spec in specs]
+        held = [*publishers]
+    if part != "talk":
+        print(f'{{"held": {len(held)}}}', flush=True)
+        sys.stdin.read()
+        return
+    pause = threading.Event()
+    for line in sys.stdin:
+        seconds, began, sent = float(line.split()[1]), time.monotonic(), 0
+        interval = 1 / _MANY_RATE / len(publishers)
+        while (passed := time.monotonic() - began) < seconds:
+            while sent * interval < passed:
+                publishers[sent % len(publishers)].publish(stamped_string(_MANY_SIZE))
+                sent += 1
+            pause.wait(interval)
+        print(f'{{"seconds": {time.monotonic() - began}}}', flush=True)

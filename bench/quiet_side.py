@@ -1,0 +1,74 @@
+"""One side of ours for `bench.quiet table`: ``python -m bench.quiet_side ROLE FOLDER PORT DOMAIN TOPIC...``.
+
+It says that it has started, and answers lines: ``open`` once all topics are open, ``turn`` with the most CPU time (ms)
+that the loop's thread has used between two waits since it was asked last.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from rsb_bridge.engine import Engine, io_loop
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.ros.node import RosNode
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.session import Role
+
+_OPEN_WITHIN = 180.0
+
+
+class Turns:
+    """Notes the longest turn of the loop, except for what a socket's reader does during the wait."""
+
+    def __init__(self) -> None:
+        self.longest = 0.0
+        self._began = 0.0
+        self._select: Any = io_loop._Selector.select
+        io_loop._Selector.select = self._noted()  # type: ignore[method-assign]
+
+    def _noted(self) -> Any:
+        def select(selector: Any, timeout: float | None = None) -> Any:
+            if self._began:
+                self.longest = max(self.longest, time.thread_time() - self._began)
+            found = self._select(selector, timeout)
+            self._began = time.thread_time()
+            return found
+
+        return select
+
+
+def main() -> None:
+    role, folder, port, domain, *names = sys.argv[1:]
+    turns = Turns()
+    session = Session(
+        name="bench", role=cast("Role", role), server_ip="127.0.0.1", server_port=int(port), domain_id=int(domain),
+        key_file="bench.key", topics=tuple(Topic(name, "transmit", type="std_msgs/msg/String") for name in names),
+    )  # fmt: skip
+    engine = Engine(session, base=Path(folder), ros=RosNode(int(domain), role))
+    engine.start()
+    print("{}", flush=True)
+    for line in sys.stdin:
+        answer: dict[str, float] = {}
+        if line.strip() == "open":
+            _wait_until_open(engine, len(names))
+        else:
+            answer["longest"], turns.longest = turns.longest * 1000, 0.0
+        print(json.dumps(answer), flush=True)
+
+
+def _wait_until_open(engine: Engine, count: int) -> None:
+    deadline = time.monotonic() + _OPEN_WITHIN
+    while sum(event.code is EventCode.ROUTE_CONNECTED for event in engine.events()) < count:
+        if time.monotonic() > deadline:
+            raise SystemExit("the topics do not open")
+        time.sleep(0.1)
+
+
+if __name__ == "__main__":
+    main()

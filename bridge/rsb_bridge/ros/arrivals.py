@@ -1,0 +1,351 @@
+"""The endpoints that something has come to, as DDS tells: by events, or where it tells no events, by a wait set.
+
+By events, DDS calls libc's `eventfd_write` with the endpoint's own descriptor, and one epoll waits for all of them. So
+no code of ours runs on DDS's threads, nobody there wants the GIL, and endpoints that have nothing to say cost nothing.
+A wait set is handed every endpoint at each wait: with 200 quiet ones beside it, a message costs twice as much.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import resource
+import select
+import threading
+import time
+from collections import Counter
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+
+from rsb_bridge.ros.native.librcl import (
+    EVENTFD_WRITE,
+    ON_ARRIVAL,
+    WaitSetHead,
+    add_guard_condition,
+    reset_error,
+)
+from rsb_bridge.ros.native.rclpy_extension import guard_condition, wait_set
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
+from rsb_bridge.transport.descriptors import for_arrivals
+
+if TYPE_CHECKING:
+    from rclpy.context import Context
+
+    from rsb_bridge.ros.service_endpoints import ServiceEndpoint
+    from rsb_bridge.ros.topic_endpoints import Reader
+
+    Incoming: TypeAlias = Reader | ServiceEndpoint
+    """An endpoint that messages, requests or responses come to. Its `kind` is what it is in a wait set."""
+
+_JOIN_WITHIN = 1.0
+"""s. A round figure: the thread has only to return from its wait."""
+
+
+class Arrivals(Protocol):
+    """Waits for endpoints. `wait`, `look_again` and `remove` belong to one thread.
+
+    Attributes:
+        repeats: whether an endpoint is reported for as long as it has something, or else once for what came.
+    """
+
+    repeats: bool
+
+    def add(self, endpoint: Incoming) -> None:
+        """Report an endpoint from now on, also for what it has already. From any thread.
+
+        Raises:
+            RosError: rcl refused it.
+        """
+
+    def remove(self, endpoint: Incoming) -> None:
+        """Report an endpoint no more. To be called before it is freed, and does nothing for one that was not added."""
+
+    def look_again(self, address: int, after: float) -> None:
+        """Report an endpoint once more after some time, and not before, as the last look may have left something."""
+
+    def wait(self, longest: float | None) -> tuple[list[int], bool]:
+        """Block until something comes, the graph changes, `wake` is called, or `longest` s are over.
+
+        What is quick here is felt by every message and call.
+
+        Returns:
+            The addresses of the reported endpoints, and whether a node or an endpoint of the graph came or went.
+        """
+
+    def wake(self) -> None:
+        """Make `wait` return, now or the next time it is called. From any thread."""
+
+    def close(self) -> None:
+        """Free what it waits with, after the endpoints."""
+
+
+class _Due:
+    """Endpoints that are to be looked at again: at once, or after a rest."""
+
+    def __init__(self) -> None:
+        self._at: dict[int, float] = {}
+
+    def put(self, address: int, after: float) -> None:
+        self._at[address] = time.monotonic() + after if after else 0.0
+
+    def forget(self, address: int) -> None:
+        self._at.pop(address, None)
+
+    def __bool__(self) -> bool:
+        return bool(self._at)
+
+    def resting(self) -> set[int]:
+        now = time.monotonic()
+        return {address for address, at in self._at.items() if at > now}
+
+    def within(self, longest: float | None) -> float | None:
+        """Return how long to wait at most, so that the first of them is looked at in time."""
+        if not self._at:
+            return longest
+        first = max(0.0, min(self._at.values()) - time.monotonic())
+        return first if longest is None else min(first, longest)
+
+    def take(self) -> list[int]:
+        """Remove and return those whose time has come."""
+        now = time.monotonic()
+        due = [address for address, at in self._at.items() if at <= now]
+        for address in due:
+            del self._at[address]
+        return due
+
+
+class EventArrivals:
+    """Arrivals by events.
+
+    The descriptors are edge-triggered: epoll reports one after each write, so that none has to be read. A message that
+    comes while others are taken is reported after that, and may have been taken with them.
+
+    Beyond `for_arrivals`, endpoints share a descriptor, and all that do are looked at when something comes to one.
+    """
+
+    repeats = False
+
+    def __init__(self, context: Context, graph_guard: int) -> None:
+        self._by_descriptor: dict[int, int] = {}  # addresses
+        self._descriptors: dict[int, int] = {}  # by address; the shared one's, too
+        self._sharing: dict[int, None] = {}  # addresses
+        self._kept: set[int] = set()
+        self._due = _Due()
+        self._epoll = select.epoll()
+        self._wake, self._graph, self._shared = (self._descriptor() for _ in range(3))
+        self._watch = _GraphWatch(context, graph_guard, self._graph)
+
+    def add(self, endpoint: Incoming) -> None:
+        address = endpoint.handle.address
+        descriptor = self._own_descriptor()
+        if descriptor is None:
+            descriptor = self._shared
+            self._sharing[address] = None
+        else:
+            self._by_descriptor[descriptor] = address
+        self._descriptors[address] = descriptor
+        if code := ON_ARRIVAL[endpoint.kind](address, EVENTFD_WRITE, descriptor):
+            reset_error()
+            self._forget(address)
+            raise RosError(RosProblem.ARRIVALS_NOT_TOLD(code=code))
+        # What came before: rmw tells how much it was, but between its count and its listener it may miss a message.
+        os.eventfd_write(descriptor, 1)
+
+    def remove(self, endpoint: Incoming) -> None:
+        address = endpoint.handle.address
+        if address not in self._descriptors:
+            return
+        # First: DDS has returned from `eventfd_write`, and calls it no more, when this returns. Each rmw has a lock for
+        # that. A number that was closed before could be a socket's by now.
+        if ON_ARRIVAL[endpoint.kind](address, None, None):
+            reset_error()
+            self._kept.add(self._descriptors[address])
+        self._forget(address)
+
+    def _forget(self, address: int) -> None:
+        self._due.forget(address)
+        self._sharing.pop(address, None)
+        descriptor = self._descriptors.pop(address)
+        if self._by_descriptor.pop(descriptor, None) is not None and descriptor not in self._kept:
+            self._epoll.unregister(descriptor)
+            os.close(descriptor)
+
+    def look_again(self, address: int, after: float) -> None:
+        self._due.put(address, after)
+
+    def wait(self, longest: float | None) -> tuple[list[int], bool]:
+        due = self._due
+        if not due:
+            found = self._epoll.poll(longest)
+            if len(found) == 1 and (address := self._by_descriptor.get(found[0][0])) is not None:
+                return [address], False
+            addresses: dict[int, None] = {}
+        else:
+            found = self._epoll.poll(due.within(longest))
+            addresses = dict.fromkeys(due.take())
+        graph_changed = False
+        for descriptor, _ in found:
+            if (address := self._by_descriptor.get(descriptor)) is not None:
+                addresses[address] = None
+            elif descriptor == self._graph:
+                self._watch.check()
+                graph_changed = True
+            elif descriptor == self._shared:
+                addresses |= self._sharing
+        # What rests is looked at after that, and so need not be remembered.
+        resting = due.resting() if due else ()
+        return [each for each in addresses if each not in resting], graph_changed
+
+    def wake(self) -> None:
+        os.eventfd_write(self._wake, 1)
+
+    def close(self) -> None:
+        self._watch.close()
+        for descriptor in {*self._by_descriptor, *self._kept, self._wake, self._graph, self._shared}:
+            os.close(descriptor)
+        self._epoll.close()
+
+    def _own_descriptor(self) -> int | None:
+        """Return a descriptor for one endpoint, or None if it has to share one."""
+        limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        if limit != resource.RLIM_INFINITY and len(self._by_descriptor) >= for_arrivals(limit):
+            return None
+        try:
+            return self._descriptor()
+        except OSError:  # the process, or the machine, has none left
+            return None
+
+    def _descriptor(self) -> int:
+        # Nobody reads it, and a write that would overflow must not block a thread of DDS.
+        descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        try:
+            self._epoll.register(descriptor, select.EPOLLIN | select.EPOLLET)
+        except OSError:
+            os.close(descriptor)
+            raise
+        return descriptor
+
+
+class _GraphWatch:
+    """A thread that sleeps until the graph changes. DDS tells no event of it, only a guard condition."""
+
+    def __init__(self, context: Context, graph_guard: int, descriptor: int) -> None:
+        """Begin.
+
+        Args:
+            descriptor: written to when the graph has changed, or when the thread has failed.
+        """
+        self._failure: Exception | None = None
+        self._ended = False
+        self._end = guard_condition(context)
+        self._thread = threading.Thread(
+            target=self._serve, args=(context, graph_guard, descriptor), name="ros graph", daemon=True
+        )
+        self._thread.start()
+
+    def check(self) -> None:
+        """Raise what has ended the thread."""
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        self._ended = True
+        self._end.trigger_guard_condition()
+        self._thread.join(_JOIN_WITHIN)
+        self._end.destroy_when_not_in_use()
+
+    def _serve(self, context: Context, graph_guard: int, descriptor: int) -> None:
+        try:
+            waits = wait_set(context, guards=2)
+            while not self._ended:
+                waits.clear_entities()
+                if _wait(waits, self._end, graph_guard, None):
+                    os.eventfd_write(descriptor, 1)
+            waits.destroy_when_not_in_use()
+        except Exception as error:  # noqa: BLE001 — no error may end the thread unnoticed
+            self._failure = error
+            os.eventfd_write(descriptor, 1)
+
+
+class WaitSetArrivals:
+    """Arrivals by a wait set."""
+
+    repeats = True
+
+    def __init__(self, context: Context, graph_guard: int) -> None:
+        self._context = context
+        self._graph_guard = graph_guard
+        self._woken = guard_condition(context)
+        self._endpoints: dict[int, Incoming] = {}  # by address
+        self._changed = False
+        self._due = _Due()
+        self._resting: set[int] = set()
+        self._capacity: Counter[str] = Counter()
+        self._adding: list[tuple[Any, Any]] = []  # the wait set's methods, and what they add
+        self._waits = self._wait_set(self._capacity)
+
+    def add(self, endpoint: Incoming) -> None:
+        self._endpoints[endpoint.handle.address] = endpoint
+        self._changed = True
+        self.wake()
+
+    def remove(self, endpoint: Incoming) -> None:
+        self._due.forget(endpoint.handle.address)
+        self._endpoints.pop(endpoint.handle.address, None)
+        self._changed = True
+
+    def look_again(self, address: int, after: float) -> None:
+        if after:  # else it is reported anyway
+            self._due.put(address, after)
+
+    def wait(self, longest: float | None) -> tuple[list[int], bool]:
+        resting: set[int] = set()
+        if self._due:
+            self._due.take()
+            resting, longest = self._due.resting(), self._due.within(longest)
+        if self._changed or resting != self._resting:
+            self._changed, self._resting = False, resting  # first, as another thread may add one meanwhile
+            self._wait_for([each for address, each in self._endpoints.copy().items() if address not in resting])
+        waits = self._waits
+        waits.clear_entities()
+        for add, handle in self._adding:
+            add(handle)
+        graph_changed = _wait(waits, self._woken, self._graph_guard, longest)
+        addresses: list[int] = []
+        for kind in self._capacity:
+            addresses += waits.get_ready_entities(kind)
+        return addresses, graph_changed
+
+    def wake(self) -> None:
+        self._woken.trigger_guard_condition()
+
+    def close(self) -> None:
+        for handle in (self._waits, self._woken):
+            handle.destroy_when_not_in_use()
+
+    def _wait_for(self, endpoints: list[Incoming]) -> None:
+        capacity = Counter[str](each.kind for each in endpoints)
+        if capacity != self._capacity:
+            self._waits.destroy_when_not_in_use()
+            self._waits, self._capacity = self._wait_set(capacity), capacity
+        waits = self._waits
+        add = {"subscription": waits.add_subscription, "client": waits.add_client, "service": waits.add_service}
+        self._adding = [(add[each.kind], each.handle.rclpy) for each in endpoints]
+
+    def _wait_set(self, capacity: Counter[str]) -> Any:
+        return wait_set(
+            self._context,
+            subscriptions=capacity["subscription"],
+            guards=2,
+            clients=capacity["client"],
+            services=capacity["service"],
+        )
+
+
+def _wait(waits: Any, guard: Any, graph_guard: int, longest: float | None) -> bool:
+    """Wait for a wait set's entities and for two guard conditions; return whether the graph has changed."""
+    waits.add_guard_condition(guard)
+    index = ctypes.c_size_t()
+    # By rcl, because rclpy has no object for the guard condition of the graph.
+    add_guard_condition(waits.pointer, graph_guard, index)
+    waits.wait(-1 if longest is None else int(longest * 1e9))  # rcl waits without end
+    return bool(WaitSetHead.from_address(waits.pointer).guard_conditions[index.value])
