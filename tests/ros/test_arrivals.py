@@ -19,7 +19,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.participant import Participant
-from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -200,6 +200,18 @@ def test_endpoints_share_where_none_is_left(participant: Participant, monkeypatc
     eventually(all_are_reported)
     for each in readers:
         participant.free(each)
+
+
+def test_domain_is_not_joined_without_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = resources()
+
+    def none_left(*_: object) -> int:
+        raise OSError("too many open files")
+
+    monkeypatch.setattr(os, "eventfd", none_left)
+    with pytest.raises(RosError, match="too many open files"):
+        Participant(ANOTHER, "here")
+    eventually(lambda: resources().threads <= before.threads)
 
 
 def test_descriptors_are_closed() -> None:

@@ -36,9 +36,6 @@ if TYPE_CHECKING:
     Incoming: TypeAlias = Reader | ServiceEndpoint
     """An endpoint that messages, requests or responses come to. Its `kind` is what it is in a wait set."""
 
-_JOIN_WITHIN = 1.0
-"""s. A round figure: the thread has only to return from its wait."""
-
 
 class Arrivals(Protocol):
     """Waits for endpoints. `wait`, `look_again` and `remove` belong to one thread.
@@ -114,7 +111,7 @@ class _Due:
 
 
 class EventArrivals:
-    """Arrivals by events.
+    """Arrivals by events. To make it raises OSError if the process has no descriptors left.
 
     The descriptors are edge-triggered: epoll reports one after each write, so that none has to be read. A message that
     comes while others are taken is reported after that, and may have been taken with them.
@@ -128,7 +125,7 @@ class EventArrivals:
         self._by_descriptor: dict[int, int] = {}  # addresses
         self._descriptors: dict[int, int] = {}  # by address; the shared one's, too
         self._sharing: dict[int, None] = {}  # addresses
-        self._kept: set[int] = set()
+        self._kept: set[int] = set()  # descriptors that DDS might still write to
         self._due = _Due()
         self._epoll = select.epoll()
         self._wake, self._graph, self._shared = (self._descriptor() for _ in range(3))
@@ -250,7 +247,7 @@ class _GraphWatch:
     def close(self) -> None:
         self._ended = True
         self._end.trigger_guard_condition()
-        self._thread.join(_JOIN_WITHIN)
+        self._thread.join()  # without a limit: it uses what is freed next
         self._end.destroy_when_not_in_use()
 
     def _serve(self, context: Context, graph_guard: int, descriptor: int) -> None:

@@ -88,7 +88,11 @@ class Participant:
         self.shortfalls = found.shortfalls
         self._name = self._node.handle.get_fully_qualified_name()
         tells = WaitSetArrivals if found.no_arrivals else EventArrivals
-        self.arrivals: Arrivals = tells(self._context, graph_guard_condition(self._node.handle.pointer))
+        try:
+            self.arrivals: Arrivals = tells(self._context, graph_guard_condition(self._node.handle.pointer))
+        except OSError as error:
+            self._leave_domain()
+            raise RosError(f"ROS domain {domain_id} cannot be joined: {error}") from error
         self._graph_version = 0
         self._late: dict[RawServiceServer, None] = {}
         self._buffer = TakeBuffer()
@@ -101,6 +105,9 @@ class Participant:
         """Leave the domain; every endpoint is closed before."""
         self._buffer.free()
         self.arrivals.close()
+        self._leave_domain()
+
+    def _leave_domain(self) -> None:
         self._node.destroy()
         self._context.shutdown()
         self._context.destroy()

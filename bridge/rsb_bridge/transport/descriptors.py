@@ -72,9 +72,9 @@ def _held() -> int:
 def for_arrivals(limit: int) -> int:
     """Return how many of so many descriptors tell of arrivals from ROS, one an endpoint; beyond, endpoints share one.
 
-    Half of them: without one, a message costs a little more, while a link without one does not come about.
+    Half of what the reserve leaves: without its own, a message costs more, while a stream does not come about.
     """
-    return limit // 2
+    return max(0, limit - RESERVE) // 2
 
 
 def scarcity_message(side: str) -> str:
