@@ -181,6 +181,27 @@ def test_sharing_endpoints_never_rest(open_node: Callable[..., RosNode], monkeyp
     assert not failures
 
 
+def test_descriptors_are_shared_evenly(
+    participant: Participant, other: Participant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replaced.DESCRIPTORS_FOR_ARRIVALS.set(monkeypatch, lambda _: 3)
+    readers = [participant.create_reader(strings(f"/even_{number}")) for number in range(8)]
+    for each in readers:
+        participant.arrivals.add(each)
+    while reported(participant, 0.1):
+        pass
+    for number, reader in enumerate(readers):
+        writer = other.create_writer(strings(f"/even_{number}"))
+        eventually(lambda writer=writer: writer.matched)
+        writer.publish(PAYLOAD)
+        found = eventually(lambda: reported(participant, 1.0))
+        assert reader.handle.address in found
+        assert len(found) == 2  # of eight readers and four descriptors
+        writer.close()
+    for each in readers:
+        participant.free(each)
+
+
 def test_endpoints_share_where_none_is_left(participant: Participant, monkeypatch: pytest.MonkeyPatch) -> None:
     readers = [participant.create_reader(strings(f"/scarce_{number}")) for number in range(3)]
 

@@ -70,7 +70,7 @@ def _held() -> int:
 
 
 def for_arrivals(limit: int) -> int:
-    """Return how many of so many descriptors tell of arrivals from ROS, one an endpoint; beyond, endpoints share one.
+    """Return how many of so many descriptors tell of arrivals from ROS, one an endpoint; beyond, endpoints share.
 
     Half of what the reserve leaves: without its own, a message costs more, while a stream does not come about.
     """
