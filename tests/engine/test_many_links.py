@@ -155,9 +155,9 @@ def test_snapshot_has_links_present_at_its_end(loop: VirtualLoop, make_context: 
 
 
 @pytest.mark.parametrize(
-    ("looks", "least", "most"), [(1.0, 0, 0), (4.0, 4 * LINKS, 16 * LINKS)], ids=["log", "console"]
+    ("looks", "least", "most"), [(1.0, LINKS // 5, LINKS // 3), (4.0, 4 * LINKS, 16 * LINKS)], ids=["log", "console"]
 )
-def test_resting_routes_are_shown_anew_while_watched(
+def test_resting_routes_are_shown_anew_seldom_unless_watched(
     looks: float, least: int, most: int, loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     resting, awake = Turns(loop), Turns(loop)

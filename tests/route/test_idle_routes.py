@@ -8,13 +8,14 @@ import pytest
 from tests.support.offline import FakePeer, half_of
 
 from rsb_bridge.model.capacity import Fullness
+from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.topic_route import IDLE_AFTER, IDLE_AT_MOST
+from rsb_bridge.route.topic_route import IDLE_AFTER, POLLED_EVERY
 from rsb_bridge.wire.records import ReceivedReport, VerdictRecord
 
 if TYPE_CHECKING:
@@ -66,23 +67,40 @@ class World:
         assert self.route.idle
         self.ticks.clear()
 
-    def find_talker(self) -> None:
-        self.route.endpoints = [TALKER]
+    def find_talker(self, node: str = "/talker") -> None:
+        self.route.endpoints = [TALKER._replace(node=node)]
+
+    def lose_packets(self) -> None:
+        self.peer.path.fault = PathFault(LinkCause.LOSSY, "the path loses packets")
 
     def fill_link(self) -> None:
         self.peer.fullness.out = Fullness(5e3, 15e3)
 
 
-def test_quiet_route_is_ticked_seldom_but_ticked(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_quiet_route_is_not_ticked_at_all(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    world = World(loop, make_context())
+    world.find_talker()
+    world.wait_until_idle()
+    world.wait(86_400)
+    assert not world.ticks
+    world.route.count(300, 30_000, world.route.context.now())
+    world.wait(1)
+    assert len(world.ticks) == 1
+    assert world.route.meter.rate == 100.0, "300 messages in three seconds, and not in a day"
+
+
+def test_route_without_publisher_is_ticked_seldom_but_ticked(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
     world = World(loop, make_context())
     world.wait(IDLE_AFTER)
     assert len(world.ticks) == IDLE_AFTER
     world.wait_until_idle()
     began = world.loop.time()
-    world.wait(100 * IDLE_AT_MOST)
+    world.wait(100 * POLLED_EVERY)
     assert 100 <= len(world.ticks) <= 250
     pairs = zip([began, *world.ticks], world.ticks, strict=False)
-    assert max(after - before for before, after in pairs) <= IDLE_AT_MOST + 1
+    assert max(after - before for before, after in pairs) <= POLLED_EVERY + 1
 
 
 DOWN = VerdictRecord("DOWN", Cause.NOT_PUBLISHED, "refused by the middleware")
@@ -93,18 +111,21 @@ TALKER = Endpoint("/talker", "std_msgs/msg/String", "", Qos(), b"gid")
     "happens",
     [
         lambda world: world.route.count(1, 100, world.route.context.now()),
-        World.find_talker,
+        lambda world: world.find_talker("/other"),
         lambda world: world.route.pausing.change(paused=True),
         World.fill_link,
         lambda world: world.route.limit.set_max_rate(7.0),
         lambda world: world.route.reported(ReceivedReport(route=1, verdict=DOWN)),
+        World.lose_packets,
+        lambda world: setattr(world.route.silence.watch, "after", 600.0),
     ],
-    ids=["message", "endpoint", "pause", "full", "limit", "report"],
+    ids=["message", "endpoint", "pause", "full", "limit", "report", "path", "stale_after"],
 )
 def test_whatever_happens_has_it_ticked_each_second_again(
     happens: Callable[[World], None], loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     world = World(loop, make_context())
+    world.find_talker()
     world.wait_until_idle()
     happens(world)
     world.wait(60)

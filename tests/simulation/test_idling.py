@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
-from tests.simulation.conditions import STILL
+import pytest
+from tests.simulation.conditions import QUIET, STILL
 from tests.simulation.episodes import type_differs_for
 from tests.simulation.node import Node
-from tests.simulation.world import World
+from tests.simulation.world import Violation, World
 
+from rsb_bridge.context import Context
 from rsb_bridge.link.link import Link
+from rsb_bridge.route.topic_route import Idling, TopicRoute
 from rsb_bridge.wire.messages import Ping, Propose, Report
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.wire.messages import ControlMessage
 
@@ -68,3 +74,42 @@ def test_route_of_different_types_is_proposed_rarely() -> None:
     world = World(1, STILL)
     sent = count_messages(world, _WHILE, type_differs_for(world, 2 * _WHILE))
     assert 0.9 * _WHILE / 10.0 - 10 < sent[Propose] <= _WHILE / 10.0
+
+
+@contextmanager
+def polled_too() -> Iterator[Counter[str]]:
+    """Tick idle routes every second all the same: that may change nothing, log nothing and report nothing.
+
+    Yields the seconds of idle routes, and those of routes that are ticked anyway.
+    """
+    seconds: Counter[str] = Counter()
+    is_due, log = TopicRoute.is_due, Context.log
+
+    def poll(route: TopicRoute[Any]) -> None:
+        before, peer_s = route.verdict(), route.judged.announced
+        with patch.object(Idling, "ticked"), patch.object(Context, "log", side_effect=log) as logged:
+            route.tick()
+        after = route.verdict(), route.judged.announced
+        if after != (before, peer_s) or logged.called or (route.id and route.news() is not None):
+            raise Violation(f"{route.key} slept through a change: {before} {peer_s}, {after}, {logged.call_args}")
+
+    def polling(route: TopicRoute[Any], now: float) -> bool:
+        due = is_due(route, now)
+        seconds["due" if due else "idle"] += 1
+        if not due:
+            poll(route)
+        return due
+
+    with patch.object(TopicRoute, "is_due", polling):
+        yield seconds
+
+
+WORLD = replace(QUIET, services=(0,), nights=0.0, periods=(300.0, 1500.0), faults=500.0, commands=500.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_idle_routes_miss_nothing(seed: int) -> None:
+    """The oracle: to tick each route every second gives the same verdicts, events and reports."""
+    with polled_too() as seconds:
+        World(seed, WORLD).play(3600.0)
+    assert seconds["idle"] > 1000

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import pytest
 
-from rsb_bridge.telemetry.meters import ClockOffset, LatencyMeter, RateMeter, Smoothed
+from rsb_bridge.telemetry.meters import HISTORY, ClockOffset, LatencyMeter, RateMeter, Smoothed
 
 
 @pytest.mark.parametrize("absurd", [-1.79e9, -3600.0, 1.79e9])
@@ -81,6 +83,37 @@ def test_rate_is_right_whatever_time_between_ticks(rate: float, length: float) -
     assert meter.usual_rate == pytest.approx(rate, rel=0.03)
     assert meter.bytes_per_second == pytest.approx(100 * rate, rel=0.03)
     assert set(meter.history) <= {rate - 1, rate, rate + 1}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rested_meter_shows_what_ticked_one_shows(seed: int) -> None:
+    """Messages come in bursts, after pauses of minutes or hours in which one of both meters is not ticked."""
+    random = Random(seed)
+    ticked, resting = RateMeter(0.0), RateMeter(0.0)
+    now, rests_from = 0.0, 0.0
+    for _ in range(10):
+        for _ in range(random.randint(1, 40)):  # s of messages
+            now += 1.0
+            messages, came = random.choice([0, 1, 1, 10, 300]), now - random.random()
+            if now - 1.0 > rests_from:
+                resting.rested(now - 1.0)
+            for meter in (ticked, resting):
+                if messages:
+                    meter.add(messages, 100 * messages, came)
+                meter.tick(now)
+            rests_from = now
+            assert figures(resting) == figures(ticked)
+        for second in range(random.choice([1, 30, 130, 4000])):
+            now += 1.0
+            ticked.tick(now)
+            if second < HISTORY + 1:
+                resting.tick(now)
+                rests_from = now
+        assert figures(resting) == figures(ticked)
+
+
+def figures(meter: RateMeter) -> tuple[object, ...]:
+    return meter.rate, meter.usual_rate, meter.regular, meter.bytes_per_second, [*meter.history], meter.last
 
 
 def test_the_history_has_an_entry_for_every_second() -> None:

@@ -530,8 +530,13 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _signs(self) -> Signs:
         return *super()._signs(), self._report, self.audience, self.others, self.clocks
 
-    def _changes_at(self, shown: Verdict, now: float, *, awaited: bool) -> float:
-        return now if self._sender_ledger.in_flight else super()._changes_at(shown, now, awaited=awaited)
+    def _next_change(self, shown: Verdict, now: float, *, awaited: bool) -> float:
+        return now if self._sender_ledger.in_flight else super()._next_change(shown, now, awaited=awaited)
+
+    @property
+    def _is_polled(self) -> bool:
+        # Histories of publishers that have gone are dropped, and nodes are asked for the description of a type.
+        return super()._is_polled or self.is_latched or (bool(self.type_name) and self.check.checker is None)
 
     def _follow(self, now: float, crossing: Crossing) -> None:
         super()._follow(now, crossing)

@@ -262,10 +262,21 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._subscription.lost, self.notices.warning, self.notices.loop,
         )  # fmt: skip
 
-    def _changes_at(self, shown: Verdict, now: float, *, awaited: bool) -> float:
+    def _next_change(self, shown: Verdict, now: float, *, awaited: bool) -> float:
         if self.health.expected_rate is not None or self._ledger.missed.since is not None or self._in_flight:
             return now
-        return super()._changes_at(shown, now, awaited=awaited)
+        return super()._next_change(shown, now, awaited=awaited)
+
+    @property
+    def _is_polled(self) -> bool:
+        # A topic of a similar name may appear, DDS does not tell when it matches a publisher at last, and the link may
+        # get another profile.
+        return super()._is_polled or not self.endpoints or self._subscription.awaits_match or self._profile_limits
+
+    @property
+    def _profile_limits(self) -> bool:
+        """Whether the link profile's limit is for it: it has none and may lose messages."""
+        return self.qos is not None and self.qos.reliability == "best_effort" and not self.proposal.max_rate
 
     def _measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         flows, ledger = crossing.flows, self.ledger()
@@ -283,9 +294,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         super()._measure(now, crossing, learns=learns)
 
     def _follow(self, now: float, crossing: Crossing) -> None:
-        # The link profile's limit is for topics that have none and may lose messages.
-        loses = self.qos is not None and self.qos.reliability == "best_effort" and not self.proposal.max_rate
-        self.limit.set_profile_rate((self.peer.profile.max_rate or 0.0) if loses else 0.0)
+        self.limit.set_profile_rate((self.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0)
         super()._follow(now, crossing)
         self._subscription.tick()
         if self.age.publishers.since is None and crossing.flows and not self.is_latched:

@@ -59,7 +59,7 @@ _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
 
 # Of idle routes (bench/README, quiet topics).
 IDLE_AFTER = float(HISTORY)  # s without any change. By then a route's rate is 0 and its plot is empty
-IDLE_AT_MOST = 15.0  # s; its signs may not show everything, and its figures should not be older
+POLLED_EVERY = 15.0  # s, at most, between two ticks of a route with something that does not tell when it changes
 _AWAKE = 0.9  # s after a tick before it is idle again, so that it is also reported and shown
 Signs: TypeAlias = tuple[object, ...]
 """What a route's verdict and its figures follow from; they are equal while nothing happens."""
@@ -127,34 +127,39 @@ class SilenceWatch:
 class Idling:
     """Whether a route is idle, so that hundreds of quiet ones cost next to nothing.
 
-    An idle route is not ticked or reported, and is shown again only for somebody who looks.
+    An idle route is not ticked or reported.
 
     The rule: its signs have been the same for `IDLE_AFTER`, and time alone changes nothing before its next tick.
     Messages do not have to tell of themselves: their count is one of the signs.
+
+    Attributes:
+        seen_idle: time (s) of the last look that found the route idle, or of its last tick.
     """
 
-    def __init__(self, context: Context) -> None:
-        self._random = context.random
+    def __init__(self, now: float) -> None:
         self._signs: Signs = ()
-        self._since = self._from = self._until = context.now()
+        self._since = self._from = self._until = self.seen_idle = now
 
-    def ticked(self, signs: Signs, now: float, changes_at: float) -> None:
+    def ticked(self, signs: Signs, now: float, next_change: float) -> None:
         """Decide after a tick how long it is idle.
 
         Args:
-            changes_at: time (s) at which time alone changes the verdict, `now` if it may at any moment, or infinite.
+            next_change: time (s) of the next change by time alone, `now` if it may come at any moment, or infinite.
         """
+        self.seen_idle = now
         if signs != self._signs:
             self._signs, self._since = signs, now
         self._from = self._until = now
         if now - self._since >= IDLE_AFTER:
             self._from += _AWAKE
-            # Routes that came together do not wake together.
-            self._until = min(now + self._random.uniform(IDLE_AT_MOST / 2, IDLE_AT_MOST), changes_at)
+            self._until = next_change
 
     def lasts(self, signs: Callable[[], Signs], now: float) -> bool:
         """Whether the route is idle at `now` (s)."""
-        return self._from <= now < self._until and signs() == self._signs
+        if not (self._from <= now < self._until and signs() == self._signs):
+            return False
+        self.seen_idle = now
+        return True
 
 
 class TrafficMeter:
@@ -211,7 +216,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.peek_slot = PeekSlot()
         self.traffic = TrafficMeter(context.now())
         self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
-        self._idling = Idling(context)
+        self._idling = Idling(context.now())
         self._logged_ends: tuple[str, str, str] | None = None
 
     # --- what the halves do differently
@@ -337,22 +342,34 @@ class TopicRoute(Route, Generic[ChannelT]):
         raise NotImplementedError
 
     def is_due(self, now: float) -> bool:
-        self.idle = self._idling.lasts(self._signs, now)
+        was_idle, self.idle = self.idle, self._idling.lasts(self._signs, now)
+        if was_idle and not self.idle:
+            self.meter.rested(self._idling.seen_idle)
         return not self.idle
 
     def _signs(self) -> Signs:
         """Return what changes if anything happens to this half, apart from the passing of time."""
         return (
             self.id, self._verdict, self.judged.peer, self.meter.count, self._came_here, self.endpoints, self.channel,
-            self.limit.rate, self.link_full, self.notices.last_error,
+            self.limit.rate, self.link_full, self.notices.last_error, self.life.phase, self.pausing.paused,
+            self.peer.path.fault, self.silence.watch.after,
             not self.transport.reliable and self.trouble(),  # a stream would ask the kernel
         )  # fmt: skip
 
-    def _changes_at(self, shown: Verdict, now: float, *, awaited: bool) -> float:
-        """Return when (s) time alone changes the verdict: `now` while it may at any moment, or infinite for never."""
+    def _next_change(self, shown: Verdict, now: float, *, awaited: bool) -> float:
+        """Return when (s) the route has to be ticked next if its signs stay the same: `now` for each second."""
         if shown.state not in _CALM or self.arming.required or self.lateness.since is not None:
             return now
-        return self.silence.due if awaited and self.silence_counts else math.inf
+        next_change = self.silence.due if awaited and self.silence_counts else math.inf
+        if self._is_polled:
+            # Routes that came together do not wake together.
+            next_change = min(next_change, now + self.context.random.uniform(POLLED_EVERY / 2, POLLED_EVERY))
+        return next_change
+
+    @property
+    def _is_polled(self) -> bool:
+        """Whether something may change that is neither one of the signs nor has a time."""
+        return not self.transport.reliable  # messages that never come whole
 
     def _measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         self.latency.tick()
@@ -369,7 +386,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         if shown.state in (State.STALE, State.STOPPED):
             self.silence.tick(now, shown.cause)
         # Last, so that the signs contain all that the tick has changed.
-        self._idling.ticked(self._signs(), now, self._changes_at(shown, now, awaited=awaited))
+        self._idling.ticked(self._signs(), now, self._next_change(shown, now, awaited=awaited))
 
     def count(self, messages: int, size: int, now: float) -> None:
         """Count messages that pass at `now` (s), of `size` bytes together."""

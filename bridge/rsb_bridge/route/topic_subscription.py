@@ -171,6 +171,11 @@ class TopicSubscription:
         """Whether DDS has matched no publisher for a while: a listed one then differs in what the list lacks."""
         return self.receives and self._unmatched_ticks > _MATCHED_WITHIN
 
+    @property
+    def awaits_match(self) -> bool:
+        """Whether DDS had matched no publisher at the last tick."""
+        return self._unmatched_ticks > 0
+
     def tick(self) -> None:
         """Subscribe again if DDS has lost messages that a deeper history would have kept. Called once a second."""
         if self._subscription is None:

@@ -149,6 +149,16 @@ class RateMeter:
         if messages or self.rate:
             self.rate = self._rate()
 
+    def rested(self, until: float) -> None:
+        """Take over that nothing came until `until` (s), instead of a tick in each second since the last one.
+
+        Only once the history has no messages; then it gives the same figures.
+        """
+        if self._quiet >= HISTORY:
+            self._ticked = until
+            self._usual.rested(until)
+            self._smoothed.add(0.0, until)
+
     def _rate(self) -> float:
         """Return the rate, or 0 once an expected message is missing; a silent second makes it no higher."""
         missed = max(_WINDOWS[0], 3 / self.usual_rate) if self.usual_rate else _WINDOWS[-1]
@@ -405,6 +415,10 @@ class UsualRate:
         self._samples.append((gaps, seconds))
         self._learn(last - previous)
         self.regular = self.rate is not None or self._regular_rate(_RHYTHM_SAMPLES, _RHYTHM_STEADY) is not None
+
+    def rested(self, until: float) -> None:
+        """Take over that nothing came until `until` (s)."""
+        self._ticked = until
 
     def skip(self, now: float) -> None:
         """Ignore the messages since the last call, at `now` (s), and keep the rate.

@@ -28,6 +28,7 @@ _AT_ONCE, _REFRESHES = 128, 4
 _LOOKED_AT_FOR = 2.0
 _SELDOM = 1.5  # Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25  # s from one renewal to the next
+_RESTING_EVERY = 15  # renewals until each resting route had its turn: what it shows of its link and the clock changes
 _HANGS_AFTER = 10.0  # s without a renewal. A round figure: on a busy machine, threads were seen to stand still for 3 s
 # s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice.
 _EARLY = 0.01
@@ -87,7 +88,7 @@ class SnapshotPublisher:
         self._links: dict[ShownLink, LinkSnapshot] = {}
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
-        self._turn = 0
+        self._turn = self._resting_turn = 0
         self._published_at = clock.steady()
         self._is_looked_at = True  # the first refresh renews all
 
@@ -132,7 +133,7 @@ class SnapshotPublisher:
             await asyncio.sleep(began + turns * every - now())
 
     async def refresh(self, bridge: ShownBridge) -> None:
-        """Renew the links, and a part of the routes, in turn; new ones at once, resting ones only if somebody looks."""
+        """Renew the links, and a part of the routes, in turn; new ones at once, unwatched resting ones seldom."""
         links = bridge.links()
         routes = _routes_of(links)
         # Nothing else lets go of a removed route.
@@ -142,6 +143,10 @@ class SnapshotPublisher:
         turn = [changing[(self._turn + i) % len(changing)] for i in range(min(at_once, len(changing)))]
         self._turn += len(turn)
         await in_slices(turn, self._renew)
+        if not self._is_looked_at:
+            self._resting_turn += 1
+            resting = [route for route in routes if route.idle]
+            await in_slices(resting[self._resting_turn % _RESTING_EVERY :: _RESTING_EVERY], self._renew)
         await in_slices([route for route in routes if route not in self._routes], self._renew)
         await in_slices(links, self._renew_link)
         self._publish(bridge, running=True)
