@@ -152,6 +152,7 @@ def test_missing_publisher_is_fault_where_entry_demands(
 def test_long_silence_is_noticed_in_time(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     after = IDLE_AFTER + 47.0
     world = World(loop, make_context(), stale_after=after)
+    world.find_talker()
     world.route.count(1, 100, loop.time())
     came = loop.time()
     world.wait(after - 1)

@@ -1,4 +1,4 @@
-"""The messages of an idle engine: no more than the other side needs."""
+"""An idle engine: its messages are no more than the other side needs, and its routes sleep through no change."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from tests.simulation.conditions import QUIET, STILL
 from tests.simulation.episodes import type_differs_for
 from tests.simulation.node import Node
 from tests.simulation.world import Violation, World
+from tests.support import replaced
 
 from rsb_bridge.context import Context
 from rsb_bridge.link.link import Link
@@ -21,6 +22,8 @@ from rsb_bridge.wire.messages import Ping, Propose, Report
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from tests.support.places import Place
 
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.wire.messages import ControlMessage
@@ -104,12 +107,19 @@ def polled_too() -> Iterator[Counter[str]]:
         yield seconds
 
 
-WORLD = replace(QUIET, services=(0,), nights=0.0, periods=(300.0, 1500.0), faults=500.0, commands=500.0)
+WORLD = replace(QUIET, services=(0,), nights=0.0, periods=(150.0, 400.0), faults=500.0, commands=500.0)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_idle_routes_miss_nothing(seed: int) -> None:
     """The oracle: to tick each route every second gives the same verdicts, events and reports."""
     with polled_too() as seconds:
-        World(seed, WORLD).play(3600.0)
-    assert seconds["idle"] > 1000
+        World(seed, WORLD).play(1200.0)
+    assert seconds["idle"] > 100
+
+
+@pytest.mark.parametrize("signs", [replaced.INCOMING_SIGNS, replaced.OUTGOING_SIGNS], ids=["receiving", "sending"])
+def test_route_that_no_event_wakes_is_found(signs: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    signs.set(monkeypatch, lambda _: ())
+    with polled_too(), pytest.raises(Violation, match="slept through a change"):
+        World(1, WORLD).play(1200.0)
