@@ -106,7 +106,7 @@ def _publish_many(node: Node, topics: Sequence[str]) -> None:
                 break
 
 
-class Arrivals:
+class MeasuredArrivals:
     """Counts messages that were made since the last reset: what an overload has left comes late, in a later run.
 
     Attributes:
@@ -133,7 +133,7 @@ class Arrivals:
 
 
 def _listen(context: Context, node: Node, topics: Sequence[str]) -> None:
-    arrivals = Arrivals()
+    arrivals = MeasuredArrivals()
     take = arrivals.add
 
     def commands() -> None:

@@ -7,11 +7,11 @@ from tests.support import surroundings
 
 from rsb_bridge.cdr.known_types import made_at, stamped_string
 from rsb_extras.bench import measured_stream
-from rsb_extras.bench.measured_stream import Arrivals
+from rsb_extras.bench.measured_stream import MeasuredArrivals
 
 
 def test_leftovers_of_earlier_run_do_not_count() -> None:
-    arrivals, late = Arrivals(), stamped_string(100)
+    arrivals, late = MeasuredArrivals(), stamped_string(100)
     arrivals.add(late)
     assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
     arrivals.reset()
