@@ -24,7 +24,7 @@ from rsb_bridge.model.demands import (
 )
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.route.arming import AGREED, ANSWERED_WITHIN, ArmingEvent, ArmingPhase, Disarmed
+from rsb_bridge.route.arming import AGREED, ANSWERED_WITHIN, HELD, ArmingEvent, ArmingPhase, Disarmed
 from rsb_bridge.route.lease import BEAT, LeaseHalf, LeasePhase
 from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire import messages as wire
@@ -162,6 +162,9 @@ class LinkArming:
 
     def _routes(self) -> tuple[Route, ...]:
         return tuple(self._link.routes.values())  # routes come and go with what is done to them
+
+    def _held(self) -> list[Route]:
+        return [route for route in self._link.routes.values() if route.arming.phase in HELD]
 
     # --- which routes have to be armed
 
@@ -362,7 +365,7 @@ class LinkArming:
     def end_overdue(self) -> None:
         """Disarm overdue routes, and schedule the ones due before the next beat."""
         now = self._context.now()
-        for route in self._routes():
+        for route in self._held():
             if (why := route.arming.overdue(now)) is not None:
                 self.disarm(route, why)
             elif (left := route.arming.due_at - now) < BEAT:
@@ -390,8 +393,8 @@ class LinkArming:
     def tick(self) -> None:
         """Disarm overdue routes, and tell the other side of keys, once a second."""
         self.end_overdue()
-        for route in self._routes():
-            if route.arming.held and route.arming.take_press():
+        for route in self._held():
+            if route.arming.take_press():
                 self._link.send(Arm(route.id, route.arming.by))
 
     # --- the other side
