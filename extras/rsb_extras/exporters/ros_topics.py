@@ -156,8 +156,8 @@ class _SessionTopic:
         """Whether anybody listens: a node, or this bridge itself, which takes the topic to another domain."""
         if self._publisher is None:
             return False
-        bridged = (route.outgoing and route.topic == self.name for route in snapshot.routes)
-        return bool(self._publisher.subscriber_count) or any(bridged)
+        bridged = {route.topic for route in snapshot.routes if route.outgoing}
+        return bool(self._publisher.subscriber_count) or self.name in bridged
 
     def publish(self, fields: Fields) -> None:
         """Publish a message; a failure ends this."""
@@ -246,7 +246,8 @@ class DriverExporter(EnginePart):
 
     def _bridged(self, snapshot: Snapshot) -> str:
         """Return who bridges the topic since before the session named it, in words; later routes are refused."""
-        links = sorted({route.link for route in snapshot.routes if route.topic == self._topic.name})
+        name = self._topic.name
+        links = sorted({route.link for route in snapshot.routes if route.topic == name})
         return DriverTopicText.BRIDGED(link=join_first(links, _NAMED)) if links else ""
 
     def _other_types(self) -> str:
