@@ -14,8 +14,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.route.idling import POLLED_EVERY, SETTLES
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.topic_route import IDLE_AFTER, POLLED_EVERY
 from rsb_bridge.wire.records import ReceivedReport, VerdictRecord
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class World:
 
     def wait_until_idle(self) -> None:
         """Wait until the route is idle, and start counting its ticks."""
-        self.wait(IDLE_AFTER + 5)
+        self.wait(SETTLES + 5)
         assert self.route.idle
         self.ticks.clear()
 
@@ -93,8 +93,8 @@ def test_route_without_publisher_is_ticked_seldom_but_ticked(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     world = World(loop, make_context())
-    world.wait(IDLE_AFTER)
-    assert len(world.ticks) == IDLE_AFTER
+    world.wait(SETTLES)
+    assert len(world.ticks) == SETTLES
     world.wait_until_idle()
     began = world.loop.time()
     world.wait(100 * POLLED_EVERY)
@@ -150,7 +150,7 @@ def test_missing_publisher_is_fault_where_entry_demands(
 
 
 def test_long_silence_is_noticed_in_time(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    after = IDLE_AFTER + 47.0
+    after = SETTLES + 47.0
     world = World(loop, make_context(), stale_after=after)
     world.find_talker()
     world.route.count(1, 100, loop.time())
@@ -163,12 +163,12 @@ def test_long_silence_is_noticed_in_time(loop: VirtualLoop, make_context: Callab
 
 def test_route_that_is_at_fault_is_not_idle(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     world = World(loop, make_context(), stale_after=20.0)
-    world.wait(3 * IDLE_AFTER)
+    world.wait(3 * SETTLES)
     assert world.route.verdict().state is State.STALE
-    assert len(world.ticks) == 3 * IDLE_AFTER
+    assert len(world.ticks) == 3 * SETTLES
 
 
 def test_route_with_due_messages_is_not_idle(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     world = World(loop, make_context(), expected_rate=0.001)
-    world.wait(2 * IDLE_AFTER)
-    assert len(world.ticks) == 2 * IDLE_AFTER
+    world.wait(2 * SETTLES)
+    assert len(world.ticks) == 2 * SETTLES

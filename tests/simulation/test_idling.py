@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
@@ -17,7 +17,8 @@ from tests.support import replaced
 
 from rsb_bridge.context import Context
 from rsb_bridge.link.link import Link
-from rsb_bridge.route.topic_route import Idling, TopicRoute
+from rsb_bridge.route.idling import Idling
+from rsb_bridge.route.route import Route
 from rsb_bridge.wire.messages import Ping, Propose, Report
 
 if TYPE_CHECKING:
@@ -86,9 +87,9 @@ def polled_too() -> Iterator[Counter[str]]:
     Yields the seconds of idle routes, and those of routes that are ticked anyway.
     """
     seconds: Counter[str] = Counter()
-    is_due, log = TopicRoute.is_due, Context.log
+    is_due, log = Route.is_due, Context.log
 
-    def poll(route: TopicRoute[Any]) -> None:
+    def poll(route: Route) -> None:
         before, peer_s = route.verdict(), route.judged.announced
         with patch.object(Idling, "ticked"), patch.object(Context, "log", side_effect=log) as logged:
             route.tick()
@@ -96,14 +97,14 @@ def polled_too() -> Iterator[Counter[str]]:
         if after != (before, peer_s) or logged.called or (route.id and route.news() is not None):
             raise Violation(f"{route.key} slept through a change: {before} {peer_s}, {after}, {logged.call_args}")
 
-    def polling(route: TopicRoute[Any], now: float) -> bool:
+    def polling(route: Route, now: float) -> bool:
         due = is_due(route, now)
         seconds["due" if due else "idle"] += 1
         if not due:
             poll(route)
         return due
 
-    with patch.object(TopicRoute, "is_due", polling):
+    with patch.object(Route, "is_due", polling):
         yield seconds
 
 

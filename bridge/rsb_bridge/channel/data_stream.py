@@ -285,6 +285,11 @@ class StreamPair:
     def ready(self) -> bool:
         return not any(self.lacks())
 
+    @property
+    def trouble(self) -> tuple[object, ...]:
+        """What its routes' trouble follows from."""
+        return tuple([each.number for each in self.stuck]), len(self._waiting())
+
     def lacks(self) -> tuple[bool, bool]:
         """Return whether the streams of small and of large messages are not open."""
         return self.small is None or self.small.over, self.large is None or self.large.over

@@ -91,6 +91,7 @@ class DataChannels:
         self._pairs: dict[tuple[str, int], StreamPair] = {}
         self._udp: dict[int, UdpChannel] = {}
         self._newest = 0  # number of a stream
+        self._trouble: tuple[object, ...] = ()  # of the pairs and UDP channels, at the last tick
         if link.transport.multiplexed:  # the stream carries the routes of its own port, too, as streams are scarce
             pair = self._pair(link.transport, link.shared_port())
             control.data = pair.add(control.stream, CONTROL_NUMBER, large=True, small=True)
@@ -273,6 +274,11 @@ class DataChannels:
         self._pairs = {key: pair for key, pair in self._pairs.items() if not pair.over}
         for pair in tuple(self._pairs.values()):
             pair.tick(self._link.keepalive.control_quiet)
+        before = self._trouble
+        self._trouble = *(each.trouble for each in self._pairs.values()), *(each.trouble for each in self._udp.values())
+        if self._trouble != before:
+            for route in self.ids.open_routes():
+                route.judge_again()
 
     def carriers(self) -> set[ChannelCarrier]:
         """Return all streams and UDP channels, including the control connection's."""

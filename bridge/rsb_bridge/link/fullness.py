@@ -80,6 +80,8 @@ class LinkFullness(Extension):
         scheduler, now, at = link.channels.scheduler, link.context.now(), link.context.wall()
         asked, called = [], 0.0
         for route in link.routes.values():
+            if route.idle:
+                continue
             if route.duplex:
                 called += route.meter.bytes_per_second
             elif isinstance(route, OutgoingRoute) and route.channel is not None and route.connected:

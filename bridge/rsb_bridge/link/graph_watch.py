@@ -40,6 +40,7 @@ class Looks(NamedTuple):
 # once a second at most (PROTOCOL.md, 11).
 FOR_ROUTES = Looks(every=0.25, share=10, longest_pause=2.0, always_after=10.0)
 FOR_NAMES = Looks(every=1.0, share=20, longest_pause=10.0, always_after=60.0)
+_IDLE_EVERY = 6  # looks without a change, after which idle routes look, too
 _MATCHED_AFTER = 1.0  # s after the last change: by then DDS has matched the endpoints that discovered each other
 
 Named = tuple[Kind, str]
@@ -75,6 +76,7 @@ class GraphWatch:
         self._look_for_names = look_for_names
         self._due = asyncio.Event()
         self._noted = False
+        self._looks = 0
         self._settled: asyncio.TimerHandle | None = None
 
     def changed(self) -> None:
@@ -87,12 +89,13 @@ class GraphWatch:
         """Look again and again, for ever."""
         try:
             while True:
-                if await _is_set_within(self._due, FOR_ROUTES.always_after):
+                if changed := await _is_set_within(self._due, FOR_ROUTES.always_after):
                     self._look_for_names()  # not after a timeout: `NameWatch` has one of its own
                 # Before the look: routes that have been asked already have to look again after a further change.
                 self._due.clear()
                 self._noted = False
-                cost = await self._advance_routes()
+                self._looks += 1
+                cost = await self._advance_routes(idle=changed or not self._looks % _IDLE_EVERY)
                 await asyncio.sleep(FOR_ROUTES.pause(cost))
         finally:
             if self._settled is not None:
@@ -104,12 +107,12 @@ class GraphWatch:
             self._settled.cancel()
         self._settled = self._context.loop.call_later(_MATCHED_AFTER, self._due.set)
 
-    async def _advance_routes(self) -> float:
-        """Advance all routes in slices; return the seconds that this took of the loop."""
+    async def _advance_routes(self, *, idle: bool) -> float:
+        """Advance all routes, or those that are not idle, in slices; return the seconds that this took of the loop."""
         now, cost = self._context.now, 0.0
         self._context.announcements.update()  # first: routes ask it which publishers are bridges
         for link in self._links():
-            routes = tuple(link.routes.values())
+            routes = [route for route in link.routes.values() if idle or not route.idle]
             for first in range(0, len(routes), SLICE):
                 began = now()
                 for route in routes[first : first + SLICE]:

@@ -136,7 +136,7 @@ class PathWatch(Extension):
             link.control.stream,
             {stream: packets for stream, packets in counts.items() if packets is not None},
             [route.channel for route in routes if isinstance(route.channel, DatagramSender)],
-            large_vanish=any(isinstance(each, OutgoingRoute) and each.large_vanish for each in routes),
+            large_vanish=any(isinstance(each, OutgoingRoute) and each.large_vanish for each in routes if not each.idle),
         )
         for stream in stalled:
             stream.abort(STALLED)

@@ -84,6 +84,7 @@ class RouteTable(Extension):
         self.on_given_up: Callable[[], None] = lambda: None
         self._context = link.context
         self._link = link
+        self._down_reason = ""
         self._refused: dict[str, str] = {}  # the last reason for which a topic of the peer was refused
         self.peer_operators = PeerOperators(link.context, "server" if link.is_client else link.name)
         self.arming = LinkArming(link, self.peer_operators, self.propose)
@@ -493,6 +494,7 @@ class RouteTable(Extension):
         return route
 
     def _about_route(self, route: Route, message: _AboutOpenRoute) -> None:
+        route.wake()
         match message:
             case wire.Accept():
                 route.set_peer_topic(message.topic)
@@ -538,6 +540,10 @@ class RouteTable(Extension):
     async def tick_routes(self) -> None:
         """Run the own tick of the routes that are not idle, once a second."""
         now, link = self._context.now(), self._link
+        if link.down_reason != self._down_reason:
+            self._down_reason = link.down_reason
+            for route in link.routes.values():
+                route.judge_again()
         due = [route for route in link.routes.values() if route.is_due(now)]
         await in_slices(due, lambda route: link.guarded(route.tick))
 

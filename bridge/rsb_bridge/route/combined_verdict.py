@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -135,6 +136,11 @@ class CombinedVerdict:
             return None
         return self._announcer.announce(verdict, now)
 
+    @property
+    def next_change(self) -> float:
+        """Time (s) at which a verdict that lasts is logged, or infinite."""
+        return self._announcer.next_change
+
     def since(self, verdict: Verdict, now: float) -> float:
         """Return the beginning (s) of the state and cause of `verdict`, which is shown at `now` (s).
 
@@ -186,9 +192,13 @@ class Announcer:
     """Decides what the log says of a route's verdicts: each turn for the worse that lasts, and when it is over.
 
     Called once a second.
+
+    Attributes:
+        next_change: time (s) at which a verdict that lasts is repeated, or infinite.
     """
 
     def __init__(self) -> None:
+        self.next_change = math.inf
         self._candidate = FINE
         self._since = float("-inf")
         self._bad_since: float | None = None
@@ -199,6 +209,7 @@ class Announcer:
 
     def announce(self, verdict: Verdict, now: float) -> StateEvent | None:
         """Return the event to log about the verdict at `now` (s), if any."""
+        self.next_change = math.inf
         if (verdict.state, verdict.cause) != (self._candidate.state, self._candidate.cause):
             self._since = now
         self._candidate = verdict
@@ -232,7 +243,11 @@ class Announcer:
 
     def _say(self, level: Level, code: EventCode, verdict: Verdict, now: float) -> StateEvent | None:
         what = code, verdict.cause
-        if what == self._logged_as or now - self._logged_at.get(what, float("-inf")) < _AGAIN_AFTER:
+        if what == self._logged_as:
+            return None
+        again_at = self._logged_at.get(what, -math.inf) + _AGAIN_AFTER
+        if now < again_at:
+            self.next_change = again_at
             return None
         self._logged, self._logged_as = verdict, what
         if len(self._logged_at) >= _MOST_LOGGED:  # a peer may make up causes

@@ -78,6 +78,10 @@ class Health:
         elif not self.stop.quiet:  # a pause is not slow
             self.slow.judge(half.meter.rate, expected, now)
 
+    def next_change(self, now: float) -> float:
+        """Return when (s) one of these may change without a message, `now` if at any moment, or infinity."""
+        return now if self.losses.loss is not None or self.slow.since is not None else self.stop.next_change
+
     def lost_in_dds(self) -> int:
         """Return the messages that DDS lost in the last `LATELY` s before they could be taken."""
         return max(0, self._lost_in_dds[-1] - self._lost_in_dds[0]) if self._lost_in_dds else 0

@@ -34,7 +34,7 @@ from rsb_bridge.route.message_check import PUBLISHED_ASIDE, ExpandsTooMuchError,
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
 from rsb_bridge.route.source_publishers import SlowSubscriberError, SourcePublishers, bounded
-from rsb_bridge.route.topic_route import Signs, TopicRoute
+from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.route.topic_verdict import OF_RECEIVER, audience, no_subscriber
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.gates import LastLook
+    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.source_publishers import VolatileTopic
 
@@ -217,7 +218,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
         self.peer.send(Ready(route=self.id, sources=len(self.outputs), before=self._counted_before(), newest=newest))
         self.life.handle(RouteEvent.READY)
-        self._verdict = None
+        self.judge_again()
         self.advance()
 
     def told_of_publishers(self, publishers: Publishers) -> None:
@@ -530,8 +531,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _signs(self) -> Signs:
         return *super()._signs(), self._report, self.audience, self.others, self.clocks
 
-    def _next_change(self, shown: Verdict, now: float, *, awaited: bool) -> float:
-        return now if self._sender_ledger.in_flight else super()._next_change(shown, now, awaited=awaited)
+    def _next_change(self, now: float, crossing: Crossing) -> float:
+        return now if self._sender_ledger.in_flight else super()._next_change(now, crossing)
 
     @property
     def _is_polled(self) -> bool:
@@ -560,8 +561,9 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._report = report
         # Until the first report of an opening, the verdict is that this side waits for it.
         if self.report_now is None:
-            self._verdict = None
+            self.judge_again()
         self.report_now = report
+        self.wake()
         self.judged.receive(report.verdict, self.context.now())
         peer = self.judged.peer
         self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")

@@ -30,7 +30,7 @@ from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath, remedy_for_size
-from rsb_bridge.route.topic_route import MEASURED_FOR, Signs, TopicRoute
+from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import OF_SENDER, no_subscriber
 from rsb_bridge.transport.transport import DatagramTransport
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.blocking_rules import Rules
+    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
 
 _NO_TYPE = frozenset({Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT})
@@ -200,7 +200,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             return
         self._ledger.missed.subscribed(self.context.now(), self._ledger.offered)
         self.silence.rearm(self.context.now())
-        self._verdict = None
+        self.judge_again()
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
     def _end_subscription(self) -> None:
@@ -257,15 +257,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     # --- messages
 
     def _signs(self) -> Signs:
-        return (
-            *super()._signs(), self._report, self._resolver.unresolved, self._subscription.failure,
-            self._subscription.lost, self.notices.warning, self.notices.loop,
-        )  # fmt: skip
+        subscription = self._subscription
+        return *super()._signs(), self._report, self._resolver.unresolved, subscription.failure, subscription.lost
 
-    def _next_change(self, shown: Verdict, now: float, *, awaited: bool) -> float:
-        if self.health.expected_rate is not None or self._ledger.missed.since is not None or self._in_flight:
+    def _next_change(self, now: float, crossing: Crossing) -> float:
+        if self._ledger.missed.since is not None or self._in_flight:
             return now
-        return super()._next_change(shown, now, awaited=awaited)
+        return min(super()._next_change(now, crossing), self.health.next_change(now))
 
     @property
     def _is_polled(self) -> bool:
@@ -344,6 +342,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             text = f"malformed {self.type_name} to {self.peer.name}: {report.malformed}: see the node here that sent it"
             self.notices.message_error(EventCode.ROUTE_MALFORMED, text)
         self._report = report
+        self.wake()
         deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)
         self.audience = Audience(max(0, report.subscribers), report.nodes, deaf)
         self.judged.receive(report.verdict, self.context.now())

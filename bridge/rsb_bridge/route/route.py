@@ -18,13 +18,14 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.reason import NO_REASON, Reason
 from rsb_bridge.model.session import HIGHEST, weight_of
-from rsb_bridge.model.snapshot import Level, RouteSnapshot
+from rsb_bridge.model.snapshot import Level, RouteSnapshot, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import LossyPath, judge
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.crossing import Crossing
+from rsb_bridge.route.idling import Idling
 from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEvent
 from rsb_bridge.route.notices import ChannelLosses, Notices
 from rsb_bridge.route.peer import Peer
@@ -46,9 +47,14 @@ if TYPE_CHECKING:
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.blocking_rules import Rules
+    from rsb_bridge.route.idling import Signs
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
+
+
+_LASTS = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED, State.STALE, State.STOPPED, State.DOWN})
+"""States that last until something happens, or until silence has lasted too long."""
 
 
 class Owner(Peer, Protocol):
@@ -138,6 +144,7 @@ class Route:
         self.endpoints: Sequence[Endpoint] = ()
         self.losses = ChannelLosses()
         self.idle = False
+        self.idling = Idling(context.now())
         self._verdict: Verdict | None = None  # None: it has to be judged
         self._lossy_path = LossyPath()
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
@@ -207,14 +214,15 @@ class Route:
     def advance(self) -> None:
         """Do what can be done next: ROS, the peer, the sockets or an operator may have changed something."""
         self._advance()
-        self._wake()
+        self.idling.compare(self._signs, self.context.now())
+        self._tell_waiters()
 
     async def changed(self) -> None:
         """Wait until it has advanced or is closed. Whether messages can cross changes with nothing else."""
         self._waiters.append(waiter := self.context.loop.create_future())
         await waiter
 
-    def _wake(self) -> None:
+    def _tell_waiters(self) -> None:
         for waiter in self._waiters:
             if not waiter.done():
                 waiter.set_result(None)
@@ -256,7 +264,7 @@ class Route:
         self.instance = self.peer.instance
         self.opened_at = self.context.now()
         self.limit.opened()
-        self._verdict = None
+        self.judge_again()
         self.life.handle(RouteEvent.OPEN)
         # The other side's verdict belongs to the opening before.
         self.judged.receive(None, self.context.now())
@@ -291,10 +299,10 @@ class Route:
         self.id = 0
         self.notices.closed()
         self.judged.receive(None, self.context.now())
-        self._verdict = None
+        self.judge_again()
         self.life.handle(RouteEvent.CLOSE)
         self.reopening.closed_at = self.context.now()
-        self._wake()
+        self._tell_waiters()
 
     def destroy(self) -> None:
         """End it for good, with its endpoints."""
@@ -359,15 +367,15 @@ class Route:
         paused = self.pausing.paused
         if paused != was:
             self.spec = msgspec.structs.replace(self.spec, paused=paused)
-            self._verdict = None
             self._may_flow()
             code = EventCode.ROUTE_PAUSED if paused else EventCode.ROUTE_RESUMED
             self.log(Level.INFO, code, "paused" if paused else "resumed")
+        self.judge_again()
         self.advance()
 
     def armed(self) -> None:
         """Let messages cross, as both sides now agree that it is armed."""
-        self._verdict = None
+        self.judge_again()
         self._may_flow()
         self.advance()
 
@@ -381,7 +389,7 @@ class Route:
             text = f"disarmed: {reason or why.text} ({arming.by} armed it)"
             self.settling.then(lambda: self.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=why))
         arming.end(why, reason)
-        self._verdict = None
+        self.judge_again()
 
     def lapsed(self) -> None:
         """Act on the fact that nothing passes for now although it is armed: the sides do not hear each other."""
@@ -393,7 +401,7 @@ class Route:
         self.weight = route_weight(proposal, armed=self.arming.required)
         self.limit.set_max_rate(proposal.max_rate)
         self.settle_age()
-        self._verdict = None
+        self.judge_again()
         if changes:
             self.log(Level.INFO, EventCode.ROUTE_AMENDED, changes)
 
@@ -412,9 +420,41 @@ class Route:
 
     # --- time
 
+    def wake(self) -> None:
+        """Have it ticked within a second, and for a while: something has happened to it."""
+        self.idling.wake(self.context.now())
+
     def is_due(self, now: float) -> bool:
         """Whether it is to be ticked at `now` (s); sets `idle`. Called once a second."""
-        return True
+        was_idle, self.idle = self.idle, self.idling.lasts(self._passed, now)
+        if was_idle and not self.idle:
+            self._woken(self.idling.looked)
+        return not self.idle
+
+    def _woken(self, since: float) -> None:
+        """Have the figures take over that nothing came until `since` (s)."""
+        self.meter.rested(since)
+
+    @property
+    def _passed(self) -> int:
+        """Messages or calls so far, each of which has it ticked."""
+        return self.meter.count
+
+    def _signs(self) -> Signs:
+        """Return what changes if anything happens to it, apart from messages and the passing of time."""
+        return (
+            self.id, self.judged.announced, self.judged.peer, self.endpoints, self.channel, self.connected,
+            self.limit.rate, self.link_full, self.notices.last_error, self.notices.warning, self.notices.loop,
+            self.life.phase, self.pausing.paused, self.peer.path.fault,
+        )  # fmt: skip
+
+    def _next_change(self, now: float, crossing: Crossing) -> float:
+        """Return when (s) something changes by itself next, `now` if it may at any moment, or infinity."""
+        restless = (
+            self.judged.announced.verdict.state not in _LASTS or not self.meter.still or self.arming.required
+            or self.link_full is not None or self.peer.path.fault is not None or self.losses.reasons
+        )  # fmt: skip
+        return now if restless else self.judged.next_change
 
     def tick(self) -> None:
         """Update the figures and report a changed verdict; called once a second while the route is not idle."""
@@ -433,6 +473,8 @@ class Route:
             about: About = {"cause": said.cause, "state": shown.state, "since": since, "from_peer": from_peer}
             self.log(said.level, said.code, said.text, **about)
         self._follow(now, crossing)
+        # Last, so that the signs contain all that the tick has changed.
+        self.idling.ticked(self._signs(), self._passed, now, self._next_change(now, crossing))
 
     @property
     def link_full(self) -> Fullness | None:
@@ -514,7 +556,7 @@ class Route:
             bytes_total=self.meter.bytes,
             latency_uncertainty=self.peer.clock.uncertainty,
             last_at=None if self.meter.last is None else self.context.wall_of(self.meter.last),
-            history=tuple(self.meter.history),
+            history=self.meter.history_at(now) if self.idle else tuple(self.meter.history),
             last_error=self.notices.last_error,
             last_error_at=self.notices.last_error_at,
             cause=verdict.cause,
@@ -532,8 +574,9 @@ class Route:
         )
 
     def judge_again(self) -> None:
-        """Make a new verdict when the next one is asked for."""
+        """Make a new verdict when the next one is asked for, and within a second."""
         self._verdict = None
+        self.wake()
 
     def log(self, level: Level, code: EventCode, text: str, **about: Unpack[About]) -> None:
         """Add an event about this route."""

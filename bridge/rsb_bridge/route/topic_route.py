@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.audience import NOBODY
@@ -11,11 +11,12 @@ from rsb_bridge.model.by_hand import END_ZERO, agreed_end
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import EXPIRES, Cause, LinkCause
+from rsb_bridge.route.idling import POLLED_EVERY
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES
-from rsb_bridge.telemetry.meters import HISTORY, LatencyMeter, Smoothed, StaleWatch
+from rsb_bridge.telemetry.meters import LatencyMeter, Smoothed, StaleWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
-    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -53,16 +54,8 @@ _EXPLAINS = frozenset(
 _LATENCY_TICKS = 10  # seconds of messages that the shown latency is of: so many samples would take minutes at low rates
 MEASURED_FOR = 6.0  # s of lateness or loss after which a full link has been noticed
 _DRAINS_FOR = 60.0  # s for which messages may be late or lost because their link was full: a round figure
-_CALM = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED})
-"""States that last until something happens, or until silence has lasted too long."""
+_SILENT = State.STALE, State.STOPPED
 _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
-
-# Of idle routes (bench/README, quiet topics).
-IDLE_AFTER = float(HISTORY)  # s without any change. By then a route's rate is 0 and its plot is empty
-POLLED_EVERY = 15.0  # s, at most, between two ticks of a route with something that does not tell when it changes
-_AWAKE = 0.9  # s after a tick before it is idle again, so that it is also reported and shown
-Signs: TypeAlias = tuple[object, ...]
-"""What a route's verdict and its figures follow from; they are equal while nothing happens."""
 
 # Of what a topic wants to send.
 _PER_MESSAGE = 60  # bytes on the wire besides a message's content: header, seal, and a part of the packets' headers
@@ -124,44 +117,6 @@ class SilenceWatch:
         return self.watch.quiet_since + self.watch.after if self.watch.after else math.inf
 
 
-class Idling:
-    """Whether a route is idle, so that hundreds of quiet ones cost next to nothing.
-
-    An idle route is not ticked or reported.
-
-    The rule: its signs have been the same for `IDLE_AFTER`, and time alone changes nothing before its next tick.
-    Messages do not have to tell of themselves: their count is one of the signs.
-
-    Attributes:
-        seen_idle: time (s) of the last look that found the route idle, or of its last tick.
-    """
-
-    def __init__(self, now: float) -> None:
-        self._signs: Signs = ()
-        self._since = self._from = self._until = self.seen_idle = now
-
-    def ticked(self, signs: Signs, now: float, next_change: float) -> None:
-        """Decide after a tick how long it is idle.
-
-        Args:
-            next_change: time (s) of the next change by time alone, `now` if it may come at any moment, or infinite.
-        """
-        self.seen_idle = now
-        if signs != self._signs:
-            self._signs, self._since = signs, now
-        self._from = self._until = now
-        if now - self._since >= IDLE_AFTER:
-            self._from += _AWAKE
-            self._until = next_change
-
-    def lasts(self, signs: Callable[[], Signs], now: float) -> bool:
-        """Whether the route is idle at `now` (s)."""
-        if not (self._from <= now < self._until and signs() == self._signs):
-            return False
-        self.seen_idle = now
-        return True
-
-
 class TrafficMeter:
     """Measures what one sending half wants to send.
 
@@ -177,11 +132,17 @@ class TrafficMeter:
         self._size = 0.0
         self._wanted = Smoothed(now)
 
+    @property
+    def still(self) -> bool:
+        """Whether nothing was offered lately."""
+        return not (self.offered or self._wanted.rate)
+
+    def rested(self, until: float) -> None:
+        """Take over that nothing was offered until `until` (s)."""
+        self._wanted.add(0.0, until)
+
     def measure(self, now: float) -> float:
         """Return the bytes/s that the topic has wanted to send since the last call. Called once a second."""
-        # Most of hundreds of topics are idle, and each is asked once a second.
-        if not self.offered and self._wanted.idle(now):
-            return 0.0
         if self.messages:
             self._size = _PER_MESSAGE + self.bytes / self.messages
         self._wanted.add(self.offered, now)
@@ -216,7 +177,6 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.peek_slot = PeekSlot()
         self.traffic = TrafficMeter(context.now())
         self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
-        self._idling = Idling(context.now())
         self._logged_ends: tuple[str, str, str] | None = None
 
     # --- what the halves do differently
@@ -292,6 +252,7 @@ class TopicRoute(Route, Generic[ChannelT]):
     def set_stale_after(self) -> None:
         """Watch for silence as the topic's entry and the session say now."""
         self.silence.configure(self.spec, self.context.session)
+        self.wake()
 
     def _may_flow(self) -> None:
         self._flows_since = self.context.now()
@@ -341,30 +302,30 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Judge `lateness` at `now` (s); `flows`: messages are due."""
         raise NotImplementedError
 
-    def is_due(self, now: float) -> bool:
-        was_idle, self.idle = self.idle, self._idling.lasts(self._signs, now)
-        if was_idle and not self.idle:
-            self.meter.rested(self._idling.seen_idle)
-        return not self.idle
+    @property
+    def _passed(self) -> int:
+        return self.meter.count + self._came_here
 
     def _signs(self) -> Signs:
-        """Return what changes if anything happens to this half, apart from the passing of time."""
-        return (
-            self.id, self._verdict, self.judged.peer, self.meter.count, self._came_here, self.endpoints, self.channel,
-            self.limit.rate, self.link_full, self.notices.last_error, self.life.phase, self.pausing.paused,
-            self.peer.path.fault, self.silence.watch.after,
-            not self.transport.reliable and self.trouble(),  # a stream would ask the kernel
-        )  # fmt: skip
+        return *super()._signs(), self.silence.watch.after
 
-    def _next_change(self, shown: Verdict, now: float, *, awaited: bool) -> float:
-        """Return when (s) the route has to be ticked next if its signs stay the same: `now` for each second."""
-        if shown.state not in _CALM or self.arming.required or self.lateness.since is not None:
+    def _woken(self, since: float) -> None:
+        super()._woken(since)
+        self.traffic.rested(since)
+
+    def _next_change(self, now: float, crossing: Crossing) -> float:
+        if self.lateness.since is not None or not self.traffic.still:
             return now
-        next_change = self.silence.due if awaited and self.silence_counts else math.inf
+        changes = [super()._next_change(now, crossing)]
+        watch, awaited = self.silence.watch, crossing.flows or self.lacks_publisher(crossing)
+        if awaited and self.silence_counts and now < self.silence.due:
+            changes.append(self.silence.due)
+        if self.judged.announced.verdict.state in _SILENT:
+            changes.append(watch.next_warning)
         if self._is_polled:
             # Routes that came together do not wake together.
-            next_change = min(next_change, now + self.context.random.uniform(POLLED_EVERY / 2, POLLED_EVERY))
-        return next_change
+            changes.append(now + self.context.random.uniform(POLLED_EVERY / 2, POLLED_EVERY))
+        return min(changes)
 
     @property
     def _is_polled(self) -> bool:
@@ -383,10 +344,8 @@ class TopicRoute(Route, Generic[ChannelT]):
         if not awaited:
             self.silence.rearm(now)
         shown = self.judged.announced.verdict
-        if shown.state in (State.STALE, State.STOPPED):
+        if shown.state in _SILENT:
             self.silence.tick(now, shown.cause)
-        # Last, so that the signs contain all that the tick has changed.
-        self._idling.ticked(self._signs(), now, self._next_change(shown, now, awaited=awaited))
 
     def count(self, messages: int, size: int, now: float) -> None:
         """Count messages that pass at `now` (s), of `size` bytes together."""

@@ -224,6 +224,7 @@ class TopicSubscription:
         return self._route.ends.subscribe(spec, sink, self._route.peer.name, on_failure)
 
     def _changed(self) -> None:
+        self._route.wake()
         if self.failure:
             self._route.notices.record(self.failure)
             self._route.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, self.failure)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from math import sqrt
+from math import inf, sqrt
 
 from rsb_bridge.model.capacity import Capacity, CapacitySource, newer
 
@@ -48,14 +48,6 @@ class Smoothed:
     def __init__(self, now: float) -> None:
         self.rate = 0.0
         self._at = now
-
-    def idle(self, now: float) -> bool:
-        """Whether the rate is 0; then nothing has come since the last call either, at `now` (s)."""
-        if self.rate:
-            return False
-        # Else the next amount would be spread over the time in which nothing came.
-        self._at = now
-        return True
 
     def add(self, amount: float, now: float) -> None:
         """Take what has come since the last call, at `now` (s)."""
@@ -126,14 +118,41 @@ class RateMeter:
         elapsed = now - self._ticked
         if elapsed < _SHORTEST_TICK:
             return
-        self._ticked = now
         messages, self._at_tick = self.count - self._at_tick, self.count
         if learns:
             self._usual.add(messages, self.last, now)
         else:
             self._usual.skip(now)
+        self._add_seconds(messages, now)
+        self._smoothed.add(self.bytes - self._bytes_at_tick, now)
+        self._bytes_at_tick = self.bytes
+        if messages or self.rate:
+            self.rate = self._rate()
+
+    @property
+    def still(self) -> bool:
+        """Whether both rates are 0, as they are while nothing comes."""
+        return not (self.rate or self._smoothed.rate)
+
+    def rested(self, until: float) -> None:
+        """Take over that nothing came until `until` (s), instead of a tick in each second since the last one.
+
+        Only while it is `still`; then it gives the same figures.
+        """
+        self._smoothed.add(0.0, until)
+        if until - self._ticked >= _SHORTEST_TICK:
+            self._usual.rested(until)
+            self._add_seconds(0, until)
+
+    def history_at(self, now: float) -> tuple[int, ...]:
+        """Return the history, to which nothing has come since the last tick until `now` (s)."""
+        quiet = min(HISTORY, max(0, int(now - self._ticked)))
+        return *[*self.history][max(0, len(self.history) + quiet - HISTORY) :], *[0] * quiet
+
+    def _add_seconds(self, messages: int, now: float) -> None:
+        """Add messages to the history, as the seconds that they took."""
+        elapsed, self._ticked = now - self._ticked, now
         if not messages and self._quiet >= HISTORY == len(self.history):
-            self._smoothed.add(0.0, now)
             return  # one quiet second more makes no difference
         seconds = max(1, round(elapsed))
         length = elapsed / seconds
@@ -144,20 +163,6 @@ class RateMeter:
             self._marks.append((count + share, end + length))
             self.history.append(round(share / length))
             self._quiet = 0 if self.history[-1] else self._quiet + 1
-        self._smoothed.add(self.bytes - self._bytes_at_tick, now)
-        self._bytes_at_tick = self.bytes
-        if messages or self.rate:
-            self.rate = self._rate()
-
-    def rested(self, until: float) -> None:
-        """Take over that nothing came until `until` (s), instead of a tick in each second since the last one.
-
-        Only once the history has no messages; then it gives the same figures.
-        """
-        if self._quiet >= HISTORY:
-            self._ticked = until
-            self._usual.rested(until)
-            self._smoothed.add(0.0, until)
 
     def _rate(self) -> float:
         """Return the rate, or 0 once an expected message is missing; a silent second makes it no higher."""
@@ -364,6 +369,11 @@ class StaleWatch:
             self.warned += 1
             return self.warned
         return 0
+
+    @property
+    def next_warning(self) -> float:
+        """Time (s) of the next warning, or infinite if there is none."""
+        return self.quiet_since + self.after * (self.warned + 1) if self.after and self.warned < self.times else inf
 
     def stale(self, now: float) -> bool:
         """Whether it has been quiet for too long."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass
+from math import inf
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -83,13 +84,15 @@ class StopWatch:
         since: s, when the last message came before they stopped, or None.
         quiet: whether the silence is longer than the rate explains, even if it is a usual pause.
         new: the publishers that have come since the last message.
+        next_change: time (s) from which the silence may be judged otherwise, without a message.
     """
 
-    __slots__ = ("_came_at", "_longest_pause", "_publishers", "new", "quiet", "since")
+    __slots__ = ("_came_at", "_longest_pause", "_publishers", "new", "next_change", "quiet", "since")
 
     def __init__(self) -> None:
         self.since: float | None = None
         self.quiet = False
+        self.next_change = inf
         self.new: frozenset[bytes] = frozenset()
         self._came_at = float("-inf")
         self._publishers: frozenset[bytes] | None = None
@@ -119,13 +122,17 @@ class StopWatch:
         if self.since is None and publishers != self._publishers:
             self._publishers, self._longest_pause = publishers, 0.0
         waited = now - max(last, self._came_at)
-        self.quiet = waited > max(_STOPPED_AFTER, _STOPPED_PERIODS / expected)
-        if self.quiet and self.since is None and (promised or waited > _PAUSES * self._longest_pause):
+        longest, paused = max(_STOPPED_AFTER, _STOPPED_PERIODS / expected), _PAUSES * self._longest_pause
+        self.quiet = waited > longest
+        if self.quiet and self.since is None and (promised or waited > paused):
             self.since = last
+        self.next_change = now
+        if self.quiet:
+            self.next_change = inf if self.since is not None else now + paused - waited
 
     def reset(self) -> None:
         """Start over: messages cannot flow now."""
-        self.since, self.quiet = None, False
+        self.since, self.quiet, self.next_change = None, False, inf
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Request, ServiceServer
     from rsb_bridge.route.calls.calling import OfferedService
     from rsb_bridge.route.calls.manual_call import ManualCall
+    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide
 
@@ -184,6 +185,9 @@ class CallingActionRoute(CallingRoute):
             server.answer(caller, rejection_of(request))
         except RosError as error:
             self.failures.say(f"a caller could not be answered: {error}")
+
+    def _next_change(self, now: float, crossing: Crossing) -> float:
+        return now  # goals have times of their own, and a robot has few actions
 
     def tick(self) -> None:
         if expired := self.waiting.expire(self.context.now()):

@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
+    from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
@@ -355,7 +357,7 @@ class CallsRoute(Route):
         """Report that ROS refuses an endpoint for these lanes. They are tried again later, others at once."""
         self._retry.failed(text, entries)
         self.notices.error(EventCode.ROUTE_OFFER_FAILED, text)
-        self._verdict = None
+        self.judge_again()
 
     # --- frames
 
@@ -449,6 +451,20 @@ class CallsRoute(Route):
         self.meter.add(0, size, self.context.now())
         self.notices.flowing()
 
+    @property
+    def _passed(self) -> int:
+        calls = self.calls
+        return calls.asked + calls.answered + calls.expired + calls.refused.total() + calls.lost + calls.late
+
+    def _signs(self) -> Signs:
+        return (
+            *super()._signs(), self._report, self.unavailable(), self.warning, self.offered, self.last_malformed(),
+            self.end_nodes(),
+        )  # fmt: skip
+
+    def _next_change(self, now: float, crossing: Crossing) -> float:
+        return now if self.calls.in_flight else super()._next_change(now, crossing)
+
     def tick(self) -> None:
         if not self.offered:
             self.calls.forget_lately()
@@ -465,6 +481,7 @@ class CallsRoute(Route):
             text = f"malformed {found.type_name} to {self.peer.name}: {found.field}: see the node here that sent it"
             self.failures.say(text, EventCode.ROUTE_MALFORMED)
         self._report = report
+        self.wake()
         self.judged.receive(report.verdict, self.context.now())
 
     def news(self) -> CallsReport | None:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.calls.paced_client import PacedClient
     from rsb_bridge.route.calls.providing import CalledService
+    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
 
@@ -259,6 +260,9 @@ class ProvidingActionRoute(ProvidingRoute):
         if self.interrupted_at is None:
             now = self.interrupted_at = self.context.now()
             self.answers.interrupted(now)
+
+    def _next_change(self, now: float, crossing: Crossing) -> float:
+        return now  # goals have times of their own, and a robot has few actions
 
     def tick(self) -> None:
         now = self.context.now()
