@@ -451,7 +451,7 @@ class Route:
     def _next_change(self, now: float, crossing: Crossing) -> float:
         """Return when (s) something changes by itself next, `now` if it may at any moment, or infinity."""
         restless = (
-            self.judged.announced.verdict.state not in _LASTS or not self.meter.still or self.arming.required
+            self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still or self.arming.required
             or self.link_full is not None or self.peer.path.fault is not None or self.losses.reasons
         )  # fmt: skip
         return now if restless else self.judged.next_change
