@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support.offline import FakePeer, half_of
 
+from rsb_bridge.channel.channel import Counts
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.faults import PathFault
@@ -31,6 +32,12 @@ class Channel:
     """A channel that takes messages, and is not given any."""
 
     ready = True
+
+    def close(self, reason: str) -> None:
+        pass
+
+    def counts(self) -> Counts:
+        return Counts(newest=None)
 
     def datagrams(self, size: int) -> int:
         return 0

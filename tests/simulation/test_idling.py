@@ -119,8 +119,8 @@ def test_idle_routes_miss_nothing(seed: int) -> None:
     assert seconds["idle"] > 100
 
 
-@pytest.mark.parametrize("signs", [replaced.INCOMING_SIGNS, replaced.OUTGOING_SIGNS], ids=["receiving", "sending"])
-def test_route_that_no_event_wakes_is_found(signs: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    signs.set(monkeypatch, lambda _: ())
+@pytest.mark.parametrize("place", [replaced.WAKE, replaced.COMPARE_SIGNS], ids=lambda place: place.name)
+def test_route_that_no_event_wakes_is_found(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    place.set(monkeypatch, lambda *_: None)
     with polled_too(), pytest.raises(Violation, match="slept through a change"):
-        World(1, WORLD).play(1200.0)
+        World(2, WORLD).play(1200.0)

@@ -344,16 +344,16 @@ class Bridge:
                 raise EngineError(str(error)) from None
             finally:
                 if command.refreshes and not self._stopping.is_set():  # the last snapshot shows the end, and stays
-                    self._show_effect(command)
+                    await self._show_effect(command)
 
-    def _show_effect(self, command: Command[Any]) -> None:
+    async def _show_effect(self, command: Command[Any]) -> None:
         if isinstance(command, _OF_ONE_ROUTE) and (found := route_in(self.role.links(), command.key)) is not None:
             self._snapshots.refresh_route(self.role, *found)
         else:  # the key may also be a pattern's, or of a route that is gone
-            self._snapshots.refresh_now(self.role)
+            await self._snapshots.refresh_all(self.role)
 
     async def _acknowledge(self, command: commands.Acknowledge) -> None:
-        self._snapshots.refresh_now(self.role)
+        await self._snapshots.refresh_all(self.role)
         # In the newest state: the fault that the operator has seen may be over.
         faulty = find_faulty(self._snapshots.latest, command.key, command.link, command.seen)
         acknowledgements = self._snapshots.acknowledged

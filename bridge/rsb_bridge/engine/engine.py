@@ -323,7 +323,7 @@ class Engine(EngineApi):
     def snapshot(self) -> Snapshot:
         """Return the engine as it was at most 1 s ago; while somebody asks more often than that, 0.25 s.
 
-        While nobody does, routes to which nothing has happened for minutes are as they were at most 15 s ago.
+        The first call in a while waits until all of it is renewed, a few ms.
         """
         return self.snapshots.newest()
 

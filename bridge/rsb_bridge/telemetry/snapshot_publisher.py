@@ -1,10 +1,12 @@
-"""Keeps the snapshot for user interfaces up to date, without delaying messages."""
+"""Keeps the snapshot for user interfaces up to date while they look at it, without delaying messages."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import dataclasses
 import math
+import threading
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,7 +16,7 @@ from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.purposes import Purpose
@@ -24,11 +26,10 @@ if TYPE_CHECKING:
 # Routes renewed in one refresh, at the least, in some 6 ms by slices of 1 ms (`tasks.SLICE`); the others follow.
 # Refreshes until each had its turn, while somebody looks at more than so many: then no route's is older than a second.
 _AT_ONCE, _REFRESHES = 128, 4
-# s over which calls are counted. A reader that looks once a second has at most three of them: not above `_SELDOM`.
-_LOOKED_AT_FOR = 2.0
+_LOOKED_AT_FOR = 2.0  # s after a look, in which it counts
 _SELDOM = 1.5  # Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25  # s from one renewal to the next
-_RESTING_EVERY = 15  # renewals until each resting route had its turn: what it shows of its link and the clock changes
+_CAUGHT_UP_WITHIN = 0.5  # s that the first look after a while waits; 1,000 routes take 0.05 s. A round figure
 _HANGS_AFTER = 10.0  # s without a renewal. A round figure: on a busy machine, threads were seen to stand still for 3 s
 # s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice.
 _EARLY = 0.01
@@ -73,10 +74,11 @@ class ShownBridge(Protocol):
 
 
 class SnapshotPublisher:
-    """Renews the snapshot while anybody uses it.
+    """Renews the snapshot: all of it for somebody who looks, else what has changed, once a second, for the record.
 
     Attributes:
-        latest: the newest snapshot; replaced, never changed, so that any thread may read it.
+        latest: the newest snapshot; replaced, never changed, so that any thread may read it. While nobody looks, idle
+            routes are as they were when they became so.
     """
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:
@@ -88,16 +90,24 @@ class SnapshotPublisher:
         self._links: dict[ShownLink, LinkSnapshot] = {}
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
-        self._turn = self._resting_turn = 0
+        self._looked_at = -math.inf
+        self._turn = 0
         self._published_at = clock.steady()
-        self._is_looked_at = True  # the first refresh renews all
+        self._is_watched = False  # by somebody who looks more often than once a second
+        self._catch_up: Callable[[threading.Event], object] | None = None
+        self._waiting: list[threading.Event] = []  # of threads that look for the first time in a while
 
     def newest(self) -> Snapshot:
-        """Return the newest snapshot; called on any thread.
+        """Return the newest snapshot, once it has all of the present; called on any thread.
 
         If it is old, the I/O thread hangs, in the middleware, say. Nothing else of an engine would show that.
         """
         self._looks += 1
+        before, self._looked_at = self._looked_at, self._clock.steady()
+        if self._looked_at - before > _LOOKED_AT_FOR and self._catch_up is not None:
+            caught_up = threading.Event()
+            self._catch_up(caught_up)
+            caught_up.wait(_CAUGHT_UP_WITHIN)
         latest = self.latest
         silent = self._clock.steady() - self._published_at
         if not latest.running or silent < _HANGS_AFTER:
@@ -123,43 +133,71 @@ class SnapshotPublisher:
 
         It keeps the time of other regular work that began with it: each wake-up costs more than what is done in it.
         """
-        now = asyncio.get_running_loop().time
-        began = now()
+        loop, thread, wanted = asyncio.get_running_loop(), threading.get_ident(), asyncio.Event()
+
+        def catch_up(caught_up: threading.Event) -> None:
+            if threading.get_ident() == thread:  # it cannot wait for itself
+                self.refresh_now(bridge)
+                caught_up.set()
+                return
+            self._waiting.append(caught_up)
+            try:
+                loop.call_soon_threadsafe(wanted.set)
+            except RuntimeError:  # it has ended
+                caught_up.set()
+
+        self._catch_up = catch_up
+        began = loop.time()
         while True:
             await self.refresh(bridge)
-            self._is_looked_at = self.looked_at(now())
-            every = _EVERY_LOOKED_AT if self._is_looked_at else _EVERY
-            turns = math.floor((now() - began + _EARLY) / every) + 1
-            await asyncio.sleep(began + turns * every - now())
+            self._is_watched = self.looked_at(loop.time())
+            every = _EVERY_LOOKED_AT if self._is_watched else _EVERY
+            turns = math.floor((loop.time() - began + _EARLY) / every) + 1
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(began + turns * every):
+                    await wanted.wait()
+            wanted.clear()
 
     async def refresh(self, bridge: ShownBridge) -> None:
-        """Renew the links, and a part of the routes, in turn; new ones at once, unwatched resting ones seldom."""
-        links = bridge.links()
-        routes = _routes_of(links)
+        """Renew the links, new routes, and of the others all, or some in turn where they follow soon."""
+        # In this order: a look that is not among the waiting ones is seen by the next line.
+        waiting, self._waiting = self._waiting, []
+        looked_at = self._clock.steady() - self._looked_at <= _LOOKED_AT_FOR
+        routes = _routes_of(bridge.links())
         # Nothing else lets go of a removed route.
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
-        changing = routes if self._is_looked_at else [route for route in routes if not route.idle]
-        at_once = max(_AT_ONCE, -(-len(changing) // _REFRESHES))
-        turn = [changing[(self._turn + i) % len(changing)] for i in range(min(at_once, len(changing)))]
-        self._turn += len(turn)
+        turn = routes if looked_at else [route for route in routes if not route.idle]
+        if (self._is_watched and not waiting) or not looked_at:
+            at_once = min(len(turn), max(_AT_ONCE, -(-len(turn) // _REFRESHES)))
+            self._turn, first = self._turn + at_once, self._turn
+            turn = [turn[(first + i) % len(turn)] for i in range(at_once)]
         await in_slices(turn, self._renew)
-        if not self._is_looked_at:
-            self._resting_turn += 1
-            resting = [route for route in routes if route.idle]
-            await in_slices(resting[self._resting_turn % _RESTING_EVERY :: _RESTING_EVERY], self._renew)
         await in_slices([route for route in routes if route not in self._routes], self._renew)
-        await in_slices(links, self._renew_link)
+        await in_slices(bridge.links(), self._renew_link)
         self._publish(bridge, running=True)
+        for each in waiting:
+            each.set()
+
+    async def refresh_all(self, bridge: ShownBridge) -> None:
+        """Renew everything: after a command, whose outcome a user waits for."""
+        await in_slices(_routes_of(bridge.links()), self._renew)
+        await in_slices(bridge.links(), self._renew_link)
+        if self.latest.running:  # else the bridge has ended meanwhile
+            self._publish(bridge, running=True)
 
     def refresh_now(self, bridge: ShownBridge, *, running: bool = True) -> None:
-        """Renew everything at once: after a command, whose outcome a user waits for."""
+        """Renew everything in one turn of the loop; `running`: whether any are to follow."""
         links = bridge.links()
         self._routes = {route: route.snapshot() for route in _routes_of(links)}
         self._links = {link: link.snapshot() for link in links}
         self._publish(bridge, running=running)
+        if not running:
+            self._catch_up = None
+            for each in self._waiting:
+                each.set()
 
     def refresh_route(self, bridge: ShownBridge, link: ShownLink, route: ShownRoute) -> None:
-        """Renew one route at once: a bridge with hundreds of routes stands still until all are renewed."""
+        """Renew one route, after a command about it."""
         self._renew(route)
         if link not in self._links:  # it is shown with its route
             self._renew_link(link)

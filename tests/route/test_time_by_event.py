@@ -1,0 +1,202 @@
+"""The oracle of `route.idling`: a half that is ticked when it is due does what one that is ticked each second does.
+
+Random lives of one half are lived twice, for forty minutes each: the same happens to both at the same times, and their
+verdicts, events and rates are compared each second.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from math import inf
+from random import Random
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.route.test_idle_routes import TALKER, Channel
+from tests.support import replaced
+from tests.support.offline import FakePeer, half_of, make_context
+from tests.support.virtual_time import VirtualLoop, virtual_loop
+
+from rsb_bridge.model.capacity import Fullness
+from rsb_bridge.model.faults import PathFault
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.places import Place
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.route.topic_route import TopicRoute
+
+_LIFE = 2400
+_SEEDS = range(1, 13)
+
+
+_SUBSCRIPTION: Any = SimpleNamespace(
+    spec=None, receives=True, failure="", lost=0, is_unmatched=False, awaits_match=False, tick=lambda: None,
+    close=lambda: 0, unsubscribe=lambda: None,
+)  # fmt: skip
+"""One that works."""
+
+
+class Life:
+    """A half and what happens to it; two of the same seed live the same life."""
+
+    def __init__(self, loop: VirtualLoop, context: Context, seed: int) -> None:
+        random = self._random = Random(seed)
+        topic = Topic(
+            "/scan",
+            "transmit",
+            stale_after=random.choice([None, None, 20.0, 70.0]),
+            expected_rate=random.choice([None, None, 0.05, 0.05, 1.0]),
+        )
+        self.loop, self.peer = loop, FakePeer()
+        kind: Any = random.choice([OutgoingRoute, OutgoingRoute, IncomingRoute])
+        self.route: TopicRoute[Any] = half_of(kind, context, topic, self.peer)
+        self.route._advance = lambda: None  # type: ignore[method-assign]  # no graph
+        if isinstance(self.route, OutgoingRoute):
+            self.route._subscription = _SUBSCRIPTION
+        self._every = 0  # s from one message to the next, or 0 for none
+        self._later: dict[float, Callable[[], None]] = {}
+        self._open()
+
+    def _open(self) -> None:
+        self.route.open(1)
+        self.route.on_accepted()
+        self.route.channel = Channel()
+
+    def second(self) -> None:
+        """Move time on to the next tick; half a second before, something may happen."""
+        self.loop.jump(0.5)
+        if self._random.random() < 0.008:
+            self._random.choice(_EVENTS)(self)
+            self.route.advance()
+        if (later := self._later.pop(self.loop.time(), None)) is not None:
+            later()
+        if self._every and int(self.loop.time()) % self._every == 0 and self.route.id:
+            self.route.count(self._random.choice([1, 1, 3]), 100, self.loop.time())
+        self.loop.jump(0.5)
+
+    def says(self) -> tuple[object, ...]:
+        """What operators, the log and the other side are told."""
+        route = self.route
+        events = [(event.time, event.code, event.text) for event in route.context.events.after(0)]
+        shown = route.judged.shown(route.verdict())
+        return shown, route.judged.announced, events, route.meter.rate, route.meter.bytes_per_second, self._history()
+
+    def _history(self) -> tuple[int, ...]:
+        meter = self.route.meter
+        return (meter.history_at(self.loop.time()) if self.route.idle else tuple(meter.history))[-60:]
+
+    # --- what may happen
+
+    def flow(self) -> None:
+        self._every = self._random.choice([0, 1, 1, 2, 40])
+
+    def look(self) -> None:
+        self.route.endpoints = self._random.choice([(), (TALKER,), (TALKER._replace(node="/other", gid=b"other"),)])
+
+    def pause(self) -> None:
+        self.route.pausing.change(paused=not self.route.pausing.paused)
+
+    def reopen(self) -> None:
+        self.route.close("a test")
+        self._open()
+
+    def fill(self) -> None:
+        self._have(Fullness(5e3, 15e3), None)
+
+    def break_path(self) -> None:
+        cause = self._random.choice([LinkCause.LOSSY, LinkCause.SILENT, LinkCause.LARGE_PACKETS])
+        self._have(None, PathFault(cause, "a fault of the path"))
+
+    def _have(self, full: Fullness | None, fault: PathFault | None) -> None:
+        self.peer.fullness.out = self.peer.fullness.into = full
+        self.peer.path.fault = fault
+        self.route.judge_again()
+        if full or fault:
+            self._later[self.loop.time() + 30.0] = partial(self._have, None, None)
+
+    def hear(self) -> None:
+        """Hear of a fault that comes again soon, which the log tells after a minute at the earliest."""
+        states = (State.DOWN, Cause.NOT_PUBLISHED), (State.UNHEARD, Cause.NO_SUBSCRIBER), (State.STALE, Cause.SILENT)
+        verdict = VerdictRecord(*self._random.choice(states), "says the other side")
+        now = self.loop.time()
+        for after, said in ((0.0, verdict), (10.0, None), (20.0, verdict), (100.0, None)):
+            self._later[now + after] = partial(self._report, said)
+
+    def _report(self, verdict: VerdictRecord | None) -> None:
+        report = ReceivedReport if self.route.outgoing else SentReport
+        self.route.reported(report(route=1, verdict=verdict))
+
+    def limit(self) -> None:
+        self.route.limit.set_max_rate(self._random.choice([None, 0.5, 7.0]))
+
+
+_EVENTS: list[Callable[[Life], None]] = [
+    *[Life.flow] * 6, Life.look, Life.look, Life.pause, Life.reopen, Life.fill, Life.break_path, Life.hear, Life.limit,
+]  # fmt: skip
+
+
+def live(seed: int) -> int:
+    """Live a life twice; return for how many seconds the half was idle.
+
+    Raises:
+        AssertionError: one that is ticked when it is due does something else.
+    """
+    with virtual_loop() as loop, virtual_loop() as other:
+        make: Any = make_context.__wrapped__  # type: ignore[attr-defined]
+        by_event, polled = Life(loop, make(loop)(), seed), Life(other, make(other)(), seed)
+        idle = 0
+        for _ in range(_LIFE):
+            by_event.second()
+            polled.second()
+            polled.route.tick()
+            if by_event.route.is_due(loop.time()):
+                by_event.route.tick()
+            idle += by_event.route.idle
+            assert by_event.says() == polled.says(), f"seed {seed}, {loop.time():.0f} s"
+        return idle
+
+
+def live_all() -> int:
+    return sum(live(seed) for seed in _SEEDS)
+
+
+def test_half_that_is_ticked_when_due_says_what_one_says_that_is_polled() -> None:
+    assert live_all() > 0.2 * _LIFE * len(_SEEDS)
+
+
+def _never(*_: object) -> float:
+    return inf
+
+
+MUTATIONS: list[tuple[Place, object]] = [
+    (replaced.WAKE, lambda *_: None),
+    (replaced.COMPARE_SIGNS, lambda *_: None),
+    (replaced.SETTLES, 2.0),
+    (replaced.HEALTH_CHANGES, _never),
+    (replaced.LOG_CHANGES, property(_never)),
+    (replaced.NEXT_WARNING, property(_never)),
+    (replaced.SILENCE_DUE, property(_never)),
+    (replaced.METER_STILL, property(lambda _: True)),
+    (replaced.METER_RESTED, lambda *_: None),
+    (replaced.HALF_CHANGES, _never),
+    (replaced.TOPIC_CHANGES, _never),
+]
+
+
+@pytest.mark.parametrize(("place", "mutation"), MUTATIONS, ids=[place.name for place, _ in MUTATIONS])
+def test_rule_without_its_time_and_event_without_its_wake_are_found(
+    place: Place, mutation: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place.set(monkeypatch, mutation)
+    with pytest.raises(AssertionError, match="seed"):
+        live_all()
