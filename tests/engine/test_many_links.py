@@ -155,9 +155,11 @@ def test_snapshot_has_links_present_at_its_end(loop: VirtualLoop, make_context: 
 
 
 @pytest.mark.parametrize(
-    ("looks", "least", "most"), [(1.0, LINKS // 5, LINKS // 3), (4.0, 4 * LINKS, 16 * LINKS)], ids=["log", "console"]
+    ("looks", "least", "most"),
+    [(0.0, 0, 0), (1.0, 3 * LINKS, 5 * LINKS), (4.0, 4 * LINKS, 16 * LINKS)],
+    ids=["nobody", "log", "console"],
 )
-def test_resting_routes_are_shown_anew_seldom_unless_watched(
+def test_idle_routes_are_shown_anew_while_somebody_looks(
     looks: float, least: int, most: int, loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     resting, awake = Turns(loop), Turns(loop)
@@ -170,7 +172,7 @@ def test_resting_routes_are_shown_anew_seldom_unless_watched(
     shown = publisher(make_context())
 
     async def look() -> None:
-        while True:
+        while looks:
             shown.newest()
             await asyncio.sleep(1 / looks)
 
@@ -185,6 +187,8 @@ def test_resting_routes_are_shown_anew_seldom_unless_watched(
     loop.run_until_complete(main())
     assert awake.calls >= 3
     assert least <= resting.calls <= most
+    shown.newest()
+    assert resting.calls >= least + LINKS or looks, "the first look in a while has all of the present"
 
 
 def test_free_descriptors_are_known_without_listing_all(monkeypatch: pytest.MonkeyPatch) -> None:

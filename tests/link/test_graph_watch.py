@@ -53,6 +53,8 @@ class Links:
 
 
 class Route:
+    idle = False
+
     def __init__(self, links: Links, number: int) -> None:
         self.id = number + 1
         self._links = links
@@ -123,6 +125,17 @@ def test_routes_look_now_and_then_although_nothing_changed(loop: VirtualLoop, wa
     links = Links(loop, 1)
     _, wait = watch(links)
     wait(35.0)
+    assert len(links.looks) == 3
+
+
+def test_idle_routes_look_once_a_minute_although_nothing_changed(loop: VirtualLoop, watch: Any) -> None:
+    links = Links(loop, 1)
+    links.routes["0"].idle = True
+    graph, wait = watch(links)
+    wait(150.0)
+    assert len(links.looks) == 2
+    graph.changed()
+    wait(0.5)
     assert len(links.looks) == 3
 
 

@@ -137,7 +137,7 @@ class Life:
         self.route.reported(report(route=1, verdict=verdict))
 
     def limit(self) -> None:
-        self.route.limit.set_max_rate(self._random.choice([None, 0.5, 7.0]))
+        self.route.limit.set_max_rate(self._random.choice([0.0, 0.5, 7.0]))
 
 
 _EVENTS: list[Callable[[Life], None]] = [

@@ -163,7 +163,8 @@ class SnapshotPublisher:
         # In this order: a look that is not among the waiting ones is seen by the next line.
         waiting, self._waiting = self._waiting, []
         looked_at = self._clock.steady() - self._looked_at <= _LOOKED_AT_FOR
-        routes = _routes_of(bridge.links())
+        links = bridge.links()
+        routes = _routes_of(links)
         # Nothing else lets go of a removed route.
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
         turn = routes if looked_at else [route for route in routes if not route.idle]
@@ -173,15 +174,16 @@ class SnapshotPublisher:
             turn = [turn[(first + i) % len(turn)] for i in range(at_once)]
         await in_slices(turn, self._renew)
         await in_slices([route for route in routes if route not in self._routes], self._renew)
-        await in_slices(bridge.links(), self._renew_link)
+        await in_slices(links, self._renew_link)
         self._publish(bridge, running=True)
         for each in waiting:
             each.set()
 
     async def refresh_all(self, bridge: ShownBridge) -> None:
         """Renew everything: after a command, whose outcome a user waits for."""
-        await in_slices(_routes_of(bridge.links()), self._renew)
-        await in_slices(bridge.links(), self._renew_link)
+        links = bridge.links()
+        await in_slices(_routes_of(links), self._renew)
+        await in_slices(links, self._renew_link)
         if self.latest.running:  # else the bridge has ended meanwhile
             self._publish(bridge, running=True)
 
