@@ -139,6 +139,8 @@ class Timeline:
         self._happened: deque[Event] = deque(maxlen=_ACTIONS)
         self._turn = 0
         self._tidied = 0.0
+        self._shown: dict[int, TrackRecord] = {}  # of the last snapshot's routes, by their ids
+        self._holds: Snapshot | None = None
 
     # --- as time goes by
 
@@ -149,11 +151,20 @@ class Timeline:
         for link in snapshot.links:
             traffic = link.rx_bytes_per_second + link.tx_bytes_per_second
             self._observe(_key_of(link.name), now, link.state, link.reason, rate=traffic)
+        before, self._shown = self._shown, {}
         for route in snapshot.routes:
+            # A quiet topic's snapshot stays the same object, and there are hundreds.
+            record = before.get(id(route))
+            if record is not None and record.goes_on(now):
+                record.turn, self._shown[id(route)] = self._turn, record
+                continue
             key = (route.link, route.spec.kind, route.topic, route.outgoing)
             total = route.ledger.delivered if route.calls is None else route.calls.asked
             reason = route.reason or route.last_error
-            self._observe(key, now, route.state, reason, total=total, is_open=_is_open(route))
+            record = self._observe(key, now, route.state, reason, total=total, is_open=_is_open(route))
+            if record is not None:
+                self._shown[id(route)] = record
+        self._holds = snapshot  # so that no other object gets the id of one of these
         for record in [each for each in self._records.values() if each.live and each.turn != self._turn]:
             self.changes += record.is_out
             record.cut(now, self._link_of(record), cut_off=False)
@@ -171,17 +182,23 @@ class Timeline:
         rate: float = 0.0,
         total: int = 0,
         is_open: bool = False,
-    ) -> None:
+    ) -> TrackRecord | None:
         record = self._records.get(key)
         if record is None:
             if not self._records.make_room(key, self._turn):
-                return
+                return None
             record = self._records[key] = TrackRecord(*key)
         record.turn = self._turn
         was_out = record.is_out
         record.count(total)
         record.observe(now, state, reason, self._link_of(record), rate, is_open=is_open)
         self.changes += was_out != record.is_out
+        return record
+
+    def _catch_up(self) -> None:
+        if self._run is not None:
+            for record in self._records.values():
+                record.catch_up(self._run[1])
 
     def did(self, event: Event, now: float) -> bool:
         """Remember an event, if an operator caused it or it concerns the whole bridge; whether it is so."""
@@ -220,6 +237,7 @@ class Timeline:
         """Shift this run by some seconds, because the clock was set."""
         if self._run is None:
             return
+        self._catch_up()
         since, until = self._run
         for record in self._records.values():
             record.move(since, seconds)
@@ -257,6 +275,7 @@ class Timeline:
 
     def report(self, now: float, span: float, *, running: bool) -> HistoryReport:
         """Report on the last `span` s."""
+        self._catch_up()
         start = now - span
         tracks: list[Track] = []
         outages: list[Outage] = []
@@ -293,6 +312,7 @@ class Timeline:
 
     def save(self, now: float) -> Saved:
         """All of it as it is now, for `restore`."""
+        self._catch_up()
         tracks = tuple(
             SavedTrack(
                 each.link, each.topic, each.outgoing, *each.series.dump(),

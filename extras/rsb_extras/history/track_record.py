@@ -289,6 +289,23 @@ class TrackRecord:
             self._out += now - self._born
             self._open = _Open(self._born, state, reason, with_link=link is not None and link.is_out)
 
+    def goes_on(self, now: float) -> bool:
+        """Note that the last state lasts, and nothing was counted; whether it was enough, or `observe` has to be told.
+
+        Until the minute is over, or a question needs them (`catch_up`), its seconds are added up later.
+        """
+        waits = self._state is State.WAITING and self._open is None
+        if not (waits or self._state in FINE) or int(now // MINUTE) != self._minute:
+            return False
+        if waits:
+            self._born = now
+        return self.live
+
+    def catch_up(self, now: float) -> None:
+        """Add up the seconds in which it went on."""
+        if self.live:
+            self._pass(now)
+
     def _waits(self, now: float, *, is_open: bool = False) -> bool:
         """Whether it waits for its first message. After an outage it is out until it is open again."""
         if self._waits_since is None:

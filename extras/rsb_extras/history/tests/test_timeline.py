@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from dataclasses import replace
+from random import Random
 
 import msgspec
 import pytest
@@ -509,3 +510,27 @@ def test_a_thread_that_failed_answers_all_the_same() -> None:
     with pytest.raises(ZeroDivisionError):
         recorder.history(60.0).result(60)
     recorder.stop(10)  # else pytest may find the thread's failure in another test
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_snapshots_that_stay_the_same_object_are_remembered_as_new_ones_are(seed: int) -> None:
+    """A topic to which nothing happens is not looked at each second, and its time counts all the same."""
+    random = Random(seed)
+    worlds = World("/scan", "/map"), World("/scan", "/map")
+    states = State.OK, State.WAITING, State.PAUSED, State.DOWN, State.STALE, State.UNHEARD
+    for world in worlds:
+        world.begin("/late", State.WAITING, "no publisher")  # one that never opens
+    for _ in range(60):
+        topic, state, quiet = random.choice(["/scan", "/map", "/late"]), random.choice(states), random.randrange(1, 90)
+        state = random.choice([State.WAITING, State.DOWN]) if topic == "/late" else state
+        for is_new, world in enumerate(worlds):
+            world.put(topic, state, f"it is {state}")
+            for _ in range(quiet):
+                world.clock.go(1.0)
+                if is_new:
+                    world.routes = {name: replace(each) for name, each in world.routes.items()}
+                world._renew()
+                world.recorder.record()
+        if random.random() < 0.2:
+            assert worlds[0].report() == worlds[1].report()
+    assert worlds[0].records == worlds[1].records
