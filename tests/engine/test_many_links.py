@@ -69,7 +69,7 @@ class Link:
 class Route:
     def __init__(self, turns: Turns) -> None:
         self.snapshot = turns.called
-        self.idle = False
+        self.idle = self.shows_the_same = False
         self.purpose = TOPIC
 
 
@@ -189,6 +189,30 @@ def test_idle_routes_are_shown_anew_while_somebody_looks(
     assert least <= resting.calls <= most
     shown.newest()
     assert resting.calls >= least + LINKS or looks, "the first look in a while has all of the present"
+
+
+def test_routes_that_show_the_same_are_shown_anew_after_an_event_or_when_the_clock_is_set(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    context, turns = make_context(), Turns(loop)
+    (link,) = [Link(turns, routes=4)]
+    link.snapshot = lambda: None  # type: ignore[method-assign]
+    shown = publisher(context)
+
+    def renewals() -> int:
+        before = turns.calls
+        shown.newest()
+        loop.run_until_complete(shown.refresh(Many([link])))
+        return turns.calls - before
+
+    assert renewals() == 4
+    for route in link.routes.values():
+        route.shows_the_same = True
+    assert (renewals(), renewals()) == (4, 0)
+    link.routes["2"].shows_the_same = False
+    assert renewals() == 1
+    context.clock.epoch += 5.0  # type: ignore[attr-defined]
+    assert renewals() == 4
 
 
 def test_free_descriptors_are_known_without_listing_all(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ verdicts, events and rates are compared each second.
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from functools import partial
 from math import inf
 from random import Random
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from tests.support.places import Place
 
     from rsb_bridge.context import Context
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.route.route import Route
     from rsb_bridge.route.topic_route import TopicRoute
 
 _LIFE = 2400
@@ -145,6 +148,23 @@ _EVENTS: list[Callable[[Life], None]] = [
 ]  # fmt: skip
 
 
+def shown_by(route: Route) -> tuple[RouteSnapshot, float, float] | None:
+    """What is to stay the same, with its times as those of the loop, or None if nothing is."""
+    if not route.shows_the_same:
+        return None
+    shown, to_loop = route.snapshot(), route.context.now() - route.context.wall()
+    assert shown.latency_p50 is None, "then its uncertainty, which changes, is not shown"
+    times = shown.since + to_loop, (shown.last_at or 0.0) + to_loop * (shown.last_at is not None)
+    return replace(shown, latency_uncertainty=None, since=0.0, last_at=None), *times
+
+
+def differences(before: tuple[RouteSnapshot, float, float], now: tuple[RouteSnapshot, float, float]) -> list[object]:
+    """What is shown otherwise; times may differ by what the clocks take."""
+    times = [pair for pair in zip(before[1:], now[1:], strict=True) if abs(pair[0] - pair[1]) > 0.05]
+    figures = [(getattr(before[0], each.name), getattr(now[0], each.name)) for each in fields(now[0])]
+    return [*times, *(pair for pair in figures if pair[0] != pair[1])]
+
+
 def live(seed: int) -> int:
     """Live a life twice; return for how many seconds the half was idle.
 
@@ -154,7 +174,7 @@ def live(seed: int) -> int:
     with virtual_loop() as loop, virtual_loop() as other:
         make: Any = make_context.__wrapped__  # type: ignore[attr-defined]
         by_event, polled = Life(loop, make(loop)(), seed), Life(other, make(other)(), seed)
-        idle = 0
+        idle, shown = 0, shown_by(by_event.route)
         for _ in range(_LIFE):
             by_event.second()
             polled.second()
@@ -163,6 +183,9 @@ def live(seed: int) -> int:
                 by_event.route.tick()
             idle += by_event.route.idle
             assert by_event.says() == polled.says(), f"seed {seed}, {loop.time():.0f} s"
+            before, shown = shown, shown_by(by_event.route)
+            others: list[object] = differences(before, shown) if before and shown else []
+            assert not others, f"seed {seed}, {loop.time():.0f} s: shown otherwise: {others}"
         return idle
 
 
@@ -188,6 +211,8 @@ MUTATIONS: list[tuple[Place, object]] = [
     (replaced.SILENCE_DUE, property(_never)),
     (replaced.METER_STILL, property(lambda _: True)),
     (replaced.METER_RESTED, lambda *_: None),
+    (replaced.METER_BLANK, lambda *_: True),
+    (replaced.LASTING, property(lambda _: False)),
     (replaced.HALF_CHANGES, _never),
     (replaced.TOPIC_CHANGES, _never),
 ]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
+from tests.route.test_time_by_event import differences, shown_by
 from tests.simulation.conditions import QUIET, STILL
 from tests.simulation.episodes import type_differs_for
 from tests.simulation.node import Node
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from tests.support.places import Place
 
+    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.wire.messages import ControlMessage
 
@@ -87,6 +89,7 @@ def polled_too() -> Iterator[Counter[str]]:
     Yields the seconds of idle routes, and those of routes that are ticked anyway.
     """
     seconds: Counter[str] = Counter()
+    shown: dict[Route, tuple[RouteSnapshot, float, float]] = {}
     is_due, log = Route.is_due, Context.log
 
     def poll(route: Route) -> None:
@@ -97,8 +100,16 @@ def polled_too() -> Iterator[Counter[str]]:
         if after != (before, peer_s) or logged.called or (route.id and route.news() is not None):
             raise Violation(f"{route.key} slept through a change: {before} {peer_s}, {after}, {logged.call_args}")
 
+    def show(route: Route) -> None:
+        now = shown_by(route)
+        if now is None:
+            shown.pop(route, None)
+        elif others := differences(shown.setdefault(route, now), now):
+            raise Violation(f"{route.key} shows something else: {others}")
+
     def polling(route: Route, now: float) -> bool:
         due = is_due(route, now)
+        show(route)
         seconds["due" if due else "idle"] += 1
         if not due:
             poll(route)
@@ -122,5 +133,5 @@ def test_idle_routes_miss_nothing(seed: int) -> None:
 @pytest.mark.parametrize("place", [replaced.WAKE, replaced.COMPARE_SIGNS], ids=lambda place: place.name)
 def test_route_that_no_event_wakes_is_found(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     place.set(monkeypatch, lambda *_: None)
-    with polled_too(), pytest.raises(Violation, match="slept through a change"):
+    with polled_too(), pytest.raises(Violation, match=r"slept through a change|shows something else"):
         World(2, WORLD).play(1200.0)

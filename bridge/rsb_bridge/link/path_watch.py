@@ -19,7 +19,6 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.faults import PathFault, PathFaultText
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
-from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.telemetry.meters import Shortest
 from rsb_bridge.transport.streams import PacketCounts, Stream
 from rsb_bridge.wire.records import PathRecord
@@ -132,11 +131,13 @@ class PathWatch(Extension):
             return
         counts = {each: each.packets() for each in link.carriers() if isinstance(each, Stream)}
         routes = link.routes.values()
+        # First, which of them it may be: what a class is an instance of takes longer, and there may be hundreds.
+        by_datagrams = [route.channel for route in routes if not route.transport.reliable]
         stalled = self.observe(
             link.control.stream,
             {stream: packets for stream, packets in counts.items() if packets is not None},
-            [route.channel for route in routes if isinstance(route.channel, DatagramSender)],
-            large_vanish=any(isinstance(each, OutgoingRoute) and each.large_vanish for each in routes if not each.idle),
+            [channel for channel in by_datagrams if isinstance(channel, DatagramSender)],
+            large_vanish=any(each.large_vanish for each in routes if not each.idle),
         )
         for stream in stalled:
             stream.abort(STALLED)

@@ -189,6 +189,11 @@ class Verdict:
     text: str = ""
     since: float | None = None
 
+    @property
+    def lasting(self) -> bool:
+        """Whether its text tells for how long it has lasted."""
+        return LASTING in self.text
+
     def said(self, now: float, wall: float | None = None) -> str:
         """Return the text at `now` (s).
 

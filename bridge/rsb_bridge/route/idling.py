@@ -27,16 +27,17 @@ class Idling:
 
     Attributes:
         until: time (s) of the next tick.
-        looked: time (s) of the last look that found no message, or of the last tick.
+        passed: messages at the last tick.
+        looked: time (s) of the last look that found no more, or of the last tick.
     """
 
-    __slots__ = ("_passed", "_settles_until", "_signs", "looked", "until")
+    __slots__ = ("_settles_until", "_signs", "looked", "passed", "until")
 
     def __init__(self, now: float) -> None:
         self.until = self.looked = now
         self._settles_until = now + SETTLES
         self._signs: Signs = ()
-        self._passed = 0
+        self.passed = 0
 
     def wake(self, now: float) -> None:
         """Have the half ticked each second again, as something has happened to it."""
@@ -54,14 +55,7 @@ class Idling:
             passed: messages so far.
             next_change: time (s) of the next change by time alone, `now` if it may come at any moment, or infinite.
         """
-        if passed != self._passed or signs != self._signs:
+        if passed != self.passed or signs != self._signs:
             self._settles_until = now + SETTLES
-        self._signs, self._passed, self.looked = signs, passed, now
+        self._signs, self.passed, self.looked = signs, passed, now
         self.until = now if now < self._settles_until else next_change
-
-    def lasts(self, passed: int, now: float) -> bool:
-        """Whether the half is idle at `now` (s), after `passed` messages."""
-        if now >= self.until or passed != self._passed:
-            return False
-        self.looked = now
-        return True

@@ -520,6 +520,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _came_here(self) -> int:
         return self._received
 
+    @property
+    def _passed(self) -> int:
+        return self._received + self.meter.count
+
     def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
         uncertainty = self.peer.stamps.uncertainty
         if uncertainty is None or not flows:

@@ -331,6 +331,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def _came_here(self) -> int:
         return self._ledger.offered
 
+    @property
+    def _passed(self) -> int:
+        return self._ledger.offered + self.meter.count
+
     def flush(self) -> None:
         self._path.flush()
 

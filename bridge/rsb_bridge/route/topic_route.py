@@ -302,10 +302,6 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Judge `lateness` at `now` (s); `flows`: messages are due."""
         raise NotImplementedError
 
-    @property
-    def _passed(self) -> int:
-        return self.meter.count + self._came_here
-
     def _signs(self) -> Signs:
         return *super()._signs(), self.silence.watch.after
 

@@ -144,6 +144,10 @@ class RateMeter:
             self._usual.rested(until)
             self._add_seconds(0, until)
 
+    def is_blank(self, now: float) -> bool:
+        """Whether the history is full, and has no message, at `now` (s), if none has come since the last tick."""
+        return min(self._quiet, len(self.history)) + now - self._ticked >= HISTORY
+
     def history_at(self, now: float) -> tuple[int, ...]:
         """Return the history, to which nothing has come since the last tick until `now` (s)."""
         quiet = min(HISTORY, max(0, int(now - self._ticked)))

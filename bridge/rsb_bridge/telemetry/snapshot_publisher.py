@@ -29,6 +29,7 @@ _AT_ONCE, _REFRESHES = 128, 4
 _LOOKED_AT_FOR = 2.0  # s after a look, in which it counts
 _SELDOM = 1.5  # Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25  # s from one renewal to the next
+_CLOCK_SET = 0.1  # s by which the shown times of routes to which nothing happens may be wrong
 _CAUGHT_UP_WITHIN = 0.5  # s that the first look after a while waits; 1,000 routes take 0.05 s. A round figure
 _HANGS_AFTER = 10.0  # s without a renewal. A round figure: on a busy machine, threads were seen to stand still for 3 s
 # s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice.
@@ -46,6 +47,10 @@ class ShownRoute(Protocol):
     @property
     def idle(self) -> bool:
         """Whether nothing has happened to it lately."""
+
+    @property
+    def shows_the_same(self) -> bool:
+        """Whether its snapshot stays the same until something happens to it."""
 
 
 class ShownLink(Protocol):
@@ -88,6 +93,8 @@ class SnapshotPublisher:
         self._clock = clock
         self._routes: dict[ShownRoute, RouteSnapshot] = {}
         self._links: dict[ShownLink, LinkSnapshot] = {}
+        self._same: set[ShownRoute] = set()  # those whose snapshot was made when it was to stay the same
+        self._offset = 0.0  # s, of the wall clock, which snapshots tell times by, to the steady one
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
         self._looked_at = -math.inf
@@ -167,7 +174,12 @@ class SnapshotPublisher:
         routes = _routes_of(links)
         # Nothing else lets go of a removed route.
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
-        turn = routes if looked_at else [route for route in routes if not route.idle]
+        self._same.intersection_update(self._routes)
+        self._notice_clock()
+        if looked_at:
+            turn = [route for route in routes if route not in self._same or not route.shows_the_same]
+        else:
+            turn = [route for route in routes if not route.idle]
         if (self._is_watched and not waiting) or not looked_at:
             at_once = min(len(turn), max(_AT_ONCE, -(-len(turn) // _REFRESHES)))
             self._turn, first = self._turn + at_once, self._turn
@@ -175,7 +187,7 @@ class SnapshotPublisher:
         await in_slices(turn, self._renew)
         await in_slices([route for route in routes if route not in self._routes], self._renew)
         await in_slices(links, self._renew_link)
-        self._publish(bridge, running=True)
+        self._publish(bridge, running=True, unsaved=bridge.unsaved if looked_at else self.latest.unsaved)
         for each in waiting:
             each.set()
 
@@ -185,14 +197,16 @@ class SnapshotPublisher:
         await in_slices(_routes_of(links), self._renew)
         await in_slices(links, self._renew_link)
         if self.latest.running:  # else the bridge has ended meanwhile
-            self._publish(bridge, running=True)
+            self._publish(bridge, running=True, unsaved=bridge.unsaved)
 
     def refresh_now(self, bridge: ShownBridge, *, running: bool = True) -> None:
         """Renew everything in one turn of the loop; `running`: whether any are to follow."""
         links = bridge.links()
-        self._routes = {route: route.snapshot() for route in _routes_of(links)}
+        self._routes.clear()
+        for route in _routes_of(links):
+            self._renew(route)
         self._links = {link: link.snapshot() for link in links}
-        self._publish(bridge, running=running)
+        self._publish(bridge, running=running, unsaved=bridge.unsaved)
         if not running:
             self._catch_up = None
             for each in self._waiting:
@@ -203,16 +217,31 @@ class SnapshotPublisher:
         self._renew(route)
         if link not in self._links:  # it is shown with its route
             self._renew_link(link)
-        self._publish(bridge, running=True)
+        self._publish(bridge, running=True, unsaved=bridge.unsaved)
+
+    def _notice_clock(self) -> None:
+        """Renew all where the wall clock was set; also, after hours, where it drifts."""
+        offset = self._clock.time_ns() / 1e9 - self._clock.steady()
+        if abs(offset - self._offset) > _CLOCK_SET:
+            self._offset = offset
+            self._same.clear()
 
     def _renew(self, route: ShownRoute) -> None:
         self._routes[route] = route.snapshot()
+        if route.shows_the_same:
+            self._same.add(route)
+        else:
+            self._same.discard(route)
 
     def _renew_link(self, link: ShownLink) -> None:
         self._links[link] = link.snapshot()
 
-    def _publish(self, bridge: ShownBridge, *, running: bool) -> None:
-        """Publish the renewed links and routes that still exist; new ones follow in the next refresh."""
+    def _publish(self, bridge: ShownBridge, *, running: bool, unsaved: bool) -> None:
+        """Publish the renewed links and routes that still exist; new ones follow in the next refresh.
+
+        Args:
+            unsaved: whether the session differs from its file; to compare them takes a while.
+        """
         # Between the slices of a refresh, links and routes come and go.
         present = bridge.links()
         self._links = {link: self._links[link] for link in present if link in self._links}
@@ -227,7 +256,7 @@ class SnapshotPublisher:
             routes=routes,
             last_event=self._events.last,
             refused=bridge.refused(),
-            unsaved=bridge.unsaved,
+            unsaved=unsaved,
         )
 
 
