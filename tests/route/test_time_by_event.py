@@ -160,7 +160,7 @@ def shown_by(route: Route) -> tuple[RouteSnapshot, float, float] | None:
 
 def differences(before: tuple[RouteSnapshot, float, float], now: tuple[RouteSnapshot, float, float]) -> list[object]:
     """What is shown otherwise; times may differ by what the clocks take."""
-    times = [pair for pair in zip(before[1:], now[1:], strict=True) if abs(pair[0] - pair[1]) > 0.05]
+    times = [pair for pair in zip(before[1:], now[1:], strict=True) if abs(pair[0] - pair[1]) > 0.2]
     figures = [(getattr(before[0], each.name), getattr(now[0], each.name)) for each in fields(now[0])]
     return [*times, *(pair for pair in figures if pair[0] != pair[1])]
 
