@@ -80,7 +80,6 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._resolver = Resolver(context, proposal)
         self.health = Health()
         self.delays = SendersDelay()
-        self._in_flight = 0  # at the last tick
 
     # --- setting up
 
@@ -261,7 +260,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         return *super()._signs(), self._report, self._resolver.unresolved, subscription.failure, subscription.lost
 
     def _next_change(self, now: float, crossing: Crossing) -> float:
-        if self._ledger.missed.since is not None or self._in_flight:
+        if self._ledger.missed.since is not None:
             return now
         return min(super()._next_change(now, crossing), self.health.next_change(now))
 
@@ -278,7 +277,6 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def _measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         flows, ledger = crossing.flows, self.ledger()
-        self._in_flight = ledger.in_flight
         awaited = self._subscription.receives if flows else self.lacks_publisher(crossing)
         # A latched topic may be silent for any time, unless an operator expects a rate.
         usual = None if self.is_latched else self.meter.usual_rate

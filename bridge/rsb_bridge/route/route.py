@@ -469,7 +469,7 @@ class Route:
         """Return when (s) something changes by itself next, `now` if it may at any moment, or infinity."""
         restless = (
             self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still or self.arming.required
-            or self.link_full is not None or self.peer.path.fault is not None or self.losses.reasons
+            or self.link_full is not None or self.peer.path.fault is not None or self.losses.reasons or self.owing
         )  # fmt: skip
         return now if restless else self.judged.next_change
 

@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
-    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
@@ -461,9 +460,6 @@ class CallsRoute(Route):
             *super()._signs(), self._report, self.unavailable(), self.warning, self.offered, self.last_malformed(),
             self.end_nodes(),
         )  # fmt: skip
-
-    def _next_change(self, now: float, crossing: Crossing) -> float:
-        return now if self.calls.in_flight else super()._next_change(now, crossing)
 
     def tick(self) -> None:
         if not self.offered:

@@ -350,7 +350,7 @@ while True:
     number += 1
     world.events.add(Level.INFO, EventCode.ROUTE_PAUSED, f"event {number}", who="anna")
     world.clock.go(0.1)
-    world._renew()
+    world.renew()
     if number == 100:
         print("runs", flush=True)
     time.sleep(0.001)

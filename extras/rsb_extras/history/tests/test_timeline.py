@@ -529,7 +529,7 @@ def test_snapshots_that_stay_the_same_object_are_remembered_as_new_ones_are(seed
                 world.clock.go(1.0)
                 if is_new:
                     world.routes = {name: replace(each) for name, each in world.routes.items()}
-                world._renew()
+                world.renew()
                 world.recorder.record()
         if random.random() < 0.2:
             assert worlds[0].report() == worlds[1].report()

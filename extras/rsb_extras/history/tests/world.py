@@ -36,7 +36,7 @@ class World:
         self.routes: dict[str, RouteSnapshot] = {topic: route(topic, ledger=Ledger()) for topic in topics}
         self.running = True
         self.recorder = Recorder("robot1", "client", self.events, lambda: self.snapshot, self.clock)
-        self._renew()
+        self.renew()
         self.recorder.record()
 
     @property
@@ -47,7 +47,7 @@ class World:
     def records(self) -> tuple[SavedTrack, ...]:
         return self.recorder.save().subjects
 
-    def _renew(self) -> None:
+    def renew(self) -> None:
         self.snapshot = Snapshot(
             self.clock.wall, "robot1", "client", "", 3, self.running, (self.link,), tuple(self.routes.values())
         )
@@ -62,13 +62,13 @@ class World:
                 if each.state is State.OK:
                     ledger = Ledger(delivered=each.ledger.delivered + round(rate * step))
                     self.routes[topic] = replace(each, ledger=ledger)
-            self._renew()
+            self.renew()
             self.recorder.record()
 
     def put(self, topic: str, state: State, reason: str = "") -> None:
         """A topic's state from now on."""
         self.routes[topic] = replace(self.routes[topic], state=state, reason=reason)
-        self._renew()
+        self.renew()
         self.recorder.record()
 
     def begin(self, topic: str, state: State, reason: str = "") -> None:
@@ -78,7 +78,7 @@ class World:
     def put_link(self, state: State, reason: str = "") -> None:
         """The link's state from now on; its topics follow two seconds later."""
         self.link = replace(self.link, state=state, reason=reason)
-        self._renew()
+        self.renew()
         self.recorder.record()
         self.go(2)
         for topic in self.routes:
