@@ -147,6 +147,7 @@ class Route:
         self.idling = Idling(context.now())
         self._verdict: Verdict | None = None  # None: it has to be judged
         self._lossy_path = LossyPath()
+        self._shown_of_features: dict[str, Any] = {}
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
         self.release_port: Callable[[], None] | None = None
@@ -443,10 +444,11 @@ class Route:
 
     @property
     def shows_the_same(self) -> bool:
-        """Whether its snapshot stays the same until a message comes, or it is woken."""
+        """Whether its last snapshot stays the same until a message comes, it is woken or a feature shows something else."""
         now, idling = self.context.now(), self.idling
         lasts = now < idling.until and self._passed == idling.passed
-        return lasts and self.meter.is_blank(now) and not self.judged.announced.verdict.lasting
+        blank = self.meter.is_blank(now) and not self.judged.announced.verdict.lasting
+        return lasts and blank and self.peer.route_fields(self) == self._shown_of_features
 
     def _woken(self, since: float) -> None:
         """Have the figures take over that nothing came until `since` (s)."""
@@ -551,6 +553,7 @@ class Route:
     def common_snapshot(self) -> partial[RouteSnapshot]:
         """Return the part of the snapshot that topics and calls share."""
         now, wall = self.context.now(), self.context.wall()
+        self._shown_of_features = self.peer.route_fields(self)
         verdict, from_peer = self.judged.shown(self.verdict())
         return partial(
             RouteSnapshot,
@@ -587,7 +590,7 @@ class Route:
             limits=self.arming.limits,
             limited_by=self.arming.limited_by,
             purpose=self.purpose.name,
-            features=self.peer.route_fields(self),
+            features=self._shown_of_features,
         )
 
     def judge_again(self) -> None:
