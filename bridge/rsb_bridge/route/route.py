@@ -444,7 +444,7 @@ class Route:
 
     @property
     def shows_the_same(self) -> bool:
-        """Whether its last snapshot stays the same until a message comes, it is woken or a feature shows something else."""
+        """Whether its last snapshot stays right until a message comes, it is woken or a feature shows another thing."""
         now, idling = self.context.now(), self.idling
         lasts = now < idling.until and self._passed == idling.passed
         blank = self.meter.is_blank(now) and not self.judged.announced.verdict.lasting
