@@ -13,8 +13,10 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.budgets import Backoff
 
+TURN = 0.001
+"""s of work after which the I/O loop does other work, and messages pass: half of what any may wait."""
 SLICE = 20
-"""Routes handled in one go: about 1 ms, which no message notices."""
+"""Items handled in one go at most: where time is simulated, it stands still meanwhile."""
 NOT_TOO_EARLY = 0.001
 """s by which a timer is set later than a moment that it must not come before: its clock is another one, and the time
 left could be too short for that to move."""
@@ -24,10 +26,14 @@ T = TypeVar("T")
 
 async def in_slices(items: Iterable[T], work: Callable[[T], None]) -> None:
     """Do something with each item, letting the I/O loop do other work in between."""
-    for index, item in enumerate(items, 1):
+    now = asyncio.get_running_loop().time
+    ends, left = now() + TURN, SLICE
+    for item in items:
         work(item)
-        if index % SLICE == 0:
+        left -= 1
+        if not left or now() >= ends:
             await asyncio.sleep(0)
+            ends, left = now() + TURN, SLICE
 
 
 async def in_thread(name: str, work: Callable[[], T], within: float) -> T:

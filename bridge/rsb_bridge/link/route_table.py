@@ -54,6 +54,8 @@ if TYPE_CHECKING:
 
 _FromHalf: TypeAlias = wire.Describe | wire.Ready | wire.Publishers | wire.Provide
 _FromOperator: TypeAlias = wire.ByHand | wire.ArmingMessage | wire.HolderMessage
+_PROPOSED_AT_ONCE = 8
+"""Routes proposed at once on a new connection, in about 1 ms; the others follow in slices."""
 _AboutOpenRoute: TypeAlias = wire.Accept | wire.Refuse | wire.Close | wire.Limit | _FromHalf | _FromOperator
 RouteMessage: TypeAlias = wire.Propose | wire.Amend | wire.Pause | wire.LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
@@ -93,9 +95,19 @@ class RouteTable(Extension):
     # --- the connection
 
     def connected(self) -> None:
-        for route in tuple(self._link.routes.values()):
-            if route.proposed_here:
+        link = self._link
+        connection, routes = link.connections, [route for route in link.routes.values() if route.proposed_here]
+
+        def propose(route: Route) -> None:
+            lasts = link.linked and link.connections == connection
+            # Between two slices it may have been removed, or become the other side's.
+            if lasts and not route.id and route.proposed_here and link.routes.get(route.key) is route:
                 self.propose(route)
+
+        for route in routes[:_PROPOSED_AT_ONCE]:
+            propose(route)
+        if rest := routes[_PROPOSED_AT_ONCE:]:
+            link.spawn(in_slices(rest, propose))
 
     def disconnected(self) -> None:
         self._link.ids.disconnected()
