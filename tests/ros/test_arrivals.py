@@ -349,8 +349,9 @@ def test_failed_watch_of_graph_ends_the_thread(
     def broken(*_: object) -> bool:
         raise RuntimeError("the wait set is broken")
 
-    replaced.WAIT_FOR_GRAPH.set(monkeypatch, broken)
     node, failures = open_node(), list[str]()
     node.watch(lambda: None, failures.append)
+    replaced.WAIT_FOR_GRAPH.set(monkeypatch, broken)
+    node.advertise(strings("/graph"), "test")  # which ends the present wait
     eventually(lambda: failures)
     assert "the wait set is broken" in failures[0]
