@@ -65,7 +65,7 @@ class World:
     def wait(self, seconds: float) -> None:
         for _ in range(int(seconds)):
             self.loop.jump(1.0)
-            if self.route.is_due(self.loop.time()):
+            if self.peer.timetable.look(self.loop.time()):
                 self.ticks.append(self.loop.time())
                 self.route.tick()
 

@@ -192,7 +192,7 @@ def live(seed: int) -> int:
             by_event.second()
             polled.second()
             polled.route.tick()
-            if by_event.route.is_due(loop.time()):
+            if by_event.peer.timetable.look(loop.time()):
                 by_event.route.tick()
             idle += by_event.route.idle
             assert by_event.says() == polled.says(), f"seed {seed}, {loop.time():.0f} s"
@@ -216,7 +216,7 @@ def _never(*_: object) -> float:
 
 MUTATIONS: list[tuple[Place, object]] = [
     (replaced.WAKE, lambda *_: None),
-    (replaced.COMPARE_SIGNS, lambda *_: None),
+    (replaced.SIGNS_MISSED, lambda *_: False),
     (replaced.SETTLES, 2.0),
     (replaced.HEALTH_CHANGES, _never),
     (replaced.LOG_CHANGES, property(_never)),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from math import inf
+from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pytest
@@ -18,8 +19,7 @@ from tests.support import replaced
 
 from rsb_bridge.context import Context
 from rsb_bridge.link.link import Link
-from rsb_bridge.route.idling import Idling
-from rsb_bridge.route.route import Route
+from rsb_bridge.route.idling import Idling, Timetable
 from rsb_bridge.wire.messages import Ping, Propose, Report
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import Endpoint
+    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
 _WHILE = 600.0
@@ -90,7 +91,7 @@ def polled_too() -> Iterator[Counter[str]]:
     """
     seconds: Counter[str] = Counter()
     shown: dict[Route, tuple[RouteSnapshot, float, float]] = {}
-    is_due, log = Route.is_due, Context.log
+    look, log = Timetable.look, Context.log
 
     def poll(route: Route) -> None:
         before, peer_s = route.verdict(), route.judged.announced
@@ -107,15 +108,21 @@ def polled_too() -> Iterator[Counter[str]]:
         elif others := differences(shown.setdefault(route, now), now):
             raise Violation(f"{route.key} shows something else: {others}")
 
-    def polling(route: Route, now: float) -> bool:
-        due = is_due(route, now)
-        show(route)
-        seconds["due" if due else "idle"] += 1
-        if not due:
-            poll(route)
+    known: defaultdict[Timetable[Any], set[Any]] = defaultdict(set)
+
+    def polling(table: Timetable[Any], now: float) -> list[Any]:
+        due: list[Any] = look(table, now)
+        known[table] |= {*due, *table.awake}
+        for route in known[table]:
+            if route.idling.until == -inf:  # it has been removed
+                continue
+            show(route)
+            seconds["idle" if route.idle else "due"] += 1
+            if route.idle:
+                poll(route)
         return due
 
-    with patch.object(Route, "is_due", polling):
+    with patch.object(Timetable, "look", polling):
         yield seconds
 
 
@@ -130,7 +137,7 @@ def test_idle_routes_miss_nothing(seed: int) -> None:
     assert seconds["idle"] > 100
 
 
-@pytest.mark.parametrize("place", [replaced.WAKE, replaced.COMPARE_SIGNS], ids=lambda place: place.name)
+@pytest.mark.parametrize("place", [replaced.WAKE, replaced.SIGNS_MISSED], ids=lambda place: place.name)
 def test_route_that_no_event_wakes_is_found(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     place.set(monkeypatch, lambda *_: None)
     with polled_too(), pytest.raises(Violation, match=r"slept through a change|shows something else"):

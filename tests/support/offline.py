@@ -16,6 +16,7 @@ from rsb_bridge.model.session import Session
 from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.telemetry.event_log import EventLog
@@ -90,6 +91,7 @@ class FakePeer:
         self.revisions = Revisions()
         self.bridges: tuple[str, ...] = ("_rsb_robot1_fedcba98",)
         self.budget = PeerBudget(0.0)
+        self.timetable: Timetable[Route] = Timetable(0.0)
         self.profile = NO_PROFILE
         self.clock, self.stamps = ClockOffset(), ClockOffset()
         for clock in (self.clock, self.stamps):

@@ -288,7 +288,7 @@ class StreamPair:
     @property
     def trouble(self) -> tuple[object, ...]:
         """What its routes' trouble follows from."""
-        return tuple([each.number for each in self.stuck]), len(self._waiting())
+        return tuple([each.number for each in self.stuck]), 0 if self.ready else len(self._waiting())
 
     def lacks(self) -> tuple[bool, bool]:
         """Return whether the streams of small and of large messages are not open."""

@@ -14,6 +14,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.transports import profile_of
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks
@@ -120,6 +121,7 @@ class BaseLink(ABC):
         self.bridges: tuple[str, ...] = ()
         """Names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown."""
         self.routes: dict[str, Route] = {}  # by key
+        self.timetable: Timetable[Route] = Timetable(context.now())
         self.ids = RouteIds(is_client=is_client)
         self.budget = PeerBudget(context.now())  # of what the peer may have this side hold and do
         self.revisions = Revisions()

@@ -164,7 +164,8 @@ class LinkArming:
         return tuple(self._link.routes.values())  # routes come and go with what is done to them
 
     def _held(self) -> list[Route]:
-        return [route for route in self._link.routes.values() if route.arming.phase in HELD]
+        # What has to be armed is never idle.
+        return [route for route in self._link.timetable.awake if route.arming.phase in HELD]
 
     # --- which routes have to be armed
 

@@ -556,8 +556,7 @@ class RouteTable(Extension):
             self._down_reason = link.down_reason
             for route in link.routes.values():
                 route.judge_again()
-        due = [route for route in link.routes.values() if route.is_due(now)]
-        await in_slices(due, lambda route: link.guarded(route.tick))
+        await in_slices(link.timetable.look(now), lambda route: link.guarded(route.tick))
 
     def tick(self) -> None:
         """Propose refused routes again, and remove routes that the peer no longer wants."""
@@ -565,6 +564,8 @@ class RouteTable(Extension):
         if not link.linked:
             return
         self.arming.tick()
+        if len(link.ids) == len(link.routes):  # nearly always: all of hundreds are open
+            return
         for route in tuple(link.routes.values()):
             if route.id:
                 continue

@@ -2,13 +2,16 @@
 
 What follows from a message, a report, a command or the graph follows within seconds, and the windows over which a half
 is judged are as short, but for a few. So a half is ticked for a while after each event, and from then on only at the
-time that its rules name: `next_change`. Each event says that it has happened (`Route.wake`), but for messages, which
-are counted anyway, and looked at once a second.
+time that its rules name: `next_change`. Each event says that it has happened (`Route.wake`), messages too. Nothing
+walks over idle halves: to touch hundreds of objects once a second takes longer than the work on a few.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from heapq import heapify, heappop, heappush
+from itertools import count
+from math import inf
+from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,24 +20,24 @@ SETTLES = 12.0
 """s after an event for which a half is ticked: longer than each window of the rules, but for those that `next_change`
 tells of (`watches.LATELY`, `topic_route._LATENCY_TICKS`, `combined_verdict._WAITS`)."""
 POLLED_EVERY = 15.0  # s, at most, between two ticks of a half with something that does not tell when it changes
+_MOST_OUTDATED = 4096  # times of halves that were woken meanwhile, about, until they are looked through
 
 Signs: TypeAlias = tuple[object, ...]
 """What a half's verdict and its figures follow from, messages aside; they are equal while nothing happens."""
 
 
 class Idling:
-    """Whether a half is idle, so that hundreds of quiet ones cost next to nothing: not ticked, reported or shown anew.
+    """Decides when a half is ticked next.
 
     Attributes:
         until: time (s) of the next tick.
         passed: messages at the last tick.
-        looked: time (s) of the last look that found no more, or of the last tick.
     """
 
-    __slots__ = ("_settles_until", "_signs", "looked", "passed", "until")
+    __slots__ = ("_settles_until", "_signs", "passed", "until")
 
     def __init__(self, now: float) -> None:
-        self.until = self.looked = now
+        self.until = now
         self._settles_until = now + SETTLES
         self._signs: Signs = ()
         self.passed = 0
@@ -43,10 +46,9 @@ class Idling:
         """Have the half ticked each second again, as something has happened to it."""
         self.until, self._settles_until = now, now + SETTLES
 
-    def compare(self, signs: Callable[[], Signs], now: float) -> None:
-        """Wake an idle half whose signs have changed."""
-        if now < self.until and signs() != self._signs:
-            self.wake(now)
+    def missed(self, signs: Callable[[], Signs], now: float) -> bool:
+        """Whether the signs have changed of a half that is idle, or about to be."""
+        return now < self.until and signs() != self._signs
 
     def ticked(self, signs: Signs, passed: int, now: float, next_change: float) -> None:
         """Decide after a tick when the next one is.
@@ -57,5 +59,59 @@ class Idling:
         """
         if passed != self.passed or signs != self._signs:
             self._settles_until = now + SETTLES
-        self._signs, self.passed, self.looked = signs, passed, now
+        self._signs, self.passed = signs, passed
         self.until = now if now < self._settles_until else next_change
+
+
+class Half(Protocol):
+    """A half of a route, as far as its ticks go."""
+
+    idle: bool
+    idling: Idling
+
+    def rests(self, now: float) -> bool:
+        """Whether it needs no tick at `now` (s)."""
+
+    def rise(self) -> None:
+        """Be awake again."""
+
+
+HalfT = TypeVar("HalfT", bound=Half)
+
+
+class Timetable(Generic[HalfT]):
+    """The halves of one link that are to be ticked.
+
+    Attributes:
+        awake: those that are not idle.
+        looked: time (s) of the last look.
+    """
+
+    def __init__(self, now: float) -> None:
+        self.awake: dict[HalfT, None] = {}
+        self.looked = now
+        self._times: list[tuple[float, int, HalfT]] = []  # a heap of the times of idle ones, and of some that were
+        self._number = count()
+
+    def look(self, now: float) -> list[HalfT]:
+        """Return the halves to tick at `now` (s); the others are idle. Called once a second."""
+        times = self._times
+        while times and times[0][0] <= now:
+            until, _, half = heappop(times)
+            if half.idle and half.idling.until == until:  # else it was woken, or has gone
+                half.rise()
+        for half in [each for each in self.awake if each.rests(now)]:
+            del self.awake[half]
+            half.idle = True
+            if half.idling.until < inf:
+                heappush(times, (half.idling.until, next(self._number), half))
+        if len(times) > _MOST_OUTDATED:
+            self._times = [each for each in times if each[2].idle and each[2].idling.until == each[0]]
+            heapify(self._times)
+        self.looked = now
+        return [*self.awake]
+
+    def remove(self, half: HalfT) -> None:
+        """Forget a half that has gone."""
+        self.awake.pop(half, None)
+        half.idling.until = -inf

@@ -380,7 +380,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._received += 1
             # A peer may name any of 16 sources, also one that got no publisher here.
             if flags >> SOURCE_SHIFT >= len(sinks):
-                self._dropped["unknown source"] += 1
+                self._drop(_NotPublishedError("unknown source"))
                 continue
             sink = sinks[flags >> SOURCE_SHIFT]
             look = None if leaving is None else partial(leaving, sample, began)
@@ -427,6 +427,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def _refuse(self, why: Refused, messages: int = 1) -> None:
         """Count messages that arrived, and that a gate keeps back."""
+        self.wake()
         self._received += messages
         self._dropped[CAUSES[why]] += messages
         if why is Refused.TOO_FAST:
@@ -505,6 +506,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def _drop(self, error: Refused | Exception) -> None:
         """Count a message that is not published, and tell operators why."""
+        self.wake()
         if isinstance(error, Refused | _NotPublishedError):
             self._dropped[CAUSES[error] if isinstance(error, Refused) else str(error)] += 1
             return

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.blocking_rules import Rules
-    from rsb_bridge.route.idling import Signs
+    from rsb_bridge.route.idling import Signs, Timetable
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
@@ -59,6 +59,8 @@ _LASTS = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED, State.
 
 class Owner(Peer, Protocol):
     """The link that a route belongs to."""
+
+    timetable: Timetable[Route]
 
     def report_soon(self, route: Route) -> None:
         """Send a route's counts before the next regular report. May be called for every batch."""
@@ -145,6 +147,7 @@ class Route:
         self.losses = ChannelLosses()
         self.idle = False
         self.idling = Idling(context.now())
+        peer.timetable.awake[self] = None
         self._verdict: Verdict | None = None  # None: it has to be judged
         self._lossy_path = LossyPath()
         self._shown_of_features: dict[str, Any] = {}
@@ -220,7 +223,8 @@ class Route:
     def advance(self) -> None:
         """Do what can be done next: ROS, the peer, the sockets or an operator may have changed something."""
         self._advance()
-        self.idling.compare(self._signs, self.context.now())
+        if self.idling.missed(self._signs, self.context.now()):
+            self.wake()
         self._tell_waiters()
 
     async def changed(self) -> None:
@@ -314,6 +318,7 @@ class Route:
         """End it for good, with its endpoints."""
         self.close("removed")
         self.losses.forget_report()
+        self.peer.timetable.remove(self)
 
     def refuse(self, code: EventCode, reason: Reason) -> None:
         """Refuse the route; this side tries again later if it proposed it."""
@@ -429,26 +434,25 @@ class Route:
     def wake(self) -> None:
         """Have it ticked within a second, and for a while: something has happened to it."""
         self.idling.wake(self.context.now())
-
-    def is_due(self, now: float) -> bool:
-        """Whether it is to be ticked at `now` (s); sets `idle`. Called once a second."""
-        idling = self.idling
-        # Of hundreds of halves nearly all of the time: two calls each.
-        if now < idling.until and self._passed == idling.passed:
-            idling.looked, self.idle = now, True
-            return False
         if self.idle:
-            self.idle = False
-            self._woken(idling.looked)
-        return True
+            self.rise()
+
+    def rests(self, now: float) -> bool:
+        """Whether it needs no tick at `now` (s): nothing has come since the last one, and nothing is due."""
+        return now < self.idling.until and self._passed == self.idling.passed
+
+    def rise(self) -> None:
+        """Be ticked again: something has happened, or its time has come."""
+        self.idle = False
+        self._woken(self.peer.timetable.looked)
+        self.peer.timetable.awake[self] = None
 
     @property
     def shows_the_same(self) -> bool:
         """Whether its last snapshot stays right until a message comes, it is woken or a feature shows another thing."""
-        now, idling = self.context.now(), self.idling
-        lasts = now < idling.until and self._passed == idling.passed
-        blank = self.meter.is_blank(now) and not self.judged.announced.verdict.lasting
-        return lasts and blank and self.peer.route_fields(self) == self._shown_of_features
+        now = self.context.now()
+        blank = self.rests(now) and self.meter.is_blank(now) and not self.judged.announced.verdict.lasting
+        return blank and self.peer.route_fields(self) == self._shown_of_features
 
     def _woken(self, since: float) -> None:
         """Have the figures take over that nothing came until `since` (s)."""
@@ -456,7 +460,7 @@ class Route:
 
     @property
     def _passed(self) -> int:
-        """Messages or calls so far, each of which has it ticked."""
+        """Messages or calls so far, each of which wakes it."""
         return self.meter.count
 
     def _signs(self) -> Signs:

@@ -352,6 +352,8 @@ class OutgoingPath:
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
+        if self._route.idle:
+            self._route.wake()
         if self._batch is not None and (why := self._batch(NO_SAMPLE, self._context.now())) is not None:
             self._ledger.lose(CAUSES[why], len(batch))
             return
@@ -363,6 +365,7 @@ class OutgoingPath:
 
     def too_late(self, batch: Sequence[RawMessage]) -> None:
         """Drop messages that come after their opening."""
+        self._route.wake()
         self._ledger.lose("link lost", len(batch))
 
     # --- of a volatile topic

@@ -345,6 +345,8 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     def count(self, messages: int, size: int, now: float) -> None:
         """Count messages that pass at `now` (s), of `size` bytes together."""
+        if self.idle:
+            self.wake()
         # Seldom true, so that nearly every message saves a call.
         if self.notices.last_error:
             self.notices.flowing()

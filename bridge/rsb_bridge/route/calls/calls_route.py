@@ -362,6 +362,8 @@ class CallsRoute(Route):
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Handle frames that arrived whole and authentic, or queue them for later turns of the I/O loop."""
+        if self.idle:
+            self.wake()
         # Frames keep their order, also behind one that is unpacked off the loop.
         if self._unpacker.holds:
             self._unpacker.wait(messages)
@@ -440,6 +442,8 @@ class CallsRoute(Route):
 
     def _asked_for(self, size: int) -> None:
         """Count a call with a request of `size` bytes."""
+        if self.idle:
+            self.wake()
         self.calls.asked += 1
         self.came = True
         self.meter.add(1, size, self.context.now())
