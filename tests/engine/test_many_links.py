@@ -61,6 +61,15 @@ class Link:
     def __init__(self, turns: Turns, routes: int) -> None:
         self.turns = turns
         self.routes: dict[str, Any] = {str(number): Route(turns) for number in range(routes)}
+        self.resting: set[str] = set()
+
+    @property
+    def awake(self) -> list[Any]:
+        return [route for key, route in self.routes.items() if key not in self.resting]
+
+    @property
+    def changes(self) -> int:
+        return len(self.routes)
 
     def snapshot(self) -> Any:
         self.turns.called()
@@ -69,7 +78,7 @@ class Link:
 class Route:
     def __init__(self, turns: Turns) -> None:
         self.snapshot = turns.called
-        self.idle = self.shows_the_same = False
+        self.shows_the_same = False
         self.purpose = TOPIC
 
 
@@ -165,7 +174,7 @@ def test_idle_routes_are_shown_anew_while_somebody_looks(
     resting, awake = Turns(loop), Turns(loop)
     links = [Link(resting, routes=1) for _ in range(LINKS)]
     for link in links:
-        link.routes["0"].idle = True
+        link.resting.add("0")
         link.snapshot = lambda: None  # type: ignore[method-assign]
     links[0].routes["awake"] = Route(awake)
 

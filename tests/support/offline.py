@@ -24,7 +24,7 @@ from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.registry import Transports, default_transports
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
 
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.model.purposes import Purpose
@@ -96,6 +96,10 @@ class FakePeer:
         self.clock, self.stamps = ClockOffset(), ClockOffset()
         for clock in (self.clock, self.stamps):
             clock.offset, clock.uncertainty = 0.0, 0.001
+
+    @property
+    def awake(self) -> Collection[Route]:
+        return self.timetable.awake
 
     def send(self, message: ControlMessageBase) -> None:
         self.sent.append(message)

@@ -23,7 +23,7 @@ from rsb_bridge.wire.messages import Ping, Pong, Receipts
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable, Collection, Coroutine
     from enum import StrEnum
 
     from rsb_bridge.cdr.description import CompareTypes
@@ -137,6 +137,16 @@ class BaseLink(ABC):
             Pong: self._on_pong,
             Receipts: self._on_receipts,
         }
+
+    @property
+    def awake(self) -> Collection[Route]:
+        """The routes that are not idle."""
+        return self.timetable.awake
+
+    @property
+    def changes(self) -> int:
+        """How many routes have come or gone so far."""
+        return self.timetable.changes
 
     # --- extensions
 

@@ -79,7 +79,7 @@ class LinkFullness(Extension):
             return
         scheduler, now, at = link.channels.scheduler, link.context.now(), link.context.wall()
         asked, called = [], 0.0
-        for route in link.timetable.awake:
+        for route in link.awake:
             if route.duplex:
                 called += route.meter.bytes_per_second
             elif isinstance(route, OutgoingRoute) and route.channel is not None and route.connected:

@@ -132,7 +132,7 @@ class RouteReports(Extension):
         full, path = self._link.fullness.next_record(), self._link.path.next_record()
         if full is not None or path is not None:
             self._link.send(Report(sent=(), received=(), full=full, path=path))
-        self._report(self._link.timetable.awake)
+        self._report(self._link.awake)
 
     def _report(self, routes: Iterable[Route]) -> None:
         """Send the counts that the peer does not know yet, of hundreds of routes in slices."""

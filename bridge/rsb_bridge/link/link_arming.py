@@ -165,7 +165,7 @@ class LinkArming:
 
     def _held(self) -> list[Route]:
         # What has to be armed is never idle.
-        return [route for route in self._link.timetable.awake if route.arming.phase in HELD]
+        return [route for route in self._link.awake if route.arming.phase in HELD]
 
     # --- which routes have to be armed
 

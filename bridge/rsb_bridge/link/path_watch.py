@@ -137,7 +137,7 @@ class PathWatch(Extension):
             link.control.stream,
             {stream: packets for stream, packets in counts.items() if packets is not None},
             [channel for channel in by_datagrams if isinstance(channel, DatagramSender)],
-            large_vanish=any(each.large_vanish for each in link.timetable.awake),
+            large_vanish=any(each.large_vanish for each in link.awake),
         )
         for stream in stalled:
             stream.abort(STALLED)

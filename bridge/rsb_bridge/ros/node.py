@@ -98,6 +98,7 @@ class RosNode:
         self._thread: threading.Thread | None = None
         # These two are replaced and never changed, so that the thread, and questions about the graph, need no lock.
         self._drains: dict[int, Drain[Any]] = {}  # by endpoint's address
+        self._indexed: tuple[object, dict[str, list[_Subscription]]] = None, {}  # subscriptions by topic, and `_drains`
         self._publishers: frozenset[_Publisher] = frozenset()
         self._writers: WeakSet[Writer] = WeakSet()  # also closed ones that still publish on another thread
         self._retired: deque[Incoming] = deque()
@@ -260,8 +261,14 @@ class RosNode:
 
     def own_subscriptions(self, topic: str, offered: Qos) -> int:
         """How many of our own subscriptions match a publisher of that QoS on a topic."""
+        # Each publisher asks at each look at the graph, and there may be hundreds of both.
+        if (drains := self._drains) is not self._indexed[0]:
+            by_topic: dict[str, list[_Subscription]] = {}
+            for each in self._subscriptions():
+                by_topic.setdefault(each.topic, []).append(each)
+            self._indexed = drains, by_topic
         # DDS counts a subscription whose QoS does not fit as not matched, so it is not subtracted either.
-        return sum(each.topic == topic and not incompatible(offered, each.qos) for each in self._subscriptions())
+        return sum(not incompatible(offered, each.qos) for each in self._indexed[1].get(topic, ()))
 
     def own_asserted(self, key: _Key, requested: Qos) -> int:
         """How many of our own publishers of a key are alive for a subscription of that QoS."""

@@ -84,14 +84,21 @@ class Timetable(Generic[HalfT]):
 
     Attributes:
         awake: those that are not idle.
+        changes: how many have come or gone.
         looked: time (s) of the last look.
     """
 
     def __init__(self, now: float) -> None:
         self.awake: dict[HalfT, None] = {}
+        self.changes = 0
         self.looked = now
         self._times: list[tuple[float, int, HalfT]] = []  # a heap of the times of idle ones, and of some that were
         self._number = count()
+
+    def add(self, half: HalfT) -> None:
+        """Begin with a half, which is awake."""
+        self.awake[half] = None
+        self.changes += 1
 
     def look(self, now: float) -> list[HalfT]:
         """Return the halves to tick at `now` (s); the others are idle. Called once a second."""
@@ -114,4 +121,5 @@ class Timetable(Generic[HalfT]):
     def remove(self, half: HalfT) -> None:
         """Forget a half that has gone."""
         self.awake.pop(half, None)
+        self.changes += 1
         half.idling.until = -inf

@@ -147,7 +147,7 @@ class Route:
         self.losses = ChannelLosses()
         self.idle = False
         self.idling = Idling(context.now())
-        peer.timetable.awake[self] = None
+        peer.timetable.add(self)
         self._verdict: Verdict | None = None  # None: it has to be judged
         self._lossy_path = LossyPath()
         self._shown_of_features: dict[str, Any] = {}

@@ -16,7 +16,7 @@ from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.purposes import Purpose
@@ -45,10 +45,6 @@ class ShownRoute(Protocol):
     purpose: Purpose
 
     @property
-    def idle(self) -> bool:
-        """Whether nothing has happened to it lately."""
-
-    @property
     def shows_the_same(self) -> bool:
         """Whether its snapshot stays the same until something happens to it."""
 
@@ -59,6 +55,14 @@ class ShownLink(Protocol):
     @property
     def routes(self) -> Mapping[str, ShownRoute]:
         """Its routes, by key."""
+
+    @property
+    def awake(self) -> Collection[ShownRoute]:
+        """Those of them that are not idle."""
+
+    @property
+    def changes(self) -> int:
+        """How many routes have come or gone so far."""
 
     def snapshot(self) -> LinkSnapshot:
         """Return the link as it is now."""
@@ -92,6 +96,9 @@ class SnapshotPublisher:
         self._events = events
         self._clock = clock
         self._routes: dict[ShownRoute, RouteSnapshot] = {}
+        self._shown: tuple[RouteSnapshot, ...] = ()  # of these, the same object while nothing is renewed
+        self._renewed = False  # since then
+        self._changes: list[tuple[ShownLink, int]] = []  # of the links' routes, until then
         self._links: dict[ShownLink, LinkSnapshot] = {}
         self._same: set[ShownRoute] = set()  # those whose snapshot was made when it was to stay the same
         self._offset = 0.0  # s, of the wall clock, which snapshots tell times by, to the steady one
@@ -171,21 +178,18 @@ class SnapshotPublisher:
         waiting, self._waiting = self._waiting, []
         looked_at = self._clock.steady() - self._looked_at <= _LOOKED_AT_FOR
         links = bridge.links()
-        routes = _routes_of(links)
-        # Nothing else lets go of a removed route.
-        self._routes = {route: self._routes[route] for route in routes if route in self._routes}
-        self._same.intersection_update(self._routes)
         self._notice_clock()
         if looked_at:
-            turn = [route for route in routes if route not in self._same or not route.shows_the_same]
+            turn = [each for each in _routes_of(links) if each not in self._same or not each.shows_the_same]
         else:
-            turn = [route for route in routes if not route.idle]
+            turn = [each for link in links for each in link.awake if each.purpose.is_shown]
+        new = [route for route in turn if route not in self._routes]
         if (self._is_watched and not waiting) or not looked_at:
             at_once = min(len(turn), max(_AT_ONCE, -(-len(turn) // _REFRESHES)))
             self._turn, first = self._turn + at_once, self._turn
             turn = [turn[(first + i) % len(turn)] for i in range(at_once)]
         await in_slices(turn, self._renew)
-        await in_slices([route for route in routes if route not in self._routes], self._renew)
+        await in_slices([route for route in new if route not in self._routes], self._renew)
         await in_slices(links, self._renew_link)
         self._publish(bridge, running=True, unsaved=bridge.unsaved if looked_at else self.latest.unsaved)
         for each in waiting:
@@ -202,7 +206,6 @@ class SnapshotPublisher:
     def refresh_now(self, bridge: ShownBridge, *, running: bool = True) -> None:
         """Renew everything in one turn of the loop; `running`: whether any are to follow."""
         links = bridge.links()
-        self._routes.clear()
         for route in _routes_of(links):
             self._renew(route)
         self._links = {link: link.snapshot() for link in links}
@@ -227,7 +230,7 @@ class SnapshotPublisher:
             self._same.clear()
 
     def _renew(self, route: ShownRoute) -> None:
-        self._routes[route] = route.snapshot()
+        self._routes[route], self._renewed = route.snapshot(), True
         if route.shows_the_same:
             self._same.add(route)
         else:
@@ -246,8 +249,13 @@ class SnapshotPublisher:
         present = bridge.links()
         self._links = {link: self._links[link] for link in present if link in self._links}
         now, self._published_at = self._clock.time_ns() / 1e9, self._clock.steady()
-        shown = [self._routes[route] for route in _routes_of(present) if route in self._routes]
-        links, routes = self.acknowledged.mark(self._links.values(), shown, now)
+        if self._renewed or [(link, link.changes) for link in present] != self._changes:
+            self._renewed, self._changes = False, [(link, link.changes) for link in present]
+            # Nothing else lets go of a removed route.
+            self._routes = {route: self._routes[route] for route in _routes_of(present) if route in self._routes}
+            self._same.intersection_update(self._routes)
+            self._shown = tuple(self._routes.values())
+        links, routes = self.acknowledged.mark(self._links.values(), self._shown, now)
         self.latest = dataclasses.replace(
             self.latest,
             time=now,

@@ -18,7 +18,7 @@ from rsb_extras.exporters import DIAGNOSTICS_TOPIC, DRIVER_TOPIC
 from rsb_extras.exporters.exporter_codes import ExporterCode
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.feature import SessionKey
@@ -120,6 +120,9 @@ class _SessionTopic:
         self._context = context
         self._key, self._type, self._qos = key, type_name, qos
         self._publisher: Publisher | None = None
+        self._searched: object = None
+        self._searched_for: str | None = None
+        self._bridged: Sequence[RouteSnapshot] = ()
 
     @property
     def name(self) -> str | None:
@@ -156,8 +159,15 @@ class _SessionTopic:
         """Whether anybody listens: a node, or this bridge itself, which takes the topic to another domain."""
         if self._publisher is None:
             return False
-        bridged = {route.topic for route in snapshot.routes if route.outgoing}
-        return bool(self._publisher.subscriber_count) or self.name in bridged
+        return bool(self._publisher.subscriber_count) or any(each.outgoing for each in self.bridged(snapshot))
+
+    def bridged(self, snapshot: Snapshot) -> Sequence[RouteSnapshot]:
+        """Return its own routes. While nothing happens to any, a snapshot has the same ones."""
+        name, routes = self.name, snapshot.routes
+        if routes is not self._searched or name != self._searched_for:
+            self._searched, self._searched_for = routes, name
+            self._bridged = [each for each in routes if each.topic == name]
+        return self._bridged
 
     def publish(self, fields: Fields) -> None:
         """Publish a message; a failure ends this."""
@@ -246,8 +256,7 @@ class DriverExporter(EnginePart):
 
     def _bridged(self, snapshot: Snapshot) -> str:
         """Return who bridges the topic since before the session named it, in words; later routes are refused."""
-        name = self._topic.name
-        links = sorted({route.link for route in snapshot.routes if route.topic == name})
+        links = sorted({route.link for route in self._topic.bridged(snapshot)})
         return DriverTopicText.BRIDGED(link=join_first(links, _NAMED)) if links else ""
 
     def _other_types(self) -> str:

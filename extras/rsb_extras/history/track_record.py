@@ -290,16 +290,21 @@ class TrackRecord:
             self._open = _Open(self._born, state, reason, with_link=link is not None and link.is_out)
 
     def goes_on(self, now: float) -> bool:
-        """Note that the last state lasts, and nothing was counted; whether it was enough, or `observe` has to be told.
+        """Whether `observe` need not be told that the last state lasts, and nothing was counted.
 
         Until the minute is over, or a question needs them (`catch_up`), its seconds are added up later.
         """
-        waits = self._state is State.WAITING and self._open is None
-        if not (waits or self._state in FINE) or int(now // MINUTE) != self._minute:
-            return False
-        if waits:
-            self._born = now
-        return self.live
+        lasts = self._state in FINE or self._waits_on
+        return lasts and self.live and int(now // MINUTE) == self._minute
+
+    def lasted(self, until: float) -> None:
+        """Note that it went on like that until the last look: it opens from then on."""
+        if self.live and self._waits_on:
+            self._born = until
+
+    @property
+    def _waits_on(self) -> bool:
+        return self._state is State.WAITING and self._open is None
 
     def catch_up(self, now: float) -> None:
         """Add up the seconds in which it went on."""
