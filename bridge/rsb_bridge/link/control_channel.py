@@ -12,7 +12,7 @@ from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.tasks import NOT_TOO_EARLY
+from rsb_bridge.tasks import NOT_TOO_EARLY, SLICE, turn_began
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.codec import decode, invalid
 from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, StreamRefused
@@ -177,9 +177,11 @@ class ControlChannel(StreamHandler):
         return bool(self._events) or self._work is not None
 
     def _act(self) -> None:
-        units, delay = _AT_ONCE, 0.0
+        units, delay, began = _AT_ONCE, 0.0, turn_began(self._loop)
         while units > 0 and self._waits:
             now = self._loop.time()
+            if units < _AT_ONCE and now - began >= SLICE:
+                break
             if (owed := -self._entries.left(now)) > 0:
                 delay = owed / _ENTRIES_A_SECOND + NOT_TOO_EARLY
                 break

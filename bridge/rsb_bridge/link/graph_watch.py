@@ -12,7 +12,7 @@ from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.session import Kind
 from rsb_bridge.ros.ros_graph import agreed_type, called_in
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.tasks import SLICE
+from rsb_bridge.tasks import in_slices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.patterns import Pattern
     from rsb_bridge.ros.ros_interface import Endpoint
+    from rsb_bridge.route.route import Route
 
 
 class Looks(NamedTuple):
@@ -108,15 +109,16 @@ class GraphWatch:
         """Advance all routes in slices; return the seconds that this took of the loop."""
         now, cost = self._context.now, 0.0
         self._context.announcements.update()  # first: routes ask it which publishers are bridges
-        for link in self._links():
-            routes = tuple(link.routes.values())
-            for first in range(0, len(routes), SLICE):
+
+        def advance(of: tuple[BaseLink, Route]) -> None:
+            nonlocal cost
+            link, route = of
+            if route.id:  # one of the slices before may have closed it
                 began = now()
-                for route in routes[first : first + SLICE]:
-                    if route.id:  # one of the slices before may have closed it
-                        link.guarded(route.advance)
+                link.guarded(route.advance)
                 cost += now() - began
-                await asyncio.sleep(0)
+
+        await in_slices([(link, route) for link in self._links() for route in link.routes.values()], advance)
         return cost
 
 
