@@ -21,6 +21,7 @@ from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import LinkSnapshot
+from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.wire.codec import ReportParts, report_entries
 from rsb_bridge.wire.messages import Neighbours, Report
@@ -28,7 +29,7 @@ from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import Slices
@@ -37,10 +38,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import TopicInfo
     from rsb_bridge.model.verdict import LinkCause
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.records import FullRecord, PathRecord
 
-_REPORTED_AT_ONCE = 250
-"""Routes in one message, which must not exceed its limit even with the longest texts (PROTOCOL.md section 1)."""
+_REPORTED_AT_ONCE = 25
+"""Routes in one message. They take up to 1 ms; with the longest texts, a message has room for 250 (PROTOCOL.md, 1)."""
 _EARLY = 0.1
 """Seconds from `RouteReports.add` to the report: messages that a killed receiver had not reported count as unknown."""
 
@@ -97,19 +97,13 @@ class Neighbourhood(Extension):
         self._link.bridges = self._told = ()
 
 
-def _reports(
-    routes: Iterable[Route], full: FullRecord | None = None, path: PathRecord | None = None
-) -> Iterator[Report]:
-    """Yield the counts that the peer does not know yet, and the link's fullness and path if they have changed."""
+def _report(routes: Iterable[Route]) -> Report | None:
+    """Return the counts that the peer does not know yet, or None if it knows all."""
     news = [route.news() for route in routes if route.life.accepted]  # the other side may not know the others yet
-    sent = [each for each in news if isinstance(each, SentReport)]
-    received = [each for each in news if isinstance(each, ReceivedReport)]
-    calls = [each for each in news if isinstance(each, CallsReport)]
-    if full is not None or path is not None:
-        yield Report(sent=(), received=(), full=full, path=path)
-    for first in range(0, max(len(sent), len(received), len(calls)), _REPORTED_AT_ONCE):
-        part = slice(first, first + _REPORTED_AT_ONCE)
-        yield Report(sent=tuple(sent[part]), received=tuple(received[part]), calls=tuple(calls[part]))
+    sent = tuple(each for each in news if isinstance(each, SentReport))
+    received = tuple(each for each in news if isinstance(each, ReceivedReport))
+    calls = tuple(each for each in news if isinstance(each, CallsReport))
+    return Report(sent=sent, received=received, calls=calls) if sent or received or calls else None
 
 
 class RouteReports(Extension):
@@ -130,7 +124,24 @@ class RouteReports(Extension):
     def _report_early(self) -> None:
         self._timer = None
         due, self._due = self._due, set()
-        for report in _reports(due):
+        self._report(list(due))
+
+    def _report(self, routes: list[Route]) -> None:
+        """Report some routes at once, and more of them in slices."""
+        if len(routes) <= _REPORTED_AT_ONCE:
+            self._report_now(routes)
+            return
+        connection = self._link.connections
+
+        def report(part: list[Route]) -> None:
+            if self._link.linked and self._link.connections == connection:
+                self._report_now(part)
+
+        parts = (routes[first : first + _REPORTED_AT_ONCE] for first in range(0, len(routes), _REPORTED_AT_ONCE))
+        self._link.spawn(in_slices(parts, report))
+
+    def _report_now(self, routes: Iterable[Route]) -> None:
+        if (report := _report(routes)) is not None:
             self._link.send(report)
 
     def disconnected(self) -> None:
@@ -141,9 +152,10 @@ class RouteReports(Extension):
 
     def tick(self) -> None:
         if self._link.linked:
-            routes = [route for route in self._link.routes.values() if not route.idle]
-            for report in _reports(routes, self._link.fullness.next_record(), self._link.path.next_record()):
-                self._link.send(report)
+            full, path = self._link.fullness.next_record(), self._link.path.next_record()
+            if full is not None or path is not None:
+                self._link.send(Report(sent=(), received=(), full=full, path=path))
+            self._report([route for route in self._link.routes.values() if not route.idle])
 
     def _receive(self, report: Report | ReportParts) -> Slices:
         if report.full is not None:

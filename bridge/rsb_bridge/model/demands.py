@@ -268,6 +268,8 @@ class Demands:
             client: on a server, the client's name.
             client_name: on a server, what the client calls it.
         """
+        if not self.sources:  # as in most sessions
+            return None
         type_name = full_type(type_name or AUTO)
         found = dict.fromkeys(
             each
