@@ -30,18 +30,21 @@ def turn_began(loop: asyncio.AbstractEventLoop) -> float:
     return loop.time() if began is None else began
 
 
-async def in_slices(items: Iterable[T], work: Callable[[T], object]) -> None:
+async def in_slices(items: Iterable[T], work: Callable[[T], object], at_once: int = MOST_AT_ONCE) -> None:
     """Do something with each item, letting the I/O loop do other work in between.
 
     A slice ends `SLICE` after its turn has begun, whatever else the turn had to do: several works in slices at the same
     time share that. Each of them gets on by one item a turn at least.
+
+    Args:
+        at_once: items of a slice at most.
     """
     loop = asyncio.get_running_loop()
     began, done = turn_began(loop), 0
     for item in items:
         work(item)
         done += 1
-        if done == MOST_AT_ONCE or loop.time() - began >= SLICE:
+        if done == at_once or loop.time() - began >= SLICE:
             await asyncio.sleep(0)
             began, done = turn_began(loop), 0
 

@@ -138,7 +138,7 @@ class RouteReports(Extension):
                 self._report_now(part)
 
         parts = (routes[first : first + _REPORTED_AT_ONCE] for first in range(0, len(routes), _REPORTED_AT_ONCE))
-        self._link.spawn(in_slices(parts, report))
+        self._link.spawn(in_slices(parts, report, at_once=1))
 
     def _report_now(self, routes: Iterable[Route]) -> None:
         if (report := _report(routes)) is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -110,8 +110,8 @@ class ClientRole:
     def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
         return self._link, self._link.add_entry(topic), topic
 
-    def steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
-        return list(client_steps(self._link, session, _own(keys, session)))
+    def steps_to(self, session: Session, keys: Keys) -> Iterator[ReloadStep]:
+        return client_steps(self._link, session, _own(keys, session))
 
     def retry(self, link: str) -> None:
         self._link.retry()
@@ -206,8 +206,8 @@ class ServerRole:
         topic = chosen.client_names(topic)
         return chosen, chosen.add_entry(topic), topic
 
-    def steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
-        return list(server_steps(self._server, _entries(session, keys)))
+    def steps_to(self, session: Session, keys: Keys) -> Iterator[ReloadStep]:
+        return server_steps(self._server, _entries(session, keys))
 
     def _chosen(self, name: str, topic: str) -> ServerLink:
         """Return the named link; without a name, the only link, or the only one whose prefix the topic has."""

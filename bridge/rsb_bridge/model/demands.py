@@ -323,8 +323,8 @@ def demand_on_entry(demands: Demands, session: Session, client: Client | None, t
 
 
 def full_type(name: str) -> str:
-    """Return the full name of a type in a session, or an empty string for ``auto``."""
-    if name == AUTO:
+    """Return the full name of a type in a session, or an empty string for ``auto`` or none."""
+    if name in ("", AUTO):  # which the search for similar names would take 0.1 ms for, once for each route
         return ""
     try:
         return expand_type_name(name)
