@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.budgets import Backoff
 
-TURN = 0.001
-"""s of work after which the I/O loop does other work, and messages pass: half of what any may wait."""
-SLICE = 20
-"""Items handled in one go at most: where time is simulated, it stands still meanwhile."""
+SLICE = 0.001
+"""s of a turn of the loop, after which work in slices leaves the rest to later turns: no message notices as much."""
+MOST_AT_ONCE = 20
+"""Items of a slice at most. In a simulation no time passes while work is done, but its slices have to end, too."""
 NOT_TOO_EARLY = 0.001
 """s by which a timer is set later than a moment that it must not come before: its clock is another one, and the time
 left could be too short for that to move."""
@@ -24,16 +24,29 @@ left could be too short for that to move."""
 T = TypeVar("T")
 
 
-async def in_slices(items: Iterable[T], work: Callable[[T], None]) -> None:
-    """Do something with each item, letting the I/O loop do other work in between."""
-    now = asyncio.get_running_loop().time
-    ends, left = now() + TURN, SLICE
+def turn_began(loop: asyncio.AbstractEventLoop) -> float:
+    """Return when the present turn of a loop began, on its clock; now if the loop does not note that."""
+    began: float | None = getattr(loop, "turn_began", None)
+    return loop.time() if began is None else began
+
+
+async def in_slices(items: Iterable[T], work: Callable[[T], object], at_once: int = MOST_AT_ONCE) -> None:
+    """Do something with each item, letting the I/O loop do other work in between.
+
+    A slice ends `SLICE` after its turn has begun, whatever else the turn had to do: several works in slices at the same
+    time share that. Each of them gets on by one item a turn at least.
+
+    Args:
+        at_once: items of a slice at most.
+    """
+    loop = asyncio.get_running_loop()
+    began, done = turn_began(loop), 0
     for item in items:
         work(item)
-        left -= 1
-        if not left or now() >= ends:
+        done += 1
+        if done == at_once or loop.time() - began >= SLICE:
             await asyncio.sleep(0)
-            ends, left = now() + TURN, SLICE
+            began, done = turn_began(loop), 0
 
 
 async def in_thread(name: str, work: Callable[[], T], within: float) -> T:

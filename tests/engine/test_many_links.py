@@ -18,7 +18,7 @@ from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.model.purposes import TOPIC
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Snapshot
-from rsb_bridge.tasks import SLICE
+from rsb_bridge.tasks import MOST_AT_ONCE
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport import descriptors
@@ -131,7 +131,7 @@ def test_snapshot_of_many_links_is_made_in_slices(loop: VirtualLoop, make_contex
     loop.run_until_complete(shown.refresh(Many(links)))
     assert (len(shown.latest.links), len(shown.latest.routes)) == (LINKS, 4 * LINKS)
     assert turns.calls == LINKS + 4 * LINKS
-    assert turns.most_in_one_go <= 2 * SLICE
+    assert turns.most_in_one_go <= 2 * MOST_AT_ONCE
 
 
 def test_snapshot_has_links_present_at_its_end(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:

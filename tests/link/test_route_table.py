@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, cast
@@ -27,7 +28,6 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.messages import Close
 
 if TYPE_CHECKING:
-    import asyncio
     from collections.abc import Callable, Coroutine, Iterator
 
     from tests.support.virtual_time import VirtualLoop
@@ -178,8 +178,13 @@ class Side(FakePeer):
         return
 
     def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
-        with pytest.raises(StopIteration):  # nothing in it waits
-            work.send(None)
+        before = asyncio._get_running_loop()
+        asyncio._set_running_loop(self.context.loop)
+        try:
+            with pytest.raises(StopIteration):  # nothing in it waits
+                work.send(None)
+        finally:
+            asyncio._set_running_loop(before)
         return None  # type: ignore[return-value]
 
     def guarded(self, work: Callable[[], None]) -> None:

@@ -29,6 +29,7 @@ class ChangeRefused(Wording):
 _OTHER_SESSION = ("name", "role")
 _FIXED = ("server_ip", "server_port", "bluetooth_address", "domain_id", "use_encryption", "profile")
 _FIXED_ON_CLIENT = (*_FIXED, "use_name")
+_LISTS_OF_SESSION = frozenset((*LISTS.values(), "clients"))
 
 
 def is_another(old: Session, new: Session) -> str:
@@ -60,6 +61,8 @@ def changes(
         new: the same with changes.
         only: the fields to compare, or empty for all.
     """
+    if isinstance(old, Session) and only and _LISTS_OF_SESSION.isdisjoint(only):  # which take long to write
+        old, new = (msgspec.structs.replace(each, topics=(), clients=None) for each in (old, new))
     # In the words of the file. Entries of two kinds have different ones.
     if isinstance(old, Session) or (isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind):
         old, new = as_written(old), as_written(new)

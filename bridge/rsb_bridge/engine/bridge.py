@@ -229,6 +229,7 @@ class Bridge:
             for link in self.role.links():
                 await link.table.tick_routes()
                 link.guarded(link.tick)
+                await link.tick_extensions()
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
             for part in self._parts:
                 with self._part_may_fail(part):
@@ -430,7 +431,7 @@ class Bridge:
             # What the file demands no longer stays demanded until an operator drops it by name.
             session = msgspec.structs.replace(session, armed=(*session.armed, *map(as_armed, other)))
         if dry_run:
-            return [step.text for step in (*first, *self._steps_to(session, keys))], []
+            return [step.text for step in (*first, *await self._steps_to(session, keys))], []
         if other and drop_arm:
             # The first step drops all of them, and the others only name theirs.
             first[0] = ReloadStep(texts[0], partial(demands.drop, other))
@@ -442,7 +443,7 @@ class Bridge:
         self, session: Session, keys: Keys, first: Sequence[ReloadStep] | None = None
     ) -> tuple[list[str], list[str]]:
         """Change to another session, for a command about clients, or with the first steps of a reload."""
-        steps = self._steps_to(session, keys)
+        steps = await self._steps_to(session, keys)
         code = EventCode.OPERATOR_CLIENTS if first is None else EventCode.OPERATOR_RELOADED
         done: list[str] = []
         failed: list[str] = []
@@ -467,7 +468,7 @@ class Bridge:
             await in_slices([*(first or ()), *steps], take)
         return done, failed
 
-    def _steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
+    async def _steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
         old = msgspec.structs.replace(self.context.session, armed=self.context.demands.written)
         in_place = (
             (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
@@ -480,7 +481,8 @@ class Bridge:
         steps = [
             ReloadStep(", ".join(said), act) for names, act in in_place if (said := changes(old, session, only=names))
         ]
-        return steps + self.role.steps_to(session, keys)
+        await in_slices(self.role.steps_to(session, keys), steps.append)
+        return steps
 
     def _set_stale_after(self) -> None:
         for link in self.role.links():

@@ -77,6 +77,11 @@ class IoLoop(asyncio.SelectorEventLoop):
             self._turn.release()
         return True
 
+    @property
+    def turn_began(self) -> float:
+        """When the loop's thread began its present turn, on the loop's clock (`rsb_bridge.tasks.in_slices`)."""
+        return self._waits.ended_at
+
     time = staticmethod(time.monotonic)
     """As asyncio's, without a call in between: every message asks for it several times."""
 
@@ -107,6 +112,7 @@ class _Selector(selectors.EpollSelector):
     Attributes:
         over: whether the wait is over, and the loop's thread wants the turn back before the next visitor.
         due: whether the loop has to run a callback or a timer, or to stop.
+        ended_at: when the last wait has ended, on the loop's clock.
         failed: takes a reader's exception, as the loop's exception handler does.
     """
 
@@ -116,6 +122,7 @@ class _Selector(selectors.EpollSelector):
         super().__init__()
         self.over = False
         self.due = False
+        self.ended_at = time.monotonic()
         self._turn = turn
         self._changes = 0
         self._readers: dict[int, Callable[[], object]] = {}  # of the descriptors that are waited for to read only
@@ -140,6 +147,7 @@ class _Selector(selectors.EpollSelector):
             reader = self._readers.get(found[0][0]) if len(found) == 1 and changes == self._changes else None
             if reader is None:
                 break
+            self.ended_at = time.monotonic()
             try:
                 reader()
             except (SystemExit, KeyboardInterrupt):
@@ -151,7 +159,9 @@ class _Selector(selectors.EpollSelector):
             if timeout is not None:
                 # Else a socket that always has something to read would hold up timers.
                 timeout = until - time.monotonic()
-        return super().select(0)
+        found_now = super().select(0)
+        self.ended_at = time.monotonic()
+        return found_now
 
     def leave_all_to_the_loop(self) -> None:
         """Leave reading from all sockets that are registered by now to asyncio."""

@@ -17,7 +17,7 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
-from rsb_bridge.tasks import Tasks
+from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.messages import Ping, Pong, Receipts
 
@@ -372,11 +372,14 @@ class BaseLink(ABC):
     # --- time and figures
 
     def tick(self) -> None:
-        """Do the regular work once a second, after the routes' own tick."""
+        """Do the link's own regular work once a second, after the routes' and before that of its extensions."""
         if self._channels is not None:
             self.send(self.keepalive.tick())
             self._channels.tick()
-        self.extensions.tick()
+
+    async def tick_extensions(self) -> None:
+        """Do the regular work of its extensions once a second, in slices: each may look at all routes."""
+        await in_slices(self.extensions.all(), lambda each: self.guarded(each.tick))
 
     def log_of_peer(self, level: Level, code: StrEnum, text: str, *, link_status: bool = False) -> None:
         """Add an event about this link that names the peer."""

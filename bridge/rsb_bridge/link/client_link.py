@@ -111,7 +111,7 @@ class ClientChannels(DataChannels):
         if failure is None and self.pair_of(*key) is None:
             failure = Failure(StreamProblem.CLOSED_HERE())
         if failure is None:
-            self.streams_opened(*key)
+            await self.streams_opened(*key)
         else:
             reason = Reason(failure.reason, EndCode.BROKE)
             for route in self._take_awaiting(*key):

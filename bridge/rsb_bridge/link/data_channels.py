@@ -181,14 +181,16 @@ class DataChannels:
         if beginning and not added.over:
             added.received(beginning)
 
-    def streams_opened(self, transport: str, port: int) -> None:
-        """Open the channels of the routes that wait for streams, if these are complete."""
-        pair = self.pair_of(transport, port)
-        if pair is None:
-            return
-        for route in self._take_awaiting(transport, port):
-            self._carry(route, pair)
-            route.advance()
+    async def streams_opened(self, transport: str, port: int) -> None:
+        """Open the channels of the routes that wait for streams, if these are complete, in slices."""
+
+        def carry(route: Route) -> None:
+            self.open(route)  # which waits again if a slice before has lost the streams
+            if route.channel is not None:
+                route.advance()
+
+        if self.pair_of(transport, port) is not None:
+            await in_slices(self._take_awaiting(transport, port), carry)
 
     def _pair(self, transport: StreamTransport, port: int) -> StreamPair:
         pair = self._pairs.get((transport.name, port))

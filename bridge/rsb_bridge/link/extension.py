@@ -105,9 +105,8 @@ class Extensions:
             each.disconnected()
         self._told = []
 
-    def tick(self) -> None:
-        for each in self._all:
-            each.tick()
+    def all(self) -> tuple[Extension, ...]:
+        return tuple(self._all)
 
     def removed(self, route: Route) -> None:
         for each in self._all:

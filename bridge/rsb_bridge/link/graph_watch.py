@@ -111,18 +111,18 @@ class GraphWatch:
     async def _advance_routes(self, *, idle: bool) -> float:
         """Advance all routes, or those that are not idle, in slices; return the seconds that this took of the loop."""
         now, cost = self._context.now, 0.0
-
-        def advance(route: Route) -> None:
-            nonlocal cost
-            began = now()
-            if route.id:  # one of the slices before may have closed it
-                link.guarded(route.advance)
-            cost += now() - began
-
         self._context.announcements.update()  # first: routes ask it which publishers are bridges
-        for link in self._links():
-            await in_slices([route for route in link.routes.values() if idle or not route.idle], advance)
-            await asyncio.sleep(0)
+
+        def advance(of: tuple[BaseLink, Route]) -> None:
+            nonlocal cost
+            link, route = of
+            if route.id:  # one of the slices before may have closed it
+                began = now()
+                link.guarded(route.advance)
+                cost += now() - began
+
+        routes = [(link, each) for link in self._links() for each in link.routes.values() if idle or not each.idle]
+        await in_slices(routes, advance)
         return cost
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 from abc import abstractmethod
-from itertools import islice
 from typing import TYPE_CHECKING
 
 from rsb_bridge.feature import installed
@@ -23,12 +22,14 @@ from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import LinkSnapshot
+from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.wire.codec import ReportParts, report_entries
 from rsb_bridge.wire.messages import Neighbours, Report
 from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.verdict import LinkCause
     from rsb_bridge.route.route import Route
 
-_REPORTED_AT_ONCE = 40
-"""Routes in one message: about 1 ms, and with the longest texts a sixth of its limit (PROTOCOL.md section 1)."""
+_REPORTED_AT_ONCE = 25
+"""Routes in one message. They take up to 1 ms; with the longest texts, a message has room for 250 (PROTOCOL.md, 1)."""
 _EARLY = 0.1
 """Seconds from `RouteReports.add` to the report: messages that a killed receiver had not reported count as unknown."""
 
@@ -97,6 +98,15 @@ class Neighbourhood(Extension):
         self._link.bridges = self._told = ()
 
 
+def _report(routes: Iterable[Route]) -> Report | None:
+    """Return the counts that the peer does not know yet, or None if it knows all."""
+    news = [route.news() for route in routes if route.life.accepted]  # the other side may not know the others yet
+    sent = tuple(each for each in news if isinstance(each, SentReport))
+    received = tuple(each for each in news if isinstance(each, ReceivedReport))
+    calls = tuple(each for each in news if isinstance(each, CallsReport))
+    return Report(sent=sent, received=received, calls=calls) if sent or received or calls else None
+
+
 class RouteReports(Extension):
     """Exchanges the routes' counts with the peer once a second. Early ones go together, at most ten times a second."""
 
@@ -104,8 +114,6 @@ class RouteReports(Extension):
         self.messages = {Report: self._receive, ReportParts: self._receive}
         self._link = link
         self._due: set[Route] = set()
-        self._waiting: dict[Route, None] = {}
-        self._reporting = False
         self._timer: asyncio.TimerHandle | None = None
 
     def add(self, route: Route) -> None:
@@ -117,50 +125,38 @@ class RouteReports(Extension):
     def _report_early(self) -> None:
         self._timer = None
         due, self._due = self._due, set()
-        self._report(due)
+        self._report(list(due))
+
+    def _report(self, routes: list[Route]) -> None:
+        """Report some routes at once, and more of them in slices."""
+        if len(routes) <= _REPORTED_AT_ONCE:
+            self._report_now(routes)
+            return
+        connection = self._link.connections
+
+        def report(part: list[Route]) -> None:
+            if self._link.linked and self._link.connections == connection:
+                self._report_now(part)
+
+        parts = (routes[first : first + _REPORTED_AT_ONCE] for first in range(0, len(routes), _REPORTED_AT_ONCE))
+        self._link.spawn(in_slices(parts, report, at_once=1))
+
+    def _report_now(self, routes: Iterable[Route]) -> None:
+        if (report := _report(routes)) is not None:
+            self._link.send(report)
 
     def disconnected(self) -> None:
         self._due.clear()
-        self._waiting.clear()
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
     def tick(self) -> None:
-        if not self._link.linked:
-            return
-        full, path = self._link.fullness.next_record(), self._link.path.next_record()
-        if full is not None or path is not None:
-            self._link.send(Report(sent=(), received=(), full=full, path=path))
-        self._report(self._link.awake)
-
-    def _report(self, routes: Iterable[Route]) -> None:
-        """Send the counts that the peer does not know yet, of hundreds of routes in slices."""
-        self._waiting.update(dict.fromkeys(routes))
-        self._report_some()
-        if self._waiting and not self._reporting:
-            self._reporting = True
-            self._link.spawn(self._report_others())
-
-    async def _report_others(self) -> None:
-        try:
-            while self._waiting:
-                await asyncio.sleep(0)
-                self._report_some()
-        finally:
-            self._reporting = False
-
-    def _report_some(self) -> None:
-        # Made and sent in one turn, as a later report must not have earlier counts.
-        routes = [*islice(self._waiting, _REPORTED_AT_ONCE)]
-        for route in routes:
-            del self._waiting[route]
-        news = [route.news() for route in routes if route.life.accepted]  # the other side may not know the others yet
-        sent = tuple([each for each in news if isinstance(each, SentReport)])
-        received = tuple([each for each in news if isinstance(each, ReceivedReport)])
-        calls = tuple([each for each in news if isinstance(each, CallsReport)])
-        if sent or received or calls:
-            self._link.send(Report(sent=sent, received=received, calls=calls))
+        if self._link.linked:
+            full, path = self._link.fullness.next_record(), self._link.path.next_record()
+            if full is not None or path is not None:
+                self._link.send(Report(sent=(), received=(), full=full, path=path))
+            self._report([*self._link.awake])
 
     def _receive(self, report: Report | ReportParts) -> Slices:
         if report.full is not None:

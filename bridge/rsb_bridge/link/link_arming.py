@@ -209,6 +209,8 @@ class LinkArming:
         if not route.id:
             return False
         own, before = self._own(route), route.arming.own
+        if own is before is NO_DEMAND:  # as on most of hundreds of routes: there is nothing to say
+            return False
         # The acceptor has named its limit in Accept, which comes once in an opening; the proposer sends an Amend.
         if not route.proposed_here and own.max_age != before.max_age:
             return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from itertools import islice
 from operator import itemgetter
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import msgspec
 
@@ -31,6 +31,7 @@ from rsb_bridge.model.patterns import (
 )
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import Level, PatternSnapshot, State
+from rsb_bridge.tasks import MOST_AT_ONCE, in_slices
 from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Welcome
 
 if TYPE_CHECKING:
@@ -47,6 +48,9 @@ if TYPE_CHECKING:
 _GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
 _IN_ONE_MESSAGE = 200
 """Names of either list: even the longest ones, with four bytes a character, take less than the 1 MiB of a frame."""
+
+_Match: TypeAlias = "tuple[bool, Kind, str, str]"
+"""A name to match: whether it is in this side's graph, its kind, the name, and its type."""
 
 
 class PatternEntry:
@@ -180,7 +184,8 @@ class LinkPatterns(Extension):
         self._request = 0
         self._due = False  # the peer has sent other names, or given up a route
         self._gone: dict[Route, float] = {}  # whose topic or service is gone, each with the time since when
-        self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
+        self._known: dict[_Match, tuple[int, Topic] | None] = {}  # which pattern matches
+        self._to_add: dict[Identity, tuple[PatternEntry, Topic]] = {}  # what has no route yet, in order
         self._logged_full: set[Identity] = set()
         table.on_removed = self.leave_out
         table.on_given_up = self._given_up
@@ -262,7 +267,8 @@ class LinkPatterns(Extension):
         """Return the pattern with a key, or None."""
         return next((topic for topic in self.all() if self.key_of(topic) == key), None)
 
-    def _set(self, topics: Iterable[Topic]) -> None:
+    def _set(self, topics: Iterable[Topic], *, by_operator: bool = True) -> None:
+        """Follow other patterns. An operator waits until the routes are removed that none matches any more."""
         before = {entry.topic.identity for entry in self._entries if entry.beyond}
         link = self._link
         always = isinstance(link.peer, Welcome) and link.peer.use_name
@@ -271,17 +277,21 @@ class LinkPatterns(Extension):
         ]
         self._context.demands.changed()
         self._known.clear()
+        self._to_add = {}  # of the earlier ones
         self._logged_full &= before & {entry.topic.identity for entry in self._entries}
         self._ask()
         self._context.names_changed()
-        self._reconcile()
+        if not by_operator:
+            self._match_names()
+        else:
+            self._reconcile()
 
     # --- the two graphs
 
     def connected(self) -> None:
         """Follow the peer's graph; the names on the server are known from now on."""
         self._request = 0  # the end of the last connection has ended its Follow
-        self.renew()
+        self._set(self.all(), by_operator=False)
 
     def renew(self) -> None:
         """Match all names again: the server's names, or the peer's rights, may have changed."""
@@ -327,7 +337,7 @@ class LinkPatterns(Extension):
     def update_names(self, names: Names) -> None:
         if self._entries and names != self._here:
             self._here = names
-            self._reconcile()
+            self._match_names()
 
     def _is_local(self, entry: PatternEntry) -> bool:
         """Whether an entry follows this side's graph."""
@@ -340,8 +350,33 @@ class LinkPatterns(Extension):
         routes = self._link.routes.values()
         return tuple(route for route in routes if route.pattern and _identity_of(route) == pattern.identity)
 
+    def _match_names(self) -> None:
+        """Match the names of the two graphs, many new ones in slices, and reconcile the routes with them."""
+        entries, rights = self._entries, as_if_listed(self._link.rights)
+        new = [key for key in self._names() if key not in self._known]
+
+        def match(key: _Match) -> None:
+            if self._entries is entries:  # else other patterns or rights have replaced these between two slices
+                self._known[key] = self._first_match(*key, rights)
+
+        async def match_all() -> None:
+            await in_slices(new, match)
+            self._reconcile()
+
+        if len(new) > MOST_AT_ONCE:
+            self._link.spawn(match_all())
+        else:
+            self._reconcile()
+
+    def _names(self) -> Iterator[_Match]:
+        """Yield the names of both graphs, with their types."""
+        for local, names in ((True, self._here), (False, self.there)):
+            for (kind, name), type_name in (names or {}).items():
+                yield local, kind, name, type_name
+
     def _reconcile(self) -> None:
-        """Add and remove routes so that each matching name has one."""
+        """Remove and change routes so that each is of a matching name, and begin to add the others."""
+        self._to_add = {}  # which ends the slices of an earlier change of names or patterns
         if not self._entries and not any(route.pattern for route in self._link.routes.values()):
             return
         with acting(""):  # a change of the graph is not an operator's action
@@ -375,12 +410,10 @@ class LinkPatterns(Extension):
         own = set(session.own_topics) - {None}  # as most topics have no remote_topic
         found: list[tuple[int, str, Topic]] = []
         before, self._known = self._known, {}  # names that are gone are forgotten
-        for local, names in ((True, self._here), (False, self.there)):
-            for (kind, name), type_name in (names or {}).items():
-                key = local, kind, name, type_name
-                match = self._known[key] = before[key] if key in before else self._first_match(*key, rights)
-                if match is not None and own.isdisjoint((name, match[1].topic, match[1].remote_topic)):
-                    found.append((match[0], name, match[1]))
+        for key in self._names():
+            match = self._known[key] = before[key] if key in before else self._first_match(*key, rights)
+            if match is not None and own.isdisjoint((key[2], match[1].topic, match[1].remote_topic)):
+                found.append((match[0], key[2], match[1]))
         found.sort(key=itemgetter(0, 1))
         wanted: dict[Identity, tuple[PatternEntry, Topic]] = {}
         for at, _, topic in found:
@@ -425,36 +458,49 @@ class LinkPatterns(Extension):
         route.pattern = entry.topic.topic  # `replace` takes it for an operator's edit
 
     def _add(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
-        """Add routes for topics without one, within the limits."""
+        """Add routes for topics without one, within the limits, in slices."""
         counts = Counter(_identity_of(route) for route in self._link.routes.values() if route.pattern)
-        total = counts.total()
         taken = {route.spec.identity for route in self._link.routes.values()}
-        for identity, (entry, topic) in wanted.items():
-            if identity in taken:
-                continue
-            of_entry = entry.topic.identity
-            is_full = counts[of_entry] >= ROUTES_PER_PATTERN
-            if is_full or total >= ROUTES_BY_PATTERNS:
-                if (gone := self._longest_gone(of_entry if is_full else None)) is None:
-                    entry.beyond += 1
-                    continue
-                counts[_identity_of(gone)] -= 1
-                total -= 1
-                self._drop(gone, "gone; its place is needed for others that match")
-            try:
-                self._proposed.add(topic, by_pattern=True).pattern = entry.topic.topic
-            except LinkError as error:
-                if not self._proposed.is_bridged(topic):  # under another name on the client
-                    entry.left_out[topic.topic] = str(error)
-            else:
-                counts[of_entry] += 1
-                total += 1
+        to_add = self._to_add = {identity: each for identity, each in wanted.items() if identity not in taken}
+
+        def add(each: tuple[PatternEntry, Topic]) -> None:
+            if self._to_add is to_add:
+                self._add_one(*each, counts)
+
+        async def add_all() -> None:
+            await in_slices(to_add.values(), add)
+            if self._to_add is to_add:
+                self._log_full()
+
+        if len(to_add) > MOST_AT_ONCE:
+            self._link.spawn(add_all())
+            return
+        for each in to_add.values():
+            add(each)
         self._log_full()
 
-    def _longest_gone(self, pattern: Identity | None) -> Route | None:
-        """Return the route whose topic has been gone for longest, of one pattern or of any."""
-        fitting = (route for route in self._gone if pattern in (None, _identity_of(route)))
-        return min(fitting, key=self._gone.__getitem__, default=None)
+    def _add_one(self, entry: PatternEntry, topic: Topic, counts: Counter[Identity]) -> None:
+        """Add a route of a pattern; if there is no room, in place of the one whose topic has been gone for longest.
+
+        Args:
+            counts: the present routes by their patterns.
+        """
+        of_entry = entry.topic.identity
+        is_full = counts[of_entry] >= ROUTES_PER_PATTERN
+        if is_full or counts.total() >= ROUTES_BY_PATTERNS:
+            fitting = (each for each in self._gone if not is_full or _identity_of(each) == of_entry)
+            if (gone := min(fitting, key=self._gone.__getitem__, default=None)) is None:
+                entry.beyond += 1
+                return
+            counts[_identity_of(gone)] -= 1
+            self._drop(gone, "gone; its place is needed for others that match")
+        try:
+            self._proposed.add(topic, by_pattern=True).pattern = entry.topic.topic
+        except LinkError as error:
+            if not self._proposed.is_bridged(topic):  # under another name on the client
+                entry.left_out[topic.topic] = str(error)
+        else:
+            counts[of_entry] += 1
 
     def _drop(self, route: Route, reason: str) -> None:
         self._gone.pop(route, None)
@@ -464,7 +510,7 @@ class LinkPatterns(Extension):
         """Take the peer's latest names, and remove routes whose topic has long been gone."""
         if self._due:
             self._due = False
-            self._reconcile()
+            self._match_names()
         if not self._gone:  # as nearly always
             return
         now = self._context.now()

@@ -72,7 +72,7 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
 def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[ReloadStep]:
     """Yield the changes of a server."""
     wanted = {entry.client.name: entry for entry in entries}
-    for name, entry in server.entries.items():
+    for name, entry in tuple(server.entries.items()):
         link, new = server.links[name], wanted.get(name)
         if new is None:
             text = ClientStep.REMOVED_WHILE_LINKED if link.linked else ClientStep.REMOVED

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -25,7 +25,7 @@ from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
-from rsb_bridge.tasks import Tasks
+from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import CipherSuite
@@ -77,8 +77,7 @@ class ClientRole:
         self._tasks = Tasks(context.loop, self._link.fail)
 
     async def start(self) -> None:
-        for topic in self._context.session.topics:
-            self._link.add_entry(topic)
+        await in_slices(self._context.session.topics, self._link.add_entry)
         self._tasks.keep(self._link.run, Backoff(_RESTARTED_AFTER, _LONGEST_PAUSE, self._context.random))
 
     async def stop(self) -> None:
@@ -111,8 +110,8 @@ class ClientRole:
     def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
         return self._link, self._link.add_entry(topic), topic
 
-    def steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
-        return list(client_steps(self._link, session, _own(keys, session)))
+    def steps_to(self, session: Session, keys: Keys) -> Iterator[ReloadStep]:
+        return client_steps(self._link, session, _own(keys, session))
 
     def retry(self, link: str) -> None:
         self._link.retry()
@@ -156,8 +155,7 @@ class ServerRole:
     async def start(self) -> None:
         """Bind; raise ListenError if a port of this machine cannot be bound."""
         for link in self._server.links.values():
-            for topic in link.entry.client.topics:
-                link.add_entry(topic)
+            await in_slices(link.entry.client.topics, link.add_entry)
         if failure := await self._bind():
             # An address of this machine that cannot be bound is a mistake; a router elsewhere may come later.
             if self._context.transports.of_link(self._context.session.server_ip).local:
@@ -208,8 +206,8 @@ class ServerRole:
         topic = chosen.client_names(topic)
         return chosen, chosen.add_entry(topic), topic
 
-    def steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
-        return list(server_steps(self._server, _entries(session, keys)))
+    def steps_to(self, session: Session, keys: Keys) -> Iterator[ReloadStep]:
+        return server_steps(self._server, _entries(session, keys))
 
     def _chosen(self, name: str, topic: str) -> ServerLink:
         """Return the named link; without a name, the only link, or the only one whose prefix the topic has."""

@@ -45,7 +45,7 @@ from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire import messages as wire
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Iterator
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.session import Identity, Topic
@@ -54,8 +54,6 @@ if TYPE_CHECKING:
 
 _FromHalf: TypeAlias = wire.Describe | wire.Ready | wire.Publishers | wire.Provide
 _FromOperator: TypeAlias = wire.ByHand | wire.ArmingMessage | wire.HolderMessage
-_PROPOSED_AT_ONCE = 8
-"""Routes proposed at once on a new connection, in about 1 ms; the others follow in slices."""
 _AboutOpenRoute: TypeAlias = wire.Accept | wire.Refuse | wire.Close | wire.Limit | _FromHalf | _FromOperator
 RouteMessage: TypeAlias = wire.Propose | wire.Amend | wire.Pause | wire.LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
@@ -88,6 +86,7 @@ class RouteTable(Extension):
         self._link = link
         self._down_reason = ""
         self._refused: dict[str, str] = {}  # the last reason for which a topic of the peer was refused
+        self._to_propose: dict[Route, None] = {}  # in this order, in slices
         self.peer_operators = PeerOperators(link.context, "server" if link.is_client else link.name)
         self.arming = LinkArming(link, self.peer_operators, self.propose)
         self.questions = HolderQuestions(link, self.peer_operators)
@@ -95,21 +94,10 @@ class RouteTable(Extension):
     # --- the connection
 
     def connected(self) -> None:
-        link = self._link
-        connection, routes = link.connections, [route for route in link.routes.values() if route.proposed_here]
-
-        def propose(route: Route) -> None:
-            lasts = link.linked and link.connections == connection
-            # Between two slices it may have been removed, or become the other side's.
-            if lasts and not route.id and route.proposed_here and link.routes.get(route.key) is route:
-                self.propose(route)
-
-        for route in routes[:_PROPOSED_AT_ONCE]:
-            propose(route)
-        if rest := routes[_PROPOSED_AT_ONCE:]:
-            link.spawn(in_slices(rest, propose))
+        self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
 
     def disconnected(self) -> None:
+        self._to_propose.clear()
         self._link.ids.disconnected()
         self._refused.clear()
         for route in self._link.routes.values():
@@ -142,8 +130,8 @@ class RouteTable(Extension):
         """Raise `LinkError` if a topic cannot be added, or cannot replace a route."""
         if self._link.routes.get(route_key(self._link.name, proposal), instead_of) is not instead_of:
             raise LinkError(Denied.EDIT_THAT_ROUTE(topic=proposal.topic))
-        others = [each for each in self._link.routes.values() if each is not instead_of]
-        if clash := overlap(spec, [each.spec for each in others if each.id or each.proposed_here]):
+        others = (each for each in self._link.routes.values() if each is not instead_of)
+        if clash := overlap(spec, (each.spec for each in others if each.id or each.proposed_here)):
             raise LinkError(clash)
 
     def keep_demand(self, spec: Topic, key: str) -> None:
@@ -287,9 +275,8 @@ class RouteTable(Extension):
 
     def retry(self) -> None:
         """Propose refused routes at once."""
-        for route in tuple(self._link.routes.values()):
-            if self._link.linked and route.proposed_here and not route.id:
-                self.propose(route)
+        if self._link.linked:
+            self._propose_soon(each for each in self._link.routes.values() if each.proposed_here and not each.id)
 
     def _open(self, route: Route, route_id: int) -> None:
         route.open(route_id)
@@ -305,6 +292,22 @@ class RouteTable(Extension):
         route.close("reopened")
         self._open(route, self._link.ids.new())
         self._link.spawn(self._propose(route, route.id, who))
+
+    def _propose_soon(self, routes: Iterable[Route]) -> None:
+        """Propose routes that are not open, in slices: all of a link have to be, once it is up."""
+
+        def due() -> Iterator[Route]:
+            while self._to_propose:
+                route = next(iter(self._to_propose))
+                del self._to_propose[route]
+                # A slice before, or a message of the peer, may have opened, changed or removed it.
+                if route.proposed_here and not route.id and self._link.routes.get(route.key) is route:
+                    yield route
+
+        is_under_way = bool(self._to_propose)
+        self._to_propose |= dict.fromkeys(routes)
+        if self._to_propose and not is_under_way:
+            self._link.spawn(in_slices(due(), self.propose))
 
     async def _propose(self, route: Route, route_id: int, who: str) -> None:
         if not await self._prepare_port(route, route_id):
@@ -571,7 +574,7 @@ class RouteTable(Extension):
                 continue
             if route.proposed_here:
                 if now >= route.reopening.retry_at:
-                    self.propose(route)
+                    self._propose_soon((route,))
             elif now > route.reopening.awaited_until(link.linked_at):
                 if route.own is not None:  # this side's session lists it, too
                     route.lead()

@@ -124,7 +124,7 @@ class ServerChannels(DataChannels):
         stream.when_gone = link.descriptors.take()
         stream.write(connection.accept_attach())
         self.attach(stream, name, transport, port, connection.leftover())
-        self.streams_opened(transport.name, port)
+        link.spawn(self.streams_opened(transport.name, port))
 
     def new_udp_channel(self, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
         """Open a UDP channel on the socket and from the address of its first datagram, or return None.
