@@ -11,11 +11,12 @@ from unittest.mock import patch
 
 import pytest
 from tests.route.test_time_by_event import differences, shown_by
-from tests.simulation.conditions import QUIET, STILL
+from tests.simulation.conditions import LIVELY, QUIET, STILL, Conditions
 from tests.simulation.episodes import type_differs_for
 from tests.simulation.node import Node
 from tests.simulation.world import Violation, World
 from tests.support import replaced
+from tests.support.long import long_cases
 
 from rsb_bridge.context import Context
 from rsb_bridge.link.link import Link
@@ -129,11 +130,16 @@ def polled_too() -> Iterator[Counter[str]]:
 WORLD = replace(QUIET, services=(0,), nights=0.0, periods=(150.0, 400.0), faults=500.0, commands=500.0)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_idle_routes_miss_nothing(seed: int) -> None:
+CALLED = replace(WORLD, services=(1, 2), periods=(20.0, 400.0), faults=200.0, commands=300.0)
+
+
+@pytest.mark.parametrize(
+    ("seed", "conditions"), [(1, WORLD), (2, WORLD), (1, CALLED), (3, LIVELY), *long_cases((3, WORLD), (2, CALLED))]
+)
+def test_idle_routes_miss_nothing(seed: int, conditions: Conditions) -> None:
     """The oracle: to tick each route every second gives the same verdicts, events and reports."""
     with polled_too() as seconds:
-        World(seed, WORLD).play(1200.0)
+        World(seed, conditions).play(1200.0)
     assert seconds["idle"] > 100
 
 
