@@ -93,6 +93,8 @@ _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCa
 class BaseLink(ABC):
     """The connection to a peer with the routes that use it, and the features that have registered.
 
+    It has more than 40 methods because ten of them are what a client and a server do differently.
+
     Facts about a peer or a connection are of the present one, and while the link is down of the last one.
     """
 
@@ -122,6 +124,7 @@ class BaseLink(ABC):
         """Names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown."""
         self.routes: dict[str, Route] = {}  # by key
         self.timetable: Timetable[Route] = Timetable(context.now())
+        self.awake: Collection[Route] = self.timetable.awake  # the routes that are not idle
         self.ids = RouteIds(is_client=is_client)
         self.budget = PeerBudget(context.now())  # of what the peer may have this side hold and do
         self.revisions = Revisions()
@@ -137,11 +140,6 @@ class BaseLink(ABC):
             Pong: self._on_pong,
             Receipts: self._on_receipts,
         }
-
-    @property
-    def awake(self) -> Collection[Route]:
-        """The routes that are not idle."""
-        return self.timetable.awake
 
     @property
     def changes(self) -> int:

@@ -27,10 +27,6 @@ class RouteIds:
         self._next = 1 if is_client else 2
         self._newest_of_peer = 0
 
-    def __len__(self) -> int:
-        """Return how many routes are open."""
-        return len(self._by_id)
-
     def disconnected(self) -> None:
         """Forget all ids: messages of a closed connection cannot come late."""
         for route in self._closed.values():

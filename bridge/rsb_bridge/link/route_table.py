@@ -567,9 +567,7 @@ class RouteTable(Extension):
         if not link.linked:
             return
         self.arming.tick()
-        if len(link.ids) == len(link.routes):  # nearly always: all of hundreds are open
-            return
-        for route in tuple(link.routes.values()):
+        for route in tuple(link.awake):  # as are all that are not open
             if route.id:
                 continue
             if route.proposed_here:

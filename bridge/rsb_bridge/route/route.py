@@ -473,9 +473,11 @@ class Route:
 
     def _next_change(self, now: float, crossing: Crossing) -> float:
         """Return when (s) something changes by itself next, `now` if it may at any moment, or infinity."""
+        # What is not open is proposed again, or given up. What it owes comes last: it takes longest to find out.
         restless = (
             self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still or self.arming.required
-            or self.link_full is not None or self.peer.path.fault is not None or self.losses.reasons or self.owing
+            or (self.peer.linked and not self.id) or self.link_full is not None or self.peer.path.fault is not None
+            or self.losses.reasons or self.owing
         )  # fmt: skip
         return now if restless else self.judged.next_change
 
