@@ -258,7 +258,7 @@ MUTATIONS = (
              ((CallingRoute, "_withdraw", nothing),), "without a link|and the link is down", CALLS, 1, 1.0),
     Mutation("a goal in flight is sent to the server again",
              ((KeptAnswers, "decide", _ask_again_anyway),),
-             "came to the server 2 times", replace(ACTIONS, faults=20.0), 11, 0.1),
+             "came to the server 2 times", replace(ACTIONS, faults=20.0), 19, 0.1),
     Mutation("a result goes to the first caller",
              ((KeptAnswers, "answered", _answer_oldest),), "got the result of another goal", ACTIONS, 1, 1.0),
     Mutation("who waits for a result is given up when the link drops",

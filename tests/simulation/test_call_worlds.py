@@ -30,4 +30,4 @@ def test_goals_outlive_whatever_goes_wrong(seed: int) -> None:
         world.play(_OF_ACTIONS[seed] * 3600)
     except Violation as violation:
         pytest.fail(str(violation), pytrace=False)
-    assert sum(action.answered for action in world.action_flows.values()) > 30
+    assert sum(action.answered for action in world.action_flows.values()) > 20
