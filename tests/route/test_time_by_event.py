@@ -101,7 +101,7 @@ class Life:
         self.loop.jump(0.5)
 
     def says(self) -> tuple[object, ...]:
-        """What operators, the log and the other side are told."""
+        """Return its verdicts, events and rates."""
         route = self.route
         events = [(event.time, event.code, event.text) for event in route.context.events.after(0)]
         shown = route.judged.shown(route.verdict())
@@ -162,7 +162,7 @@ _EVENTS: list[Callable[[Life], None]] = [
 
 
 def shown_by(route: Route) -> tuple[RouteSnapshot, float, float] | None:
-    """What is to stay the same, with its times as those of the loop, or None if nothing is."""
+    """Return the snapshot of a half that shows the same, and its times on the loop's clock; else None."""
     if not route.shows_the_same:
         return None
     shown, to_loop = route.snapshot(), route.context.now() - route.context.wall()
@@ -172,7 +172,7 @@ def shown_by(route: Route) -> tuple[RouteSnapshot, float, float] | None:
 
 
 def differences(before: tuple[RouteSnapshot, float, float], now: tuple[RouteSnapshot, float, float]) -> list[object]:
-    """What is shown otherwise; times may differ by what the clocks take."""
+    """Return the fields that differ; times may differ a little, as clocks do."""
     times = [pair for pair in zip(before[1:], now[1:], strict=True) if abs(pair[0] - pair[1]) > 0.2]
     figures = [(getattr(before[0], each.name), getattr(now[0], each.name)) for each in fields(now[0])]
     return [*times, *(pair for pair in figures if pair[0] != pair[1])]

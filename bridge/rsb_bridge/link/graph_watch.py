@@ -109,7 +109,11 @@ class GraphWatch:
         self._settled = self._context.loop.call_later(_MATCHED_AFTER, self._due.set)
 
     async def _advance_routes(self, *, idle: bool) -> float:
-        """Advance all routes, or those that are not idle, in slices; return the seconds that this took of the loop."""
+        """Advance routes in slices; return the seconds that this took of the loop.
+
+        Args:
+            idle: whether idle ones look, too.
+        """
         now, cost = self._context.now, 0.0
         self._context.announcements.update()  # first: routes ask it which publishers are bridges
 

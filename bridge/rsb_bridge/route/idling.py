@@ -1,9 +1,9 @@
-"""When a half of a route is ticked: once a second while anything happens, and otherwise when something is due.
+"""Decides when a half of a route is ticked: once a second while anything happens, and otherwise when something is due.
 
-What follows from a message, a report, a command or the graph follows within seconds, and the windows over which a half
-is judged are as short, but for a few. So a half is ticked for a while after each event, and from then on only at the
-time that its rules name: `next_change`. Each event says that it has happened (`Route.wake`), messages too. Nothing
-walks over idle halves: to touch hundreds of objects once a second takes longer than the work on a few.
+The effects of a message, a report, a command or a change of the graph follow within seconds, and nearly all windows over
+which a half is judged are as short. So a half is ticked for a while after each event, and from then on only at the time
+that its rules name: `next_change`. Each event calls `Route.wake`, messages too. Nothing walks over idle halves: to touch
+hundreds of objects once a second takes longer than the work on a few.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 SETTLES = 12.0
-"""s after an event for which a half is ticked: longer than each window of the rules, but for those that `next_change`
-tells of (`watches.LATELY`, `topic_route._LATENCY_TICKS`, `combined_verdict._WAITS`)."""
+"""s after an event for which a half is ticked: longer than `watches.LATELY`, `topic_route._LATENCY_TICKS` and
+`combined_verdict._WAITS`. Longer windows of the rules are in `next_change`."""
 POLLED_EVERY = 15.0  # s, at most, between two ticks of a half with something that does not tell when it changes
 _MOST_OUTDATED = 4096  # times of halves that were woken meanwhile, about, until they are looked through
 
@@ -83,7 +83,7 @@ class Timetable(Generic[HalfT]):
     """The halves of one link that are to be ticked.
 
     Attributes:
-        awake: those that are not idle.
+        awake: the halves that are ticked.
         changes: how many have come or gone.
         looked: time (s) of the last look.
     """

@@ -376,7 +376,7 @@ class StaleWatch:
 
     @property
     def next_warning(self) -> float:
-        """Time (s) of the next warning, or infinite if there is none."""
+        """Time (s) of the next warning, or infinite after the last one."""
         return self.quiet_since + self.after * (self.warned + 1) if self.after and self.warned < self.times else inf
 
     def stale(self, now: float) -> bool:

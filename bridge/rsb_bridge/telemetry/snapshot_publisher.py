@@ -58,7 +58,7 @@ class ShownLink(Protocol):
 
     @property
     def awake(self) -> Collection[ShownRoute]:
-        """Those of them that are not idle."""
+        """The routes that may have changed."""
 
     @property
     def changes(self) -> int:
