@@ -1,9 +1,9 @@
 """Decides when a half of a route is ticked: once a second while anything happens, and otherwise when something is due.
 
-The effects of a message, a report, a command or a change of the graph follow within seconds, and nearly all windows over
-which a half is judged are as short. So a half is ticked for a while after each event, and from then on only at the time
-that its rules name: `next_change`. Each event calls `Route.wake`, messages too. Nothing walks over idle halves: to touch
-hundreds of objects once a second takes longer than the work on a few.
+The effects of a message, a report, a command or a change of the graph follow within seconds, and nearly all windows
+over which a half is judged are as short. So a half is ticked for a while after each event, and from then on only at the
+time that its rules name: `next_change`. Each event calls `Route.wake`, messages too. Nothing walks over idle halves: to
+touch hundreds of objects once a second takes longer than the work on a few.
 """
 
 from __future__ import annotations
