@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from bench import bed, beside_quiet
+from bench.quiet_side import wait_until_open
 
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH, stamped_string
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.node import RosNode
@@ -144,7 +144,7 @@ def _side(ros: str, names: Sequence[str], folder: str, port: int, role: Role) ->
         answer: dict[str, float] = {}
         match line.split():
             case ["open"]:
-                _wait_until_open(engine, len(names))
+                wait_until_open(engine, len(names), _OPEN_WITHIN)
             case ["publish"]:
                 for name in names:
                     stand_in.publish(name, _SIZE)
@@ -174,14 +174,6 @@ def _threads() -> dict[tuple[int, str], float]:
         with contextlib.suppress(OSError):  # it has ended
             found[number, names.get(number, _OTHERS)] = int((thread / "schedstat").read_text().split()[0]) / 1e9
     return found
-
-
-def _wait_until_open(engine: Engine, count: int) -> None:
-    deadline = time.monotonic() + _OPEN_WITHIN
-    while sum(event.code is EventCode.ROUTE_CONNECTED for event in engine.events()) < count:
-        if time.monotonic() > deadline:
-            raise SystemExit("the topics do not open")
-        time.sleep(0.1)
 
 
 def _publish(domain: int, names: Sequence[str]) -> None:

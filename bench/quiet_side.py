@@ -23,6 +23,15 @@ if TYPE_CHECKING:
 _OPEN_WITHIN = 180.0
 
 
+def wait_until_open(engine: Engine, count: int, within: float) -> None:
+    """Wait until so many topics are open, and end the process if they are not within so many s."""
+    deadline = time.monotonic() + within
+    while sum(event.code is EventCode.ROUTE_CONNECTED for event in engine.events()) < count:
+        if time.monotonic() > deadline:
+            raise SystemExit("the topics do not open")
+        time.sleep(0.1)
+
+
 class Turns:
     """Notes the longest turn of the loop, except for what a socket's reader does during the wait."""
 
@@ -56,18 +65,10 @@ def main() -> None:
     for line in sys.stdin:
         answer: dict[str, float] = {}
         if line.strip() == "open":
-            _wait_until_open(engine, len(names))
+            wait_until_open(engine, len(names), _OPEN_WITHIN)
         else:
             answer["longest"], turns.longest = turns.longest * 1000, 0.0
         print(json.dumps(answer), flush=True)
-
-
-def _wait_until_open(engine: Engine, count: int) -> None:
-    deadline = time.monotonic() + _OPEN_WITHIN
-    while sum(event.code is EventCode.ROUTE_CONNECTED for event in engine.events()) < count:
-        if time.monotonic() > deadline:
-            raise SystemExit("the topics do not open")
-        time.sleep(0.1)
 
 
 if __name__ == "__main__":
