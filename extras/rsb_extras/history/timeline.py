@@ -157,7 +157,7 @@ class Timeline:
         same = holds is not None and holds.routes is snapshot.routes and len(holds.links) == len(snapshot.links)
         if same and self._all_go_on and int(now // MINUTE) == int(last // MINUTE):
             return  # nearly always, on a robot where hundreds of topics are quiet
-        self._shown = {}
+        self._shown, self._all_go_on = {}, True
         for route in snapshot.routes:
             # A quiet topic's snapshot stays the same object, and there are hundreds.
             record = before.get(id(route))
@@ -168,11 +168,9 @@ class Timeline:
             total = route.ledger.delivered if route.calls is None else route.calls.asked
             reason = route.reason or route.last_error
             record = self._observe(key, now, last, route.state, reason, total=total, is_open=_is_open(route))
+            self._all_go_on &= record is not None and record.goes_on(now)
             if record is not None:
                 self._shown[id(route)] = record
-        self._all_go_on = len(self._shown) == len(snapshot.routes) and all(
-            each.goes_on(now) for each in self._shown.values()
-        )
         for record in [each for each in self._records.values() if each.live and each.turn != self._turn]:
             self.changes += record.is_out
             record.cut(now, self._link_of(record), cut_off=False)
