@@ -369,6 +369,7 @@ class Bridge:
         else:
             name = faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
             self.log.add(code, what, topic=name, link=faulty.link)
+        self._snapshots.publish(self.role)
 
     async def change_clients(self, session: Session, keys: Keys) -> None:
         """Change to a server's session with other clients.

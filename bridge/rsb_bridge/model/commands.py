@@ -153,6 +153,7 @@ class PauseTopics(Command[None], frozen=True, tag="pause"):
 class Acknowledge(Command[None], frozen=True, tag="acknowledge"):
     """Acknowledge a fault until its state or its cause changes, or take that back."""
 
+    refreshes = False  # it asks for all that is new, and then only adds its mark
     always = Effect.HARMLESS
     key: str = ""  # of a route or a pattern. A route that is down with its link has the link's fault
     acknowledged: bool = True  # whether the fault is acknowledged from now on

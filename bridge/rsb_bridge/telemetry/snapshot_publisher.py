@@ -201,7 +201,7 @@ class SnapshotPublisher:
         await in_slices(_routes_of(links), self._renew)
         await in_slices(links, self._renew_link)
         if self.latest.running:  # else the bridge has ended meanwhile
-            self._publish(bridge, running=True, unsaved=bridge.unsaved)
+            self.publish(bridge)
 
     def refresh_now(self, bridge: ShownBridge, *, running: bool = True) -> None:
         """Renew everything in one turn of the loop; `running`: whether any are to follow."""
@@ -220,6 +220,10 @@ class SnapshotPublisher:
         self._renew(route)
         if link not in self._links:  # it is shown with its route
             self._renew_link(link)
+        self.publish(bridge)
+
+    def publish(self, bridge: ShownBridge) -> None:
+        """Publish what was renewed last, after a command that changes neither links nor routes."""
         self._publish(bridge, running=True, unsaved=bridge.unsaved)
 
     def _notice_clock(self) -> None:
@@ -249,8 +253,9 @@ class SnapshotPublisher:
         present = bridge.links()
         self._links = {link: self._links[link] for link in present if link in self._links}
         now, self._published_at = self._clock.time_ns() / 1e9, self._clock.steady()
-        if self._renewed or [(link, link.changes) for link in present] != self._changes:
-            self._renewed, self._changes = False, [(link, link.changes) for link in present]
+        changes = [(link, link.changes) for link in present]
+        if self._renewed or changes != self._changes:
+            self._renewed, self._changes = False, changes
             # Nothing else lets go of a removed route.
             self._routes = {route: self._routes[route] for route in _routes_of(present) if route in self._routes}
             self._same.intersection_update(self._routes)
