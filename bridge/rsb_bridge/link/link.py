@@ -5,7 +5,6 @@ Clients and servers add how it is connected.
 
 from __future__ import annotations
 
-import asyncio
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 

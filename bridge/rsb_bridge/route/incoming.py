@@ -427,7 +427,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def _refuse(self, why: Refused, messages: int = 1) -> None:
         """Count messages that arrived, and that a gate keeps back."""
-        self.wake()
+        if self.idle:
+            self.wake()
         self._received += messages
         self._dropped[CAUSES[why]] += messages
         if why is Refused.TOO_FAST:
@@ -506,7 +507,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def _drop(self, error: Refused | Exception) -> None:
         """Count a message that is not published, and tell operators why."""
-        self.wake()
+        if self.idle:
+            self.wake()
         if isinstance(error, Refused | _NotPublishedError):
             self._dropped[CAUSES[error] if isinstance(error, Refused) else str(error)] += 1
             return

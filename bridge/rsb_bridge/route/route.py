@@ -102,12 +102,14 @@ class Route:
         idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown again.
         peer_report: type of the reports that the other side's half sends.
         rules: of its verdict.
+        never_idle: whether it is ticked each second, whatever happens.
     """
 
     peer_report: ClassVar[type[SentReport | ReceivedReport | CallsReport]]
     rules: ClassVar[Rules[Any]]
     outgoing: ClassVar[bool]
     duplex: ClassVar[bool] = False
+    never_idle: ClassVar[bool] = False
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         self.context = context
@@ -475,9 +477,9 @@ class Route:
         """Return when (s) something changes by itself next, `now` if it may at any moment, or infinity."""
         # What is not open is proposed again, or given up. What it owes comes last: it takes longest to find out.
         restless = (
-            self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still or self.arming.required
-            or (self.peer.linked and not self.id) or self.link_full is not None or self.peer.path.fault is not None
-            or self.losses.reasons or self.owing
+            self.never_idle or self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still
+            or self.arming.required or (self.peer.linked and not self.id) or self.link_full is not None
+            or self.peer.path.fault is not None or self.losses.reasons or self.owing
         )  # fmt: skip
         return now if restless else self.judged.next_change
 

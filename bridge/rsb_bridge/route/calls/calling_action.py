@@ -9,7 +9,7 @@ the action is paused or disarmed, only ``send_goal`` is withdrawn, so that goals
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.by_hand import END_NONE, more_careful_end
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Request, ServiceServer
     from rsb_bridge.route.calls.calling import OfferedService
     from rsb_bridge.route.calls.manual_call import ManualCall
-    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide
 
@@ -45,6 +44,8 @@ class CallingActionRoute(CallingRoute):
         goals: all that are known.
         waiting: calls that are sent once the action can be reached.
     """
+
+    never_idle: ClassVar[bool] = True  # goals have times of their own, and a robot has few actions
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
@@ -185,9 +186,6 @@ class CallingActionRoute(CallingRoute):
             server.answer(caller, rejection_of(request))
         except RosError as error:
             self.failures.say(f"a caller could not be answered: {error}")
-
-    def _next_change(self, now: float, crossing: Crossing) -> float:
-        return now  # goals have times of their own, and a robot has few actions
 
     def tick(self) -> None:
         if expired := self.waiting.expire(self.context.now()):

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.calls.paced_client import PacedClient
     from rsb_bridge.route.calls.providing import CalledService
-    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
 
@@ -51,6 +50,7 @@ class ProvidingActionRoute(ProvidingRoute):
         interrupted_at: when the interruption began (s), or None while the action can be reached.
     """
 
+    never_idle: ClassVar[bool] = True  # as of the other half
     come_as: ClassVar[tuple[What, ...]] = (What.CALL, What.AGAIN)
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
@@ -260,9 +260,6 @@ class ProvidingActionRoute(ProvidingRoute):
         if self.interrupted_at is None:
             now = self.interrupted_at = self.context.now()
             self.answers.interrupted(now)
-
-    def _next_change(self, now: float, crossing: Crossing) -> float:
-        return now  # goals have times of their own, and a robot has few actions
 
     def tick(self) -> None:
         now = self.context.now()
