@@ -102,8 +102,8 @@ class Context:
         self.descriptions = TypeDescriptions(self.ros, self.now)
         self.checkers = TypeCheckers(self.ros, self.descriptions)
         self.parameter_events = ParameterEvents(self.ros, self.call)
-        self.similar_topics = SimilarTopics(self.ros, self.now)
-        self.suggester = NameSuggester(self.ros, self.now)
+        self.similar_topics = SimilarTopics(self.ros, self.loop)
+        self.suggester = NameSuggester(self.ros, self.loop)
         self.demands = RunningDemands(self)
 
     @property

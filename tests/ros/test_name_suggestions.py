@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.virtual_time import virtual_loop
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_graph import NameSuggester, SimilarTopics
-from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.ros.ros_graph import Asked, NameSuggester, Searches, SimilarTopics
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind
+
+
+async def answered(searches: Searches[Asked], asked: Asked) -> str:
+    """Ask, and give the search the time it takes."""
+    searches.of(asked)
+    for _ in range(100):
+        await asyncio.sleep(0)
+    return searches.of(asked)
+
+
+def found(searches: type[Searches[Asked]], graph: NoRos, asked: Asked) -> str:
+    async def ask() -> str:
+        return await answered(searches(graph, asyncio.get_running_loop()), asked)
+
+    return asyncio.run(ask())
 
 
 class _Graph(NoRos):
@@ -53,16 +70,20 @@ class _Graph(NoRos):
     ],
 )
 def test_other_kinds_and_similar_names_are_suggested(kind: Kind, name: str, words: str) -> None:
-    hint = NameSuggester(_Graph(), lambda: 0.0).of((kind, name))
+    hint = found(NameSuggester, _Graph(), (kind, name))
     assert bool(hint) is bool(words)
     assert words in hint
 
 
 def test_it_is_not_searched_for_at_each_question() -> None:
     graph = _Graph()
-    meant = NameSuggester(graph, lambda: 0.0)
-    found = [meant.of(("service", name)) for name in ("/dokc", "/dokc", "/navigate")]
-    assert found == ["did you mean /dock?"] * 2 + [""]
+
+    async def ask() -> list[str]:
+        meant = NameSuggester(graph, asyncio.get_running_loop())
+        await answered(meant, ("service", "/dokc"))
+        return [meant.of(("service", name)) for name in ("/dokc", "/dokc", "/navigate")]
+
+    assert asyncio.run(ask()) == ["did you mean /dock?"] * 2 + [""]
     assert graph.asked == 1
 
 
@@ -87,15 +108,51 @@ def test_only_what_is_published_and_alike_is_named() -> None:
         ("/odom", ""),
         ("/battery_state", ""),
     ):
-        assert SimilarTopics(graph, lambda: 0.0).of(topic) == similar
+        assert found(SimilarTopics, graph, topic) == similar
 
 
 def test_one_search_a_second_whoever_asks() -> None:
-    graph, now = _Topics("/topic0"), 0.0
-    similar = SimilarTopics(graph, lambda: now)
-    for step in range(100):
-        now = step / 10
-        for number in range(1, 50):
-            similar.of(f"/topic{number}")
+    graph = _Topics("/topic0")
+
+    async def ask() -> str:
+        similar = SimilarTopics(graph, asyncio.get_running_loop())
+        for _ in range(100):
+            for number in range(1, 50):
+                similar.of(f"/topic{number}")
+            await asyncio.sleep(0.1)
+        return similar.of("/topic1")
+
+    with virtual_loop() as loop:
+        assert loop.run_until_complete(ask()) == "/topic0"
     assert graph.asked <= 10
-    assert similar.of("/topic1") == "/topic0"
+
+
+def test_search_among_many_names_leaves_the_loop_to_others() -> None:
+    graph = _Topics(*(f"/robot{number}/image_raw" for number in range(1000)))
+
+    async def turns() -> int:
+        similar, passed = SimilarTopics(graph, asyncio.get_running_loop()), 0
+        while not similar.of("/robot7/image_rwa"):
+            passed += 1
+            await asyncio.sleep(0)
+        return passed
+
+    assert asyncio.run(turns()) >= 20
+
+
+def test_search_that_fails_keeps_no_other_from_being_made() -> None:
+    graph = _Topics("/w_typo")
+
+    def fail() -> dict[str, list[str]]:
+        raise RosError("no graph")
+
+    async def ask() -> tuple[str, str]:
+        similar = SimilarTopics(graph, asyncio.get_running_loop())
+        works, graph.topics = graph.topics, fail  # type: ignore[method-assign]
+        before = await answered(similar, "/w_tpyo")
+        graph.topics = works  # type: ignore[method-assign]
+        await asyncio.sleep(20)
+        return before, await answered(similar, "/w_tpyo")
+
+    with virtual_loop() as loop:
+        assert loop.run_until_complete(ask()) == ("", "/w_typo")

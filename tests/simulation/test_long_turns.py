@@ -25,7 +25,6 @@ MOST_CALLS = 5000
 """Of one callback. A slice of routes that open has 4,200, and work on all 200 of them 25 a route."""
 KNOWN = {
     "SnapshotPublisher.refresh_now",  # after a start and each command
-    "SimilarTopics._search",  # once a second at most, and only for topics that nobody publishes
     "RouteTable.disconnected",  # nothing of a lost link may be left when it comes back
 }
 """Functions in whose callbacks so many calls are known of."""

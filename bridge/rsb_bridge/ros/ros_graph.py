@@ -12,8 +12,10 @@ from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.tasks import in_slices
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.session import Kind
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 Asked = TypeVar("Asked", bound="Hashable")
 
 _ASKED_EVERY = 1.0
-"""Seconds between two searches: each takes up to 20 ms among a thousand topics."""
+"""Seconds between two searches: each takes up to 20 ms among a thousand topics, in slices."""
 _KNOWN_FOR = 10.0
 """Seconds that an answer is kept. A round figure."""
 _MOST_ANSWERS = 1000
@@ -31,6 +33,8 @@ _ALIKE = 0.7
 """Ratio of `difflib` from which on names are alike. A round figure; the default is 0.6."""
 _MOST_NAMES = 2000
 """Names that a search compares. A round figure: other programs may put any number into the graph."""
+_COMPARED_AT_ONCE = 50
+"""Names, in half a millisecond."""
 CALLED: tuple[Kind, ...] = tuple(kind for kind, lanes in LANES.items() if lanes)
 WHOLES: tuple[Kind, ...] = tuple(kind for kind in CALLED if len(LANES[kind]) > 1)
 """Kinds that consist of several services."""
@@ -45,30 +49,36 @@ _OTHER: dict[Kind, str] = {
 
 
 class Searches(Generic[Asked]):
-    """Searches of the graph, one at a time, whose answers are kept for a while."""
+    """Searches of the graph, one at a time and in slices of a loop, whose answers are kept for a while."""
 
-    def __init__(self, ros: RosInterface, now: Callable[[], float]) -> None:
+    def __init__(self, ros: RosInterface, loop: asyncio.AbstractEventLoop) -> None:
         self._ros = ros
-        self._now = now
+        self._loop = loop
         self._answers: dict[Asked, tuple[str, float]] = {}
         self._asked_at = float("-inf")
+        self._search: asyncio.Task[None] | None = None
 
     def of(self, asked: Asked) -> str:
-        """Return the answer, or an empty string if nothing was found or no search was made yet."""
-        now = self._now()
+        """Return the answer, or an empty string if nothing was found yet; who asks again finds the next one."""
+        now = self._loop.time()
         answer, at = self._answers.get(asked, ("", float("-inf")))
-        if now - at < _KNOWN_FOR or now - self._asked_at < _ASKED_EVERY:
-            return answer
-        self._asked_at = now
-        if len(self._answers) >= _MOST_ANSWERS:
-            self._answers.clear()
-        answer = ""
-        with contextlib.suppress(RosError):  # a hint is worth no error
-            answer = self._search(asked)
-        self._answers[asked] = (answer, now)
+        if now - at >= _KNOWN_FOR and now - self._asked_at >= _ASKED_EVERY and self._search is None:
+            self._asked_at = now
+            self._search = self._loop.create_task(self._find(asked))
         return answer
 
-    def _search(self, asked: Asked) -> str:
+    async def _find(self, asked: Asked) -> None:
+        answer = ""
+        try:
+            with contextlib.suppress(RosError):  # a hint is worth no error
+                answer = await self._answer(asked)
+        finally:
+            self._search = None
+        if len(self._answers) >= _MOST_ANSWERS:
+            self._answers.clear()
+        self._answers[asked] = (answer, self._asked_at)
+
+    async def _answer(self, asked: Asked) -> str:
         """Search; may raise `RosError`."""
         raise NotImplementedError
 
@@ -76,14 +86,20 @@ class Searches(Generic[Asked]):
 class SimilarTopics(Searches[str]):
     """Finds published topics of a similar name, for names that may be mistyped."""
 
-    def _search(self, asked: str) -> str:
-        return most_similar(asked, self._ros.topics().keys() - {asked, *OF_EVERY_NODE}, self._ros.publishers)
+    async def _answer(self, asked: str) -> str:
+        return await most_similar(asked, self._ros.topics().keys() - {asked, *OF_EVERY_NODE}, self._ros.publishers)
 
 
-def most_similar(name: str, names: Iterable[str], ends: Callable[[str], Sequence[Endpoint]]) -> str:
+async def most_similar(name: str, names: Iterable[str], ends: Callable[[str], Sequence[Endpoint]]) -> str:
     """Return the most similar name that has endpoints, or an empty string."""
-    close = difflib.get_close_matches(name, sorted(names)[:_MOST_NAMES], cutoff=_ALIKE)
-    return next((each for each in close if ends(each)), "")
+    compared, close = sorted(names)[:_MOST_NAMES], list[str]()
+
+    def compare(first: int) -> None:
+        some = compared[first : first + _COMPARED_AT_ONCE]
+        close.extend(difflib.get_close_matches(name, some, cutoff=_ALIKE))
+
+    await in_slices(range(0, len(compared), _COMPARED_AT_ONCE), compare, at_once=1)
+    return next((each for each in difflib.get_close_matches(name, close, cutoff=_ALIKE) if ends(each)), "")
 
 
 def topics_of(ros: RosInterface) -> list[TopicInfo]:
@@ -187,7 +203,7 @@ def _entry(ros: RosInterface, kind: Kind, name: str, type_name: str) -> TopicInf
 class NameSuggester(Searches["tuple[Kind, str]"]):
     """Finds an entry of the same name but another kind, or of a similar name, as a hint for an operator."""
 
-    def _search(self, asked: tuple[Kind, str]) -> str:
+    async def _answer(self, asked: tuple[Kind, str]) -> str:
         kind, name = asked
         services = self._ros.services()
         for other in CALLED:
@@ -196,7 +212,7 @@ class NameSuggester(Searches["tuple[Kind, str]"]):
         suffix = _lead(kind)
         names = {each.removesuffix(suffix) for each in services if each.endswith(suffix)} - {name, ""}
         visible = (each for each in names if not is_hidden(each))
-        similar = most_similar(name, visible, lambda each: self._ros.servers(each + suffix))
+        similar = await most_similar(name, visible, lambda each: self._ros.servers(each + suffix))
         return f"did you mean {similar}?" if similar else ""
 
 
