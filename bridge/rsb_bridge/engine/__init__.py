@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from rsb_bridge.engine.engine import Engine
+from rsb_bridge.engine.engine import Engine, freeze_heap
 
-__all__ = ["Engine"]
+__all__ = ["Engine", "freeze_heap"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import gc
 import logging
 import os
 import threading
@@ -153,6 +154,18 @@ _OBSERVED_WITHIN = 0.5
 
 _logger = logging.getLogger(__name__)
 T = TypeVar("T")
+
+
+def freeze_heap() -> None:
+    """Leave out of all later garbage collections what this process has by now.
+
+    For a program whose engine has just started: a collection of everything holds up messages, for 3 ms instead of 33
+    then (118 with 500 topics, which have come meanwhile, becomes 57). Called again after a restart, it frees the engine
+    before.
+    """
+    gc.unfreeze()
+    gc.collect()
+    gc.freeze()
 
 
 class Engine(EngineApi):

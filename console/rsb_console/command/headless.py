@@ -16,7 +16,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.state_folder import state_folder
 from rsb_bridge.control.bridges import AlreadyRunningError, serve
 from rsb_bridge.control.control_sockets import ControlError
-from rsb_bridge.engine import Engine
+from rsb_bridge.engine import Engine, freeze_heap
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import acting
 from rsb_bridge.model.snapshot import Event, Level
@@ -123,6 +123,7 @@ def bridge_until_told(
         status_every: s between status lines.
         seconds: s after which it stops by itself, or None to run on.
     """
+    freeze_heap()
     supervisor = supervisor or Supervisor({})  # which informs nobody
     format_event = json_event if log_format == "json" else text_event
     status = json_status if log_format == "json" else StatusLines().text
