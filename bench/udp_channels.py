@@ -55,6 +55,7 @@ class Route:
     id: int = 1
     duplex: bool = False
     resumes: bool = True
+    resends: bool = True
     weight: int = 4
     latencies: list[int] = field(default_factory=list)
     queue: SendQueue = field(default_factory=SendQueue)

@@ -25,6 +25,8 @@ from rsb_bridge.wire.sealing import CipherSuite
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable
 
+    import pytest
+
     from rsb_bridge.model.reason import Reason
     from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.framing import Message
@@ -42,11 +44,14 @@ class Route:
         arrived: payloads that came, each with the time in seconds.
         lost: the reasons why its channel was lost.
         always: bytes of a message that it sends again and again, or 0.
+        resumes: whether it goes on on another stream.
+        resends: whether it sends again there what was not acknowledged.
     """
 
     def __init__(self, number: int, rank: int = 0, always: int = 0, *, outgoing: bool, duplex: bool = False) -> None:
         self.id, self.rank, self.weight, self.always = number, rank, weight_of(rank), always
-        self.outgoing, self.duplex, self.resumes = outgoing, duplex, not duplex
+        self.outgoing, self.duplex = outgoing, duplex
+        self.resumes = self.resends = True
         self.waiting: deque[bytes] = deque()
         self.arrived: list[tuple[bytes, float]] = []
         self.lost: list[str] = []
@@ -155,6 +160,14 @@ class Side:
             while not condition():
                 self.tick()
                 await asyncio.sleep(0.005)
+
+    async def holds(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Wait until its stream of that name holds frames, which wait for something: then it is not read."""
+        held, stream = asyncio.Event(), getattr(self.pair, name).stream
+        pause = stream.pause_reading
+        with monkeypatch.context() as patched:
+            patched.setattr(stream, "pause_reading", lambda: held.set() or pause())  # type: ignore[func-returns-value]
+            await self.ticks_until(held.is_set)
 
     def tick(self) -> None:
         self.scheduler.tick()

@@ -38,6 +38,10 @@ class RouteSink(Protocol):
     def resumes(self) -> bool:
         """Whether it stays open when its stream is lost, and goes on on the next one."""
 
+    @property
+    def resends(self) -> bool:
+        """Whether it then sends again what the other side had not acknowledged."""
+
     def deliver(self, messages: Iterable[Message]) -> None:
         """Take messages that arrived whole and authentic."""
 
@@ -53,7 +57,7 @@ class Counts(NamedTuple):
 
     Attributes:
         newest: number of the newest message seen, from 1, or None on a stream, where none is overtaken.
-        lost: messages that were lost with a stream.
+        lost: messages that were lost with a stream, as their route does not send them again.
         incomplete: messages that wait for some of their fragments.
         expired: messages given up because fragments did not come in time.
     """

@@ -5,9 +5,10 @@ that is lost holds up all that follows on its stream: with 2 % loss, joint state
 over Zenoh, where all share one connection (bench/README.md, *Thin links*). Not one for each route, because then the
 kernel would decide which topic goes next.
 
-A stream that is lost is opened again. Most routes go on on the new one, with the messages in their queues, and lose
-those in transit. Routes of calls, of latched topics and of topics that have to be armed are closed instead, and open
-again: each message of the first two counts, and a robot must notice the break.
+A stream that is lost is opened again. Its routes go on on the new one, with what the other side has not acknowledged
+and then with the messages in their queues; the other side passes by what it has already, so that each message comes
+once and in order. A best-effort topic sends nothing again. Routes of topics that have to be armed are closed instead,
+and open again: a robot must notice the break.
 
 A transport whose streams are scarce (Bluetooth: one for each channel) has one stream for both, and on the link's own
 channel that is the control connection's.
@@ -18,7 +19,7 @@ from __future__ import annotations
 import struct
 from abc import abstractmethod
 from collections import deque
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from rsb_bridge.channel.channel import REOPENS, Counts, DataChannel, ReceivingChannel
 from rsb_bridge.channel.scheduler import Carrier, SendingChannel
@@ -32,7 +33,7 @@ from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.channel.channel import RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 
 _OF_ROUTES = (DATA, MOVED, RESUMED)
 _KIND_AND_ROUTE = struct.Struct(">BxI")  # the part of `HEADER` that tells a frame's route
+Sent: TypeAlias = "tuple[StreamSender, Sequence[Message]]"
+"""Messages of a route that leave together."""
 LARGE = 16 * 1024
 """Bytes of a message that takes the stream for large ones (bench/README.md, *Constants of data streams*)."""
 
@@ -94,6 +97,7 @@ class DataStream(Carrier, StreamHandler):
         acknowledged: bytes that have arrived.
         over: whether it is lost or closed.
         resumed: bytes with which routes have said that they go on on it.
+        unwritten: messages in the next bytes that are written.
         counter: counts received bytes.
     """
 
@@ -103,8 +107,10 @@ class DataStream(Carrier, StreamHandler):
         self.number = number
         self.sent = self.acknowledged = self.resumed = 0
         self.over = False
+        self.unwritten: list[Sent] = []
         self.counter = ReceiptCounter()
         self._pair = pair
+        self._kept: deque[tuple[int, list[Sent]]] = deque()  # by how many bytes have left with them
         self._settled = 0  # bytes that are not in transit: acknowledged or written off
         self._frames = FrameReader(CONTROL_LIMIT, pair.keys.budget)
         self._held: Sequence[memoryview] = ()
@@ -126,9 +132,17 @@ class DataStream(Carrier, StreamHandler):
         if self.sent == self._settled:
             self.moved_at = now
         self.sent += len(data)
+        if self.unwritten:
+            self._kept.append((self.sent, self.unwritten))
+            self.unwritten = []
         self.stream.write(data)
         if self.stream.congested and isinstance(data, memoryview):
             self._pair.keys.scratch.lost()  # the stream's, until it has sent it
+
+    def unacknowledged(self) -> Iterator[Sent]:
+        """Yield the messages that may not have arrived, oldest first."""
+        for _, sent in self._kept:
+            yield from sent
 
     def closed(self, reason: Reason) -> None:
         # Its routes have lost it, also if this side gave it up.
@@ -145,22 +159,29 @@ class DataStream(Carrier, StreamHandler):
 
     def received(self, data: bytes) -> None:
         try:
-            frames = self._frames.feed(data)
-            self.count(len(data))  # frames that have to wait for their route are no longer in transit, either
-            if self._held:
-                self._held = [*self._held, *frames]
-            else:
-                self.receive(frames)
+            self._take(self._frames.feed(data), len(data))
         except (ProtocolError, SealError) as error:
             self._pair.lost(self, Reason(str(error), EndCode.BROKE))
 
     def received_frame(self, frame: memoryview) -> None:
         """Take a frame that came on a control connection, without its length; raises as `receive`."""
-        self.count(LENGTH.size + len(frame))
-        self.receive((frame,))
+        self._take((frame,), LENGTH.size + len(frame))
+
+    def _take(self, frames: Sequence[memoryview], size: int) -> None:
+        """Take frames that came with `size` bytes."""
+        if self._held:
+            self._held = [*self._held, *frames]
+            size -= _bytes_of(frames)
+        else:
+            self.receive(frames)
+            if self._held:
+                size -= _bytes_of(self._held)
+        self.count(size)
 
     def receive(self, frames: Sequence[memoryview]) -> None:
         """Hand frames to their routes, and hold frames that have to wait for another stream, or for their route.
+
+        Held frames are not acknowledged: they are gone if this stream is lost.
 
         Raises:
             ProtocolError: they break the format.
@@ -196,6 +217,7 @@ class DataStream(Carrier, StreamHandler):
         except (ProtocolError, SealError) as error:
             self._pair.lost(self, Reason(str(error), EndCode.BROKE))
             return
+        self.count(_bytes_of(held) - _bytes_of(self._held))
         if not self._held:
             self.stream.resume_reading()
 
@@ -221,6 +243,8 @@ class DataStream(Carrier, StreamHandler):
         if acknowledged <= self.acknowledged:
             return 0
         self.acknowledged = acknowledged
+        while self._kept and self._kept[0][0] <= acknowledged:
+            self._kept.popleft()
         self.moved_at = self._pair.book.now()
         gained = max(0, acknowledged - self._settled)
         self._settled += gained
@@ -232,6 +256,10 @@ class DataStream(Carrier, StreamHandler):
         if every >= 2 * self._asked or 2 * every <= self._asked:
             self._asked = every
             self._pair.book.ask(self.number, every)
+
+
+def _bytes_of(frames: Sequence[memoryview]) -> int:
+    return sum([LENGTH.size + len(frame) for frame in frames])
 
 
 def take_receipts(receipts: Receipts, streams: Iterable[DataStream], scheduler: Scheduler) -> None:
@@ -279,6 +307,7 @@ class StreamPair:
         self._unheard_at = float("-inf")  # when the control connection was silent last
         self._lost_for = NO_REASON
         self._pause = _SHORTEST_PAUSE
+        self._in_vain = False  # the last lost stream was
         self._cuts: deque[float] = deque(maxlen=_MOST_CUTS)  # the times (s)
 
     @property
@@ -340,11 +369,12 @@ class StreamPair:
         if self.over or stream.over:
             return
         now = self.book.now()
-        # One that delivered nothing, or nothing any more, would do no better the next time: as where only large packets
-        # are lost, or a firewall resets each connection once there is a message.
+        # Where two in a row deliver nothing, or nothing any more, the next one would do no better: as where only large
+        # packets are lost, or a firewall resets each connection once there is a message.
         owes = stream.sent > max(stream.acknowledged, stream.resumed)
         got_through = stream.acknowledged > stream.resumed and now - stream.moved_at < self.scheduler.stalls_after
-        resumes = got_through or not owes
+        was_in_vain, self._in_vain = self._in_vain, owes and not got_through
+        resumes = not (was_in_vain and self._in_vain)
         if self.ready:  # else it belongs to the loss before
             resumes = resumes and not (len(self._cuts) == _MOST_CUTS and now - self._cuts[0] < _CUTS_WITHIN)
             self._cuts.append(now)
@@ -362,7 +392,10 @@ class StreamPair:
         if self.over or stream.over:
             return
         self._lost_at, self._lost_for = self.book.now(), reason
-        self._end(self.streams() if stream is self.small else (stream,), reason.text)
+        lost = self.streams() if stream is self.small else (stream,)
+        for sender, batch in (sent for each in lost for sent in each.unacknowledged()):
+            sender.unacknowledged += batch
+        self._end(lost, reason.text)
         for end in tuple(self.ends.values()):  # each one that is lost leaves
             if end.uses(stream):
                 if resumes and end.route.resumes:
@@ -507,8 +540,10 @@ class StreamSender(_StreamEnd, SendingChannel):
     def __init__(self, pair: StreamPair, route: RouteSink) -> None:
         super().__init__(pair, route)
         SendingChannel.__init__(self, route, self._small)
+        self.unacknowledged: list[Message] = []  # on lost streams
         self._writer = pair.keys.stream_writer(route.id)
         self._at = 0  # bytes of the first message that are sent
+        self._again = 0  # of the waiting messages: are sent again
 
     def send(self, batch: Sequence[Message]) -> None:
         if self._in_turn:
@@ -520,6 +555,7 @@ class StreamSender(_StreamEnd, SendingChannel):
             # Nothing waits, so there is no turn to wait for: the hot path.
             data = self._writer.write_many(batch)
             scheduler.charge(self, len(data))
+            self.via.unwritten.append((self, batch))
             self.via.write(data, scheduler.count(len(data)))
             return
         self._wait(batch)
@@ -544,6 +580,7 @@ class StreamSender(_StreamEnd, SendingChannel):
                 break
             batch.append(self._messages.popleft())
             size += len(payload)
+        self.via.unwritten.append((self, batch))
         return self._writer.write_many(batch)
 
     def _must_move(self, size: int) -> bool:
@@ -555,7 +592,7 @@ class StreamSender(_StreamEnd, SendingChannel):
 
     def _next_piece(self, limit: int) -> memoryview:
         """Seal the next `limit` bytes of the first message in memory that is used again."""
-        payload, stamp, flags = self._messages[0]
+        payload, stamp, flags = message = self._messages[0]
         content = memoryview(payload)[self._at : self._at + limit]
         self._at += len(content)
         if self._at < len(payload):
@@ -563,6 +600,7 @@ class StreamSender(_StreamEnd, SendingChannel):
         else:
             self._messages.popleft()
             self._at = 0
+            self.via.unwritten.append((self, (message,)))
         memory = self._pair.keys.scratch.lend(self._writer.chunk_room(len(content)))
         return self._writer.write_chunk(content, stamp, flags, memory)
 
@@ -581,13 +619,20 @@ class StreamSender(_StreamEnd, SendingChannel):
 
     def cut(self) -> None:
         super().cut()
+        if not self.via.over:  # the other way's stream was lost
+            return
         self._at = 0  # the message that was begun is sent again in full
+        if self.route.resends:
+            self._again += len(self.unacknowledged)
+            self._messages.extendleft(reversed(self.unacknowledged))
+        self.unacknowledged = []
         self.waits_since, self.turned = None, False
 
     def go_on(self) -> None:
         if self.via.over:
             self.via, self.start = self._next_stream(), 0
-            resumed = self._writer.write_resumed()
+            resumed = self._writer.write_resumed(self._again)
+            self._again = 0
             self.via.resumed += len(resumed)
             self._scheduler.write(self.via, resumed)
             if self.waits:
@@ -619,7 +664,8 @@ class StreamReceiver(_StreamEnd, ReceivingChannel):
 
     def cut(self) -> None:
         super().cut()
-        self._reader.close()
+        if self._from.over:
+            self._reader.close()
 
     def go_on(self) -> None:
         if self._from.over:

@@ -339,11 +339,13 @@ class Route:
 
     @property
     def resumes(self) -> bool:
-        """Whether it stays open when its stream is lost, and goes on on the next one.
+        """Whether it stays open when its stream is lost, and goes on on the next one."""
+        return not self.arming.required  # a break disarms what moves robots
 
-        Calls do not: each one lost owes its caller an answer.
-        """
-        return False
+    @property
+    def resends(self) -> bool:
+        """Whether it then sends again what was on the lost stream: calls do, and reliable topics."""
+        return True
 
     def channel_lost(self, reason: Reason) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""

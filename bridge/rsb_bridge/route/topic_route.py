@@ -359,9 +359,8 @@ class TopicRoute(Route, Generic[ChannelT]):
         return self.qos is not None and self.qos.latched
 
     @property
-    def resumes(self) -> bool:
-        # A latched message that is lost comes again only with a new opening; a break disarms what moves robots.
-        return not (self.arming.required or self.is_latched)
+    def resends(self) -> bool:
+        return self.qos is None or self.qos.reliability != "best_effort"
 
     @property
     def came(self) -> bool:

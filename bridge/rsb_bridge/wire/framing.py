@@ -33,7 +33,7 @@ CONTROL = 0
 DATA = 1
 MOVED = 2  # the last frame of a route on the stream of small messages: its next one is on that of large messages
 RESUMED = 3
-"""The first frame of a route on a new stream, after a stream was lost with an unknown part of the route's frames."""
+"""The first frame of a route on a new stream, after a stream was lost: from which message on the route sends again."""
 # The flags of a data frame. The headers (`rsb_bridge.wire.headers`) stand before the content, the lease header first.
 ZSTD = 1
 MORE = 2
@@ -213,8 +213,13 @@ class DataWriter:
         header = HEADER.pack(MOVED, 0, self._route, 0)
         return pack_frame(header, self._sealer.seal(b"", header))
 
-    def write_resumed(self) -> bytes:
-        """Return the frame with which the route goes on on a stream in place of a lost one."""
+    def write_resumed(self, again: int = 0) -> bytes:
+        """Return the frame with which the route goes on on a stream in place of a lost one.
+
+        Args:
+            again: messages, the last that were sealed, which are sealed again next.
+        """
+        self.messages -= again
         header = HEADER.pack(RESUMED, 0, self._route, self._sealer.sequence)
         return pack_frame(header, self._sealer.seal(_COUNT.pack(self.messages), header))
 
@@ -295,8 +300,8 @@ class DataReader:
     """Opens a route's data frames, and reassembles chunks.
 
     Attributes:
-        messages: how many have been opened to their end.
-        lost: how many were lost with their streams.
+        messages: how many have been opened to their end, each once.
+        lost: how many were lost with their streams, and are not sent again.
     """
 
     def __init__(self, opener: StreamOpener, limit: int = MESSAGE_LIMIT, budget: Budget | None = None) -> None:
@@ -308,6 +313,7 @@ class DataReader:
             budget: for incomplete messages, or None for a budget of its own.
         """
         self.messages = self.lost = 0
+        self._known = 0  # of the next messages: have been opened already, before their stream was lost
         self._opener = opener
         self._open = opener.open
         self._chunks = Assembly(opener, limit, budget or Budget(UNFINISHED_LIMIT))
@@ -339,6 +345,10 @@ class DataReader:
             chunks.add(sealed, header)
             if not flags & MORE:
                 messages.append((chunks.take(), stamp, flags))
+        if self._known and messages:
+            known = min(self._known, len(messages))
+            self._known -= known
+            messages = messages[known:]
         self.messages += len(messages)
         return messages
 
@@ -351,10 +361,12 @@ class DataReader:
         self._open(frame[_HEADER_SIZE:], frame[:_HEADER_SIZE])
 
     def open_resumed(self, frame: Buffer) -> None:
-        """Open the frame with which the route goes on on a stream in place of a lost one, and count what is lost.
+        """Open the frame with which the route goes on on a stream in place of a lost one.
+
+        What has come already is not returned again; what the peer does not send again is counted as lost.
 
         Raises:
-            ProtocolError: the peer has sealed fewer messages than have come, or more than there can be.
+            ProtocolError: the peer names no message, or more than there can be.
             SealError: its seal is invalid, or its number is an earlier one.
         """
         header = frame[:_HEADER_SIZE]
@@ -363,9 +375,11 @@ class DataReader:
         self._opener.skip_to(sequence)
         content = self._open(frame[_HEADER_SIZE:], header)
         told = _COUNT.unpack(content)[0] if len(content) == _COUNT.size else -1
-        if not self.messages + self.lost <= told <= _MOST_MESSAGES:
+        if not 0 <= told <= _MOST_MESSAGES:
             raise ProtocolError(Broken.RESUMED_WRONG(route=route, told=told))
-        self.lost = told - self.messages
+        came = self.messages + self.lost
+        self._known = max(0, came - told)
+        self.lost += max(0, told - came)
 
     def close(self) -> None:
         """Discard incomplete messages."""
