@@ -176,7 +176,7 @@ class DataChannels:
         both = transport.multiplexed
         stream.handler = added = pair.add(stream, name.number, large=name.large or both, small=both or not name.large)
         if reason := pair.go_on():
-            text = f"a data connection broke ({reason.text}) and was opened again; messages that were on it may be lost"
+            text = f"a data connection broke ({reason.text}) and was opened again; only best-effort messages are lost"
             self._link.log_of_peer(Level.WARNING, EventCode.LINK_STREAM_REOPENED, text)
         if beginning and not added.over:
             added.received(beginning)
