@@ -15,7 +15,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export OTHER_PYTHON
 
 .PHONY: demo demo-fleet test test-all on-all test-kilted on-kilted test-quick test-core on-core coverage test-wire quick-lint types lint soak fuzz \
-  bench dist deb lock screenshots texts man system clean
+  bench peers dist deb lock screenshots texts man system clean
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 demo-fleet: $(STAMP)
@@ -78,6 +78,11 @@ soak fuzz: $(STAMP)
 	$(BIN)/python -m tests.$@ --seconds $(SECONDS)
 bench: $(STAMP)
 	$(BIN)/python -m bench.run
+# Its C library is built with cmake and read with libclang (apt install cmake libclang-dev).
+peers:
+	@if command -v cargo > /dev/null; then \
+	  cargo build --release --locked --manifest-path bench/peers/zenoh_bridge/Cargo.toml; \
+	else echo "no cargo here: zenoh-bridge-ros2dds is not built, and benchmarks run without it"; fi
 dist deb lock:
 	.ci/release.sh $@
 screenshots texts: $(STAMP)

@@ -1,4 +1,4 @@
-"""Test beds: no bridge, a relay, our bridge or the thesis's pipeline between a talker and a listener.
+"""Test beds: no bridge, a relay, our bridge, another one or the thesis's pipeline between a talker and a listener.
 
 The rest is in `rsb_extras.bench`, which `rsb-console bench` uses, too.
 """
@@ -11,6 +11,8 @@ import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from bench import zenoh_bridge
 
 from rsb_console.session.demo_session import free_port
 from rsb_console.simulated.processes import Process
@@ -90,6 +92,14 @@ def _thesis(near: int, far: int) -> Iterator[Bed]:
             yield ready(bed)
 
 
+@contextlib.contextmanager
+def _zenoh_bridge(near: int, far: int) -> Iterator[Bed]:
+    """Put zenoh-bridge-ros2dds between talker and listener."""
+    with zenoh_bridge.between(near, far) as sides, loopback.ends(near, far) as bed:
+        bed.between += sides
+        yield ready(bed)
+
+
 BEDS: dict[str, Callable[[int, int], AbstractContextManager[Bed]]] = {
     "drained": lambda near, _: loopback.direct(near),
     "relay": relayed,
@@ -101,6 +111,7 @@ BEDS: dict[str, Callable[[int, int], AbstractContextManager[Bed]]] = {
     "zenoh-router": lambda near, far: loopback.bridged("zenoh", near, far, zenoh="router"),
     "zenoh-drop": lambda near, far: loopback.bridged("zenoh-drop", near, far, zenoh="router"),
     "thesis": _thesis,
+    zenoh_bridge.NAME: _zenoh_bridge,
 }
 """By name, for a talker's and a listener's domain. Without a bridge, both are in the talker's domain."""
 OURS = ("tcp", "udp", "zenoh", "zenoh-router", "zenoh-drop")

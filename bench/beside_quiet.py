@@ -2,8 +2,8 @@
 
 Each bed has two linked sides of ours, a talker and a listener of one topic, and quiet topics beside it: a publisher and
 a subscription each, and no message. All beds stand at once, each in two ROS domains of its own, and take turns.
-``--other FOLDER`` adds the same beds of another checkout, in the same turns; ``--many 100`` adds a bed of so many
-topics at 10 Hz of 500 B each.
+``--other FOLDER`` adds the same beds of another checkout, in the same turns; ``--peer`` adds them with
+zenoh-bridge-ros2dds; ``--many 100`` adds a bed of so many topics at 10 Hz of 500 B each.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench import bed
+from bench import bed, zenoh_bridge
 from bench.figures import Figures, in_turn
 
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH, stamped_string
@@ -46,18 +46,22 @@ class Plan(NamedTuple):
     """A bed to be made.
 
     Attributes:
-        folder: a checkout of the bridge, or an empty string for this one.
         busy: topics with messages.
         quiet: topics without.
+        folder: a checkout of the bridge, or an empty string for this one.
+        peer: whether zenoh-bridge-ros2dds takes the bridge's place.
     """
 
-    folder: str
-    busy: int
-    quiet: int
+    busy: int = 1
+    quiet: int = 0
+    folder: str = ""
+    peer: bool = False
 
     @property
     def name(self) -> str:
         topics = f"{self.busy} × {_MANY_RATE:g} Hz" if self.busy > 1 else f"{self.quiet} quiet"
+        if self.peer:
+            return f"{topics}, {zenoh_bridge.NAME}"
         return f"{topics}, other" if self.folder else topics
 
 
@@ -67,11 +71,17 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--quiet", default=",".join(map(str, QUIET)), help="numbers of quiet topics")
     parser.add_argument("--many", type=int, default=0)
     parser.add_argument("--other", default="")
+    parser.add_argument("--peer", action="store_true", help="the same beds with zenoh-bridge-ros2dds")
     parser.add_argument("--settles", type=float, default=0.0, help="s after all is open: routes rest after 140")
     options = parser.parse_args(arguments)
-    folders = ["", *filter(None, [options.other])]
-    plans = [Plan(folder, 1, int(count)) for count in options.quiet.split(",") for folder in folders]
-    plans += [Plan(folder, options.many, 0) for folder in folders if options.many]
+    bridges = [Plan()]
+    if options.other:
+        bridges.append(Plan(folder=options.other))
+    if options.peer:
+        zenoh_bridge.check_built()
+        bridges.append(Plan(peer=True))
+    plans = [bridge._replace(quiet=int(count)) for count in options.quiet.split(",") for bridge in bridges]
+    plans += [bridge._replace(busy=options.many) for bridge in bridges if options.many]
     figures = Figures()
     with contextlib.ExitStack() as stack:
         beds = {
@@ -98,13 +108,7 @@ def _standing(plan: Plan, near: int) -> Iterator[bed.Bed]:
     far = near + 1
     busy = [bed.TOPIC] if plan.busy == 1 else [f"{bed.TOPIC}_{number}" for number in range(plan.busy)]
     quiet = [f"/quiet/topic_{number}" for number in range(plan.quiet)]
-    environ = {}
-    if plan.folder:
-        parts = [*(str(Path(plan.folder) / part) for part in ("bridge", "console", "extras")), str(bed.ROOT)]
-        environ["PYTHONPATH"] = os.pathsep.join(parts)
     with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory())
-        write_key(Path(folder) / "bench.key")
         if plan.busy == 1:
             made = stack.enter_context(loopback.ends(near, far))
         else:
@@ -115,14 +119,28 @@ def _standing(plan: Plan, near: int) -> Iterator[bed.Bed]:
             for part, domain in (("publish", near), ("subscribe", far)):
                 process = stack.enter_context(bed.Process("-m", "bench.quiet", part, str(domain), *quiet))
                 process.line()
-        port = bed.free_port()
-        for role, names in (("server", []), ("client", [*busy, *quiet])):
-            side = [role, folder, str(port), str(near if role == "client" else far), *names]
-            process = stack.enter_context(bed.Process("-m", "bench.quiet_side", *side, environ=environ))
-            process.line()
-            made.between.insert(0, process)
-        made.between[0].ask("open")
+        between = zenoh_bridge.between(near, far) if plan.peer else _sides(plan.folder, near, far, [*busy, *quiet])
+        made.between += stack.enter_context(between)
         yield bed.ready(made) if plan.busy == 1 else made
+
+
+@contextlib.contextmanager
+def _sides(checkout: str, near: int, far: int, topics: Sequence[str]) -> Iterator[list[bed.Process]]:
+    """Start two sides of ours, and yield the sending and the receiving one once all topics are open."""
+    environ = {}
+    if checkout:
+        parts = [*(str(Path(checkout) / part) for part in ("bridge", "console", "extras")), str(bed.ROOT)]
+        environ["PYTHONPATH"] = os.pathsep.join(parts)
+    with contextlib.ExitStack() as stack:
+        folder, port = stack.enter_context(tempfile.TemporaryDirectory()), str(bed.free_port())
+        write_key(Path(folder) / "bench.key")
+        sides: list[bed.Process] = []
+        for role, domain, names in (("server", far, ()), ("client", near, topics)):
+            side = ("-m", "bench.quiet_side", role, folder, port, str(domain), *names)
+            sides.insert(0, stack.enter_context(bed.Process(*side, environ=environ)))
+            sides[0].line()
+        sides[0].ask("open")
+        yield sides
 
 
 def _measure_idle(figures: Figures, beds: dict[Plan, bed.Bed]) -> None:
@@ -136,12 +154,14 @@ def _measure_idle(figures: Figures, beds: dict[Plan, bed.Bed]) -> None:
 
 def _measure(figures: Figures, number: int, plan: Plan, made: bed.Bed, rate: int, seconds: float) -> None:
     made.send(rate, 0.2, _SIZE)  # the beds before it have emptied the caches
-    for side in made.between:
+    with_turns = [] if plan.peer else made.between
+    for side in with_turns:
         side.ask("turn")
     run = made.send(rate, seconds, _SIZE)
     figures.add(number, plan.name, f"{rate} lost", 100 * (run.sent - run.received) / run.sent)
     figures.add(number, plan.name, f"{rate} p99", run.p99)
-    figures.add(number, plan.name, f"{rate} turn", max(side.ask("turn")["longest"] for side in made.between))
+    if with_turns:
+        figures.add(number, plan.name, f"{rate} turn", max(side.ask("turn")["longest"] for side in with_turns))
     if run.rate >= _KEPT_UP * rate and run.received >= _FEW * run.sent:
         figures.add(number, plan.name, f"{rate} CPU", sum(run.sides) / run.sent * 1e6)
 
