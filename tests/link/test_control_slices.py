@@ -88,7 +88,7 @@ class Peer:
 
         async def main() -> None:
             connection: Any = SimpleNamespace(receive_data=lambda _: self._events)
-            channel = ControlChannel(self.stream, connection, Handlers(self.message), lambda *_: None)
+            channel = ControlChannel(self.stream, connection, Handlers(self.message), lambda *_: None, lambda _: None)
             channel.received(b"x")
             before = 0
             while True:
@@ -150,7 +150,7 @@ def receives(messages: list[Any], handle: Callable[[Any], Any]) -> tuple[Control
     """A control connection on which these messages come with any bytes, and its stream."""
     stream: Any = Stream()
     connection: Any = SimpleNamespace(receive_data=lambda _: [MessageReceived(encode(each)) for each in messages])
-    return ControlChannel(stream, connection, Handlers(handle), lambda *_: None), stream
+    return ControlChannel(stream, connection, Handlers(handle), lambda *_: None, lambda _: None), stream
 
 
 async def flood(channel: ControlChannel, size: int, every: float, seconds: float) -> int:

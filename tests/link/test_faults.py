@@ -92,7 +92,7 @@ async def test_only_without_a_goodbye_is_there_a_remedy(
 ) -> None:
     """The kernel of a killed process closes its connection in order."""
     lost: list[tuple[str, EventCode]] = []
-    channel = ControlChannel(MagicMock(), MagicMock(), {}, lambda *found: lost.append(found))
+    channel = ControlChannel(MagicMock(), MagicMock(), {}, lambda *found: lost.append(found), lambda _: None)
     if goodbye:
         channel.abort(goodbye, code)
     channel.closed(reason)

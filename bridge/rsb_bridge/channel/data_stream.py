@@ -59,7 +59,7 @@ _DEAD_AFTER, _UNHEARD = 10.0, 2.5
 """s without a receipt for bytes that the kernels have exchanged, after which a stream is given up, as long as the
 control connection, which brings the receipts, was never silent for so many s: something acknowledges, and passes
 nothing on. Receipts come once a second."""
-_AWAITED_FOR = 10.0  # s that routes wait for a new stream, as long as a client tries to open one (`client_link`)
+_AWAITED_FOR, _RETRIED_AFTER = 10.0, 0.9  # s that routes wait for a new stream, and between a client's attempts
 
 
 class RouteNumbers(Protocol):
@@ -292,6 +292,8 @@ class StreamPair:
         stuck: the streams on which nothing got through at the last tick.
         over: whether they have ended, and routes need another pair.
         kept: whether they stay open while no route uses them.
+        transport: theirs.
+        port: that its routes name.
     """
 
     def __init__(self, owner: StreamsOwner, transport: StreamTransport, port: int) -> None:
@@ -302,7 +304,7 @@ class StreamPair:
         self.kept = True
         self.scheduler, self.book, self.keys = owner.scheduler, owner.book, owner.keys
         self.ends: dict[int, _StreamEnd] = {}
-        self._owner, self._transport, self._port = owner, transport, port
+        self._owner, self.transport, self.port = owner, transport, port
         self._lost_at = self._asked_at = float("-inf")
         self._unheard_at = float("-inf")  # when the control connection was silent last
         self._lost_for = NO_REASON
@@ -381,7 +383,7 @@ class StreamPair:
         self.lost(stream, reason, resumes=resumes)
         if resumes and self.ends:
             self._pause = _SHORTEST_PAUSE
-            self._owner.open_streams(self._transport, self._port)
+            self._owner.open_streams(self.transport, self.port)
 
     def lost(self, stream: DataStream, reason: Reason, *, resumes: bool = False) -> None:
         """End a stream, and close its routes: without `cut`, the peer has broken the format on it.
@@ -409,6 +411,24 @@ class StreamPair:
         """Return the routes that wait for a stream in place of a lost one."""
         return [end for end in self.ends.values() if end.is_cut]
 
+    def away(self, reason: Reason) -> None:
+        """Have all routes wait, as the link has no connection; those that may not go on are closed already."""
+        if self.over:
+            return
+        self._cuts.clear()
+        self._in_vain = False
+        for each in self.streams():
+            self.lost(each, reason, resumes=True)
+        if not self.ends:
+            self.over = True
+
+    def back(self, keys: DataKeys) -> None:
+        """Take the keys of the link's next connection. Then its streams may be added."""
+        self.keys = keys
+        self._lost_at = self.book.now()  # the wait for streams begins
+        for end in self.ends.values():
+            end.take_keys(keys)
+
     def go_on(self) -> Reason:
         """Have the routes whose streams were lost go on, if both are open now.
 
@@ -424,11 +444,15 @@ class StreamPair:
         self.scheduler.run()
         return self._lost_for
 
-    def give_up(self, reason: Reason) -> None:
+    def failed(self, reason: Reason) -> None:
+        """Record why streams could not be opened. Routes that wait for them go on waiting, up to `_AWAITED_FOR`."""
+        self._lost_for = reason
+
+    def _give_up(self) -> None:
         """Close the routes that wait for a stream in place of a lost one."""
         for end in self._waiting():
             end.ready = False  # it is no longer connected, and is shown so
-            end.route.channel_lost(reason)
+            end.route.channel_lost(self._lost_for)
 
     def tick(self, control_quiet: float = 0.0) -> None:
         """Go on with held frames, and give up streams that pass nothing or do not come. Called once a second.
@@ -449,12 +473,15 @@ class StreamPair:
         self.stuck = [each for each in self.streams() if each.stream.stuck]
         if not self.ends or self.ready:
             return
-        if self._waiting() and now - self._lost_at > _AWAITED_FOR:
-            self.give_up(self._lost_for)
-        elif now - max(self._lost_at, self._asked_at) > self._pause:
-            # Nobody waits for it, or it was lost too soon. A route of the other side may need it.
+        waiting, asked_for = self._waiting(), now - max(self._lost_at, self._asked_at)
+        if waiting and now - self._lost_at > _AWAITED_FOR:
+            self._give_up()
+        elif waiting and asked_for >= _RETRIED_AFTER:
+            self._asked_at = now
+            self._owner.open_streams(self.transport, self.port)
+        elif asked_for > self._pause:  # a route of the other side may need it
             self._asked_at, self._pause = now, min(2 * self._pause, _LONGEST_PAUSE)
-            self._owner.open_streams(self._transport, self._port)
+            self._owner.open_streams(self.transport, self.port)
 
     def end(self, reason: str) -> None:
         """End both streams; the routes hear nothing."""
@@ -510,6 +537,10 @@ class _StreamEnd(DataChannel):
     def cut(self) -> None:
         """Wait for a stream in place of the lost one."""
         self.is_cut = True
+
+    @abstractmethod
+    def take_keys(self, keys: DataKeys) -> None:
+        """Go on with the keys of another connection."""
 
     def go_on(self) -> None:
         """Go on on the new stream."""
@@ -604,6 +635,9 @@ class StreamSender(_StreamEnd, SendingChannel):
         memory = self._pair.keys.scratch.lend(self._writer.chunk_room(len(content)))
         return self._writer.write_chunk(content, stamp, flags, memory)
 
+    def take_keys(self, keys: DataKeys) -> None:
+        keys.go_on(self._route_id, self._writer, None)
+
     def ask(self) -> None:
         if self.via.over:
             self._asked = True  # `go_on` takes the turn
@@ -662,6 +696,9 @@ class StreamReceiver(_StreamEnd, ReceivingChannel):
     def uses(self, stream: DataStream) -> bool:
         return stream is self._from or super().uses(stream)
 
+    def take_keys(self, keys: DataKeys) -> None:
+        keys.go_on(self._route_id, None, self._reader)
+
     def cut(self) -> None:
         super().cut()
         if self._from.over:
@@ -696,6 +733,9 @@ class StreamReceiver(_StreamEnd, ReceivingChannel):
 
 class StreamDuplex(StreamReceiver, StreamSender):
     """Either end of a route that sends both ways. The receiving end's methods come first: what arrives is taken."""
+
+    def take_keys(self, keys: DataKeys) -> None:
+        keys.go_on(self._route_id, self._writer, self._reader)
 
 
 def stream_channel(pair: StreamPair, route: RouteSink) -> StreamSender | StreamReceiver:

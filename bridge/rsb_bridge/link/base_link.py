@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.extension import Extension, Extensions
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
@@ -19,11 +20,12 @@ from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.wire.codec import encode
-from rsb_bridge.wire.messages import Ping, Pong, Receipts
+from rsb_bridge.wire.messages import Ping, Pong, Propose, Receipts
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Collection, Coroutine
+    from collections.abc import Callable, Collection, Coroutine, Sequence
     from enum import StrEnum
 
     from rsb_bridge.cdr.description import CompareTypes
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.events import Established
-    from rsb_bridge.wire.messages import ControlMessageBase, Hello, Propose, UrgentMessage, Welcome
+    from rsb_bridge.wire.messages import ControlMessageBase, Hello, UrgentMessage, Welcome
     from rsb_bridge.wire.sealing import Role
 
 _E = TypeVar("_E", bound=Extension)
@@ -114,7 +116,10 @@ class BaseLink(ABC):
         self.peer_name = "the server" if is_client else name
         self._peer_role = "the server" if is_client else "the client"
         self.encrypted = encrypted
-        self._channels: DataChannels | None = None  # without a link
+        self._channels: DataChannels | None = None  # without a connection
+        self._away: DataChannels | None = None  # of a session without a connection
+        self.session: LinkSession | None = None  # None also where the link does not outlive its connections
+        self._session_ends: asyncio.TimerHandle | None = None
         self.peer: Hello | Welcome | None = None  # before the first connection
         self.instance = ""  # process of the peer
         self.connections = 0
@@ -237,8 +242,9 @@ class BaseLink(ABC):
             self._channels.session_keys.closed(route_id)
 
     def open_channel(self, route: Route) -> None:
-        """Open the channel of a route, or begin to."""
-        self.channels.open(route)
+        """Open the channel of a route, or begin to; while the link is away, its next connection does."""
+        if self._away is None:
+            self.channels.open(route)
 
     # --- up and down
 
@@ -253,26 +259,76 @@ class BaseLink(ABC):
         return f"{self._peer_role} at {self.address}"
 
     def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
-        """Begin a connection on a stream whose peer is authenticated, and return what takes its further events."""
-        control = ControlChannel(stream, connection, self.handlers, self.lost)
-        peer = self.peer = event.peer
-        self.instance = peer.instance
+        """Begin a connection on a stream whose peer is authenticated, and return what takes its further events.
+
+        It goes on with the session if both sides do, and begins a new one otherwise.
+        """
+        control = ControlChannel(stream, connection, self.handlers, self.lost, self._handled)
+        peer, session, away = event.peer, self.session, self._away
+        again: Sequence[ControlMessageBase] | None = None
+        if session is not None and away is not None and (event.answer or peer).session == session.id:
+            try:
+                again = session.again(peer.handled)
+            except ProtocolError as error:
+                self.end_session()
+                control.broken(error)
+                return control
+        else:
+            self.end_session()
+        self.peer, self.instance = peer, peer.instance
         try:
-            self._channels = self.channels_class(self, control, event.keys)
+            if again is None or away is None:
+                self._channels = self.channels_class(self, control, event.keys)
+                self.session = LinkSession(event.keys.link_id) if self.context.session.outlive else None
+            else:
+                away.back(control, event.keys, [each.route for each in again if isinstance(each, Propose)])
+                self._channels, self._away = away, None
+                self._stop_waiting()
         except BaseException:
             control.abort("internal error")  # `fail` does not know it, and its goodbye would end the next connection
             raise
         self.connections += 1
         self.linked_at = self.context.now()
-        self.keepalive = Keepalive(self, stream)
+        before, self.keepalive = self.keepalive, Keepalive(self, stream)
+        if again is not None:  # the same process, with the same clocks
+            self.keepalive.clock, self.keepalive.stamps = before.clock, before.stamps
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.status.up(self.context.clock.steady())
         encryption = f"encrypted with {event.keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
-        linked = f"linked with {self._peer_role} at {stream.peer}, {encryption}, rsb-console {peer.version} there"
-        self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
-        self.send(self.keepalive.ping())  # the age of messages is unknown until it is answered
-        self.extensions.connected(peer.features)
+        linked = "linked" if again is None else "goes on"
+        text = f"{linked} with {self._peer_role} at {stream.peer}, {encryption}, rsb-console {peer.version} there"
+        self.log(Level.INFO, EventCode.LINK_UP, text, link_status=True)
+        self.send(self.keepalive.ping(self.handled))  # the age of messages is unknown until it is answered
+        if again is None:
+            self.extensions.connected(peer.features)
+        else:
+            self._go_on(again)
         return control
+
+    def _go_on(self, again: Sequence[ControlMessageBase]) -> None:
+        """Send what the peer has not handled on the last connection, and let the routes go on."""
+        for message in again:
+            if isinstance(message, Propose):
+                self.derive_keys(message.route, proposed_here=True)
+            self.channels.control.send(message)
+        self.extensions.back()
+        self.channels.open_all()
+
+    def _handled(self, message_type: type) -> None:
+        if self.session is not None:
+            self.session.handles(message_type)
+
+    @property
+    def handled(self) -> int:
+        """How many control messages of the session this side has handled."""
+        return 0 if self.session is None else self.session.handled
+
+    def goes_on(self, hello: Hello) -> bool:
+        """Whether the client may go on with the session as it says: it is the same process, and nothing is missing."""
+        session = self.session
+        if session is None or hello.session != session.id or hello.instance != self.instance:
+            return False
+        return session.lacks(hello.handled) is not None
 
     def silent(self) -> None:
         """End the connection: nothing has come for as long as the patience lasts."""
@@ -301,14 +357,43 @@ class BaseLink(ABC):
         self.status.down(cause, reason)
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.clock.steady()
-        self.extensions.disconnected()
-        channels.close()
+        if self.session is not None and code is EventCode.LINK_LOST and not channels.control.is_fault:
+            seconds = self.context.session.outlive
+            self._away = channels
+            self._session_ends = self.context.loop.call_later(seconds, self._expire)
+            self.extensions.away()
+            channels.away(reason)
+            reason = f"{reason}; its topics and calls wait for {seconds:g} s"
+        else:
+            self.session = None
+            self.extensions.disconnected()
+            channels.close()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
 
+    def _expire(self) -> None:
+        text = f"the link was away for {self.context.session.outlive:g} s: what waited for it is dropped"
+        self.log(Level.WARNING, EventCode.LINK_CLOSED, text, link_status=True)
+        self.end_session()
+
+    def end_session(self) -> None:
+        """End the session of a link that is away: the next connection begins with nothing."""
+        self._stop_waiting()
+        self.session = None
+        channels, self._away = self._away, None
+        if channels is not None:
+            self.extensions.disconnected()
+            channels.close()
+
+    def _stop_waiting(self) -> None:
+        if self._session_ends is not None:
+            self._session_ends.cancel()
+            self._session_ends = None
+
     def destroy(self) -> None:
         """End routes and tasks for good."""
+        self.end_session()
         self._tasks.cancel()
         self.destroy_routes()
 
@@ -330,13 +415,21 @@ class BaseLink(ABC):
             self.fail()
 
     def end(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
-        """End the connection on purpose, and tell the peer; without one, nothing happens."""
+        """End the connection on purpose, and tell the peer; without one, at most a session ends."""
         if self._channels is not None:
             self._channels.control.shut_down(reason, retry_after=retry_after, code=code)
+        else:
+            self.end_session()
+
+    def leave(self, reason: str) -> None:
+        """End the connection, and nothing else: the session has another one."""
+        if self.control is not None:
+            self.control.abort(reason)
 
     def fail(self) -> None:
         """End the connection after an internal error, so that both sides start from the beginning."""
         if self.control is not None:
+            self.control.is_fault = True
             self.control.abort("internal error")
 
     def protocol_error(self, reason: str) -> None:
@@ -347,9 +440,19 @@ class BaseLink(ABC):
     # --- control messages
 
     def send(self, message: ControlMessageBase) -> None:
-        """Send a control message; without a connection, nothing happens."""
+        """Send a control message; without a connection it waits if the session goes on, and else nothing happens."""
+        if (session := self.session) is not None:
+            session.sends(message)
+            if session.full:
+                self._outgrown()
         if self._channels is not None:
             self._channels.control.send(message)
+
+    def _outgrown(self) -> None:
+        """Let the session end with its connection, or at once if it has none: too much waits for the peer."""
+        if self._channels is None:
+            self.end_session()
+        self.session = None
 
     def send_urgent(self, message: UrgentMessage) -> None:
         """Send a control message, and over the UDP channels besides: there it does not wait for what a stream lost."""
@@ -358,6 +461,12 @@ class BaseLink(ABC):
             self._channels.send_urgent(encode(message))
 
     def _on_ping(self, ping: Ping) -> None:
+        if self.session is not None:
+            try:
+                self.session.acknowledge(ping.handled)
+            except ProtocolError as error:
+                self.protocol_error(str(error))
+                return
         if (pong := self.keepalive.answer(ping)) is not None:
             self.send(pong)
 
@@ -372,7 +481,7 @@ class BaseLink(ABC):
     def tick(self) -> None:
         """Do the link's own regular work once a second, after the routes' and before that of its extensions."""
         if self._channels is not None:
-            self.send(self.keepalive.tick())
+            self.send(self.keepalive.tick(self.handled))
             self._channels.tick()
 
     async def tick_extensions(self) -> None:

@@ -8,6 +8,8 @@ import shlex
 import socket
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.config.rights import rights_of_server
@@ -84,10 +86,19 @@ class ClientChannels(DataChannels):
 
     def close(self) -> None:
         super().close()
+        self._give_up_opening()
+
+    def away(self, reason: str) -> None:
+        self._give_up_opening()  # first: a pair that loses its streams asks for new ones
+        super().away(reason)
+
+    def _give_up_opening(self) -> None:
         for opening in self._opening.values():
             opening.cancel()
+        self._opening = {}
         if self._udp_retry is not None:
             self._udp_retry.cancel()
+            self._udp_retry = None
 
     def open_streams(self, transport: StreamTransport, port: int) -> None:
         if (transport.name, port) not in self._opening:
@@ -107,7 +118,8 @@ class ClientChannels(DataChannels):
                 if not wanted or (failure := await self._open_each(transport, port, wanted)) is not None:
                     break
         finally:
-            del self._opening[key]
+            if self._opening.get(key) is asyncio.current_task():  # else the link was away meanwhile
+                del self._opening[key]
         if failure is None and self.pair_of(*key) is None:
             failure = Failure(StreamProblem.CLOSED_HERE())
         if failure is None:
@@ -116,8 +128,8 @@ class ClientChannels(DataChannels):
             reason = Reason(failure.reason, EndCode.BROKE)
             for route in self._take_awaiting(*key):
                 route.channel_lost(reason)
-            if key in self._pairs:  # of the routes that wait for streams in place of lost ones
-                self._pairs[key].give_up(reason)
+            if key in self._pairs:
+                self._pairs[key].failed(reason)
         # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
         if key in self._pairs:
             self._pairs[key].end_unused()
@@ -272,8 +284,12 @@ class ClientLink(Link):
         """Connect to the server, or to the announced one that proves the key. Return the failure, if any."""
         secret = key.secret if key else None
 
+        hello = self._hello
+        if self.session is not None:
+            hello = msgspec.structs.replace(hello, session=self.session.id, handled=self.handled)
+
         def begin(suite: CipherSuite | None) -> ClientConnection:
-            return ClientConnection(self._hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
+            return ClientConnection(hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
 
         if key is not None:  # without a key nothing proves a server: the transport connects to the only one, or refuses
             try:

@@ -89,9 +89,11 @@ class ControlChannel(StreamHandler):
         handlers: handlers of control messages, by type. Each may return work to be done in slices before the next
             message.
         lost: is called once with reason and code when the connection is over. No message comes after it.
+        handled: is called with the type of each message that has been handled to its end.
 
     Attributes:
         data: the same stream as a data stream, or None if data has streams of its own.
+        is_fault: whether the peer broke the protocol on it, or this side failed: then nothing of it goes on.
     """
 
     def __init__(
@@ -100,12 +102,15 @@ class ControlChannel(StreamHandler):
         connection: ClientConnection | ServerConnection,
         handlers: Mapping[type, Callable[[Any], Slices | None]],
         lost: Callable[[str, EventCode], None],
+        handled: Callable[[type], None],
     ) -> None:
         self.stream = stream
+        self.is_fault = False
         self.data: DataStream | None = None
         self.over = False
         self._handlers = handlers
         self._lost = lost
+        self._handled = handled
         self._connection = connection
         self._events: deque[Event] = deque()
         self._unsent = bytearray()  # sealed; to measure the stream's own buffer for each message would cost more
@@ -115,6 +120,7 @@ class ControlChannel(StreamHandler):
         self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, now)
         self._entries = TokenBucket(_ENTRIES, _ENTRIES_A_SECOND, now)
         self._work: Slices | None = None  # the rest of the newest message
+        self._newest: type = object  # that of the newest message
         self._owes = False  # more came than the volume allows
         stream.handler = self
 
@@ -208,6 +214,7 @@ class ControlChannel(StreamHandler):
             entries = next(work)
         except StopIteration as end:
             self._work = None
+            self._handled(self._newest)
             entries = int(end.value)
         except ProtocolError as error:
             self._work = None
@@ -235,7 +242,10 @@ class ControlChannel(StreamHandler):
                 except ProtocolError as error:
                     self.broken(error)
                     return 1
-                self._work = self._handlers[type(message)](message)
+                self._newest = type(message)
+                self._work = self._handlers[self._newest](message)
+                if self._work is None:
+                    self._handled(self._newest)
                 endpoints = len(message.sources) if isinstance(message, Describe) else 1
                 return endpoints + len(content) // _BYTES_A_UNIT
             case DataFrame(frame):
@@ -251,6 +261,7 @@ class ControlChannel(StreamHandler):
         return 1
 
     def broken(self, reason: object) -> None:
+        self.is_fault = True
         self.abort(f"the peer broke the format: {reason}")
 
     def writable(self) -> None:

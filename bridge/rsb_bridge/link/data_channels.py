@@ -1,4 +1,4 @@
-"""One connection of a link: its control channel and keys, and the streams and UDP channels of the link's routes."""
+"""The connections of a link's session: the control channel and its keys, and the routes' streams and UDP channels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Coroutine, Iterator
+    from collections.abc import Collection, Coroutine, Iterator
 
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.channel.data_stream import DataStream
@@ -64,10 +64,10 @@ class CarriedLink(Protocol):
 
 
 class DataChannels:
-    """Made when a link comes up, and closed when it is lost. A client opens the streams, a server accepts them.
+    """Made when a session begins, and closed when it ends. A client opens the streams, a server accepts them.
 
     Attributes:
-        control: the authenticated connection.
+        control: the authenticated connection, or the last one while the link is away.
         is_silent: whether it ends because nothing comes any more.
         session_keys: its keys.
         keys: seal and open the routes' messages.
@@ -79,22 +79,56 @@ class DataChannels:
 
     def __init__(self, link: CarriedLink, control: ControlChannel, keys: SessionKeys) -> None:
         self._link = link
-        self.control, self.session_keys = control, keys
         self.is_silent = False
         # What its streams and UDP channels ask for.
         self.ids, self.now, self.send_receipts = link.ids, link.context.now, link.send
         self.book = ReceiptBook(link.context.loop, self)
         self.scheduler = Scheduler(self.book, Window(link.transport.ages))
-        self.keys = DataKeys(keys, link.role, link.budget.unfinished, meter_of=link.meter_of)
-        self.probe = PathProbe(self.keys)
         self.awaiting: dict[tuple[str, int], dict[int, Route]] = {}
         self._pairs: dict[tuple[str, int], StreamPair] = {}
         self._udp: dict[int, UdpChannel] = {}
         self._newest = 0  # number of a stream
         self._trouble: tuple[object, ...] = ()  # of the pairs and UDP channels, at the last tick
+        self._connect(control, keys)
+        keys.resume(())
+
+    def _connect(self, control: ControlChannel, keys: SessionKeys) -> None:
+        link = self._link
+        self.control, self.session_keys = control, keys
+        self.keys = DataKeys(keys, link.role, link.budget.unfinished, meter_of=link.meter_of)
+        self.probe = PathProbe(self.keys)
         if link.transport.multiplexed:  # the stream carries the routes of its own port, too, as streams are scarce
             pair = self._pair(link.transport, link.shared_port())
             control.data = pair.add(control.stream, CONTROL_NUMBER, large=True, small=True)
+
+    def away(self, reason: str) -> None:
+        """Have the routes on streams wait for the next connection. No route uses a UDP channel any more."""
+        for pair in tuple(self._pairs.values()):
+            pair.away(Reason(reason, EndCode.BROKE))
+        for channel in self._udp.values():
+            channel.close()
+        self._udp.clear()
+
+    def back(self, control: ControlChannel, keys: SessionKeys, proposed: Collection[int]) -> None:
+        """Go on on the session's next connection.
+
+        Args:
+            proposed: ids of routes that the other side does not know yet, and that are proposed again.
+        """
+        self.is_silent = False
+        keys.resume(route.id for route in self.ids.open_routes() if route.id not in proposed)
+        self._connect(control, keys)
+        for pair in self._pairs.values():
+            if not pair.over:
+                pair.back(self.keys)
+                pair.go_on()  # where the control connection is its stream
+
+    def open_all(self) -> None:
+        """Open the streams that routes wait for."""
+        for pair in self._pairs.values():
+            if not pair.over and any(pair.lacks()):
+                self.open_streams(pair.transport, pair.port)
+        self._link.spawn(self._advance())  # those without a channel open theirs
 
     def ping(self) -> float:
         return 2 * (self._link.keepalive.clock.uncertainty or 0.0)

@@ -37,10 +37,16 @@ class Extension:
     purpose: Purpose | None = None
 
     def connected(self) -> None:
-        """Begin a connection: the peer is authenticated."""
+        """Begin a session: the peer is authenticated."""
 
     def disconnected(self) -> None:
-        """End a connection. The extension that was registered last comes first."""
+        """End a session. The extension that was registered last comes first."""
+
+    def away(self) -> None:
+        """Wait: the connection is lost, and the session goes on. The extension that was registered last comes first."""
+
+    def back(self) -> None:
+        """Go on: the session has another connection."""
 
     def tick(self) -> None:
         """Do the regular work, once a second, linked or not."""
@@ -104,6 +110,14 @@ class Extensions:
         for each in reversed(self._told):
             each.disconnected()
         self._told = []
+
+    def away(self) -> None:
+        for each in reversed(self._told):
+            each.away()
+
+    def back(self) -> None:
+        for each in self._told:
+            each.back()
 
     def all(self) -> tuple[Extension, ...]:
         return tuple(self._all)

@@ -73,6 +73,8 @@ class LinkFullness(Extension):
         self.sending.disconnected()
         self.receiving.disconnected()
 
+    away = disconnected
+
     def tick(self) -> None:
         link = self._link
         if not link.linked:

@@ -120,25 +120,25 @@ class Keepalive:
         else:
             self._link.silent()
 
-    def tick(self) -> Ping:
-        """Tell the kernel what is known of the peer, once a second, and return the ping to send."""
+    def tick(self, handled: int) -> Ping:
+        """Tell the kernel what is known of the peer, once a second, and return the ping to send, as `ping`."""
         for each in self._link.carriers():
             if isinstance(each, Stream):
                 if self._patience is not None:  # each second, as streams come and go; a repetition costs nothing
                     each.give_up_after(self._patience + _KERNELS)
                 if self.clock.rtt is not None:  # of an answered ping: an open one may wait for the network
                     each.round_trip_is(self.clock.rtt)
-        return self.ping()
+        return self.ping(handled)
 
-    def ping(self) -> Ping:
-        """Return a further ping, to be sent now."""
+    def ping(self, handled: int) -> Ping:
+        """Return a further ping, to be sent now, which says how many control messages of the session were handled."""
         self._pings += 1
         self._pinged_at = self._context.now()
         self._context.stamps.compare()
         self._sent_at[self._pings] = self._context.stamps.now()
         if len(self._sent_at) > _UNANSWERED:
             del self._sent_at[next(iter(self._sent_at))]
-        return Ping(n=self._pings, sent=self._context.wall_ns())
+        return Ping(n=self._pings, sent=self._context.wall_ns(), handled=handled)
 
     def answer(self, ping: Ping) -> Pong | None:
         """Record the delay of a ping of the peer, and return the answer, or None if the peer pings too often."""

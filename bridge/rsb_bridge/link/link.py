@@ -58,6 +58,8 @@ class LinkTraffic(Extension):
         self.rx, self.tx = Smoothed(now), Smoothed(now)
         self._received = self._sent = 0
 
+    back = connected
+
     def tick(self) -> None:
         now, carriers = self._link.context.now(), self._link.carriers()
         received, sent = sum(each.received_bytes for each in carriers), sum(each.sent_bytes for each in carriers)

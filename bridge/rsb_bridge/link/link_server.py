@@ -224,6 +224,8 @@ class Server:
             return msgspec.structs.replace(welcome, taken=link.name_taken())
         if link.shut_down_by is not None:
             return msgspec.structs.replace(welcome, shut_down=link.shut_down_by.refusal())
+        if link.goes_on(hello):
+            return msgspec.structs.replace(welcome, session=hello.session, handled=link.handled)
         return welcome
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
@@ -234,7 +236,12 @@ class Server:
         if link.keeps_name_from(event.peer):  # since the handshake began
             raise Refusal(RefusalCode.NAME_TAKEN, link.name_taken())
         text = f"replaced: {link.name} at {link.address} by a newer connection from {stream.peer}"
-        link.end(text, retry_after=_REPLACED_PAUSE, code=EventCode.LINK_REPLACED)
+        if event.answer is None or not event.answer.session:
+            link.end(text, retry_after=_REPLACED_PAUSE, code=EventCode.LINK_REPLACED)
+        elif link.goes_on(event.peer) and link.handled == event.answer.handled:
+            link.leave(text)
+        else:
+            raise Refusal(RefusalCode.BUSY, "its session has moved on meanwhile: try again")
         return link.accept(stream, connection, event)
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:

@@ -125,6 +125,8 @@ class PathWatch(Extension):
     def disconnected(self) -> None:
         self._begin()  # except for the losses: they count for the next connection, if that comes soon
 
+    away = disconnected
+
     def tick(self) -> None:
         link = self._link
         if link.control is None:

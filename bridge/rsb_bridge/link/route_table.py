@@ -105,6 +105,20 @@ class RouteTable(Extension):
             route.lead()  # the peer's next session may not list it any more
         self.arming.lease.stop()  # after the routes, which ask how long the other side may still publish
 
+    def away(self) -> None:
+        self._to_propose.clear()
+        for route in self._link.routes.values():
+            if route.id and not route.outlives:
+                route.close(self._link.status.reason)
+                route.lead()
+        self.arming.lease.stop()  # after the routes, as in `disconnected`
+
+    def back(self) -> None:
+        for route in self._link.routes.values():
+            if route.id and route.proposed_here and not route.life.accepted:  # opened while nobody could be asked
+                route.close("reopened")
+        self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
+
     # --- adding and removing
 
     def add(self, spec: Topic, proposal: wire.Propose, *, proposed_here: bool) -> Route:

@@ -199,8 +199,9 @@ class ServerLink(Link):
     def shut_down_for(self, who: str) -> None:
         """End the link, and refuse the client until `readmit`."""
         self.shut_down_by = LinkShutdown(who, self.context.wall())
-        if self.linked:
-            self.end(self.shut_down_by.refusal(), retry_after=None, code=EventCode.LINK_SHUT_DOWN)
+        linked = self.linked
+        self.end(self.shut_down_by.refusal(), retry_after=None, code=EventCode.LINK_SHUT_DOWN)
+        if linked:
             self._awaits_question()
         # After the link's end, which sets a reason of its own.
         self.status.down(LinkCause.SHUT_DOWN, self.shut_down_by.reason(self.context.session.name, self.name))

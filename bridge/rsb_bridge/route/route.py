@@ -338,6 +338,11 @@ class Route:
         self.reopening.failed(self.context.now(), broke=broke)
 
     @property
+    def outlives(self) -> bool:
+        """Whether it stays open while the link is away."""
+        return self.life.accepted and self.resumes and self.transport.reliable
+
+    @property
     def resumes(self) -> bool:
         """Whether it stays open when its stream is lost, and goes on on the next one."""
         return not self.arming.required  # a break disarms what moves robots

@@ -250,7 +250,7 @@ class ServerConnection(AcceptingStream, _Control):
         elif welcome.shut_down:
             outcome = StreamRefused(RefusalCode.SHUT_DOWN, welcome.shut_down, hello)
         else:
-            outcome = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
+            outcome = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id), welcome)
         self.fingerprint = b"" if key is None else offer.fingerprint
         self._accept(offer.suite, keys, answer, outcome)
 

@@ -30,6 +30,7 @@ class Established:
 
     peer: Hello | Welcome  # its `Welcome` on the client, its `Hello` on the server
     keys: SessionKeys
+    answer: Welcome | None = None  # the server's own
 
 
 @dataclass(frozen=True, slots=True)

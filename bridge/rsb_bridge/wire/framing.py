@@ -175,6 +175,10 @@ class DataWriter:
         self._route = route
         self._overhead = _LENGTH_SIZE + _HEADER_SIZE + sealer.suite.tag_length  # bytes of a frame besides its content
 
+    def go_on(self, sealer: Sealer) -> None:
+        """Seal with the keys of the session's next connection."""
+        self._sealer = sealer
+
     def write_many(self, messages: Sequence[tuple[Buffer, int, int]]) -> bytes:
         """Return several messages, each (payload, stamp, flags), as frames in one piece."""
         self.messages += len(messages)
@@ -249,6 +253,11 @@ class Assembly:
         self._size = 0
         self._expected = 0
 
+    def go_on(self, opener: StreamOpener) -> None:
+        """Begin anew with another opener."""
+        self.close()
+        self._open_into = opener.open_into
+
     def add(self, sealed: Buffer, header: Buffer) -> None:
         """Open the next chunk.
 
@@ -317,6 +326,11 @@ class DataReader:
         self._opener = opener
         self._open = opener.open
         self._chunks = Assembly(opener, limit, budget or Budget(UNFINISHED_LIMIT))
+
+    def go_on(self, opener: StreamOpener) -> None:
+        """Open with the keys of the session's next connection; what is incomplete is discarded."""
+        self._opener, self._open = opener, opener.open
+        self._chunks.go_on(opener)
 
     def open_frames(self, frames: Iterable[Buffer]) -> list[Message]:
         """Open whole data frames.

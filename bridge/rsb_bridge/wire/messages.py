@@ -42,6 +42,7 @@ from rsb_bridge.wire.records import (
     RouteId,
     Seconds,
     SentReport,
+    SessionId,
     Shift,
     Source,
     check_limits,
@@ -62,6 +63,8 @@ class Hello(ControlMessageBase, frozen=True):
     domain_id: Count
     host: Name = ""  # its machine's host name, for operators, or empty if unknown
     features: FeatureNames = ()  # the names of its features (`rsb_bridge.feature`); only what both sides have is used
+    session: SessionId = b""  # that it goes on with, or empty for a new one
+    handled: Count = 0  # control messages of that session that it has handled
 
 
 class Welcome(ControlMessageBase, frozen=True):
@@ -78,6 +81,8 @@ class Welcome(ControlMessageBase, frozen=True):
     """Text on the operator who has shut the link down, or empty. The client confirms, and is refused."""
     at: Name = ""  # its address in a Zenoh network, or empty. A client that reached it at another address was misled
     features: FeatureNames = ()  # as in `Hello`
+    session: SessionId = b""  # the client's, if this side goes on with it, too
+    handled: Count = 0  # as in `Hello`
 
 
 class Propose(ControlMessageBase, frozen=True, kw_only=True):
@@ -215,6 +220,9 @@ class Ping(ControlMessageBase, frozen=True):
 
     n: Count
     sent: Nanoseconds  # ns since the epoch on the sender's clock
+    handled: Count = (
+        0  # control messages of this session that the sender has handled (`OF_CONNECTION` ones not counted)
+    )
 
 
 class Pong(ControlMessageBase, frozen=True):
@@ -481,3 +489,5 @@ ControlMessage: TypeAlias = (
     | EditAnswer | Limit | Pause | Arm | Armed | Disarm | AskForArming | AskEnded | Settled | Lease | Ping | Pong
     | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | Duplicate | Shutdown
 )  # fmt: skip
+OF_CONNECTION = (Ping, Pong, Receipts, Lease, Duplicate, Shutdown)
+"""Messages that mean nothing on another connection than their own."""

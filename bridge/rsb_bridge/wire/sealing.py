@@ -6,7 +6,7 @@ import hmac
 import struct
 import zlib
 from enum import IntEnum
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
@@ -15,6 +15,9 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
 
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.protocol_error import Misuse
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Role = Literal["client", "server"]
@@ -304,7 +307,14 @@ class SessionKeys:
         }
         self._data: dict[tuple[int, Role], bytes | None] = {}
         self._attach = _expand(export, b"rsb attach")
+        self._resumed = _expand(export, b"rsb resumed")
         self._derive(PROBE_ROUTE, export)
+
+    def resume(self, routes: Iterable[int]) -> None:
+        """Derive the keys of routes that were proposed on an earlier connection of the session. Call it once."""
+        for route in routes:
+            self._derive(route, self._resumed)
+        del self._resumed  # else whoever takes over this process could derive these keys again
 
     def proposed(self, route: int, proposer: Role) -> None:
         """Derive the keys of a route when its proposal is sent or received, in the order of the control stream."""

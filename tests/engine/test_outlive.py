@@ -1,0 +1,109 @@
+"""A link outlives its connections: topics and calls go on where they were, and the far side's graph hears of nothing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from std_srvs.srv import SetBool
+from tests.support.bridge import balance, carries, happened, linked, outgoing, route, settled
+from tests.support.domain import LATCHED, text
+from tests.support.inside import inside
+from tests.support.steady import Steady
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+OUTLIVES = 60.0
+
+
+def away(engine: Engine) -> bool:
+    (link,) = inside(engine).role.links()
+    return not link.linked and link.session is not None
+
+
+def numbers(payloads: list[bytes]) -> list[int]:
+    return [int(each[8:].split(b" ")[0].rstrip(b"\0")) for each in payloads]
+
+
+@pytest.mark.parametrize("seconds", [0.0, 3.0])
+def test_reliable_topics_lose_nothing_while_the_link_is_away(
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, seconds: float
+) -> None:
+    """One each way, with small and large messages by turns, through three cuts."""
+    ways = {"/up": (robot, pc, "transmit"), "/down": (pc, robot, "receive")}
+    there = {topic: to.listener(topic) for topic, (_, to, _) in ways.items()}
+    out = {topic: by.publisher(topic) for topic, (by, _, _) in ways.items()}
+    topics = [Topic(topic, way, qos={"depth": 1000}) for topic, (_, _, way) in ways.items()]  # type: ignore[arg-type]
+    server, client = bridge.both(*topics, outlive=OUTLIVES)
+    receivers, senders = {"/up": server, "/down": client}, {"/up": client, "/down": server}
+    for topic, engine in receivers.items():
+        carries([out[topic]], engine, [topic])
+    openings = {topic: outgoing(engine, topic).id for topic, engine in senders.items()}
+
+    def message(number: int) -> bytes:
+        return text(f"{number}" + " " * (40_000 if number % 2 else 10))
+
+    with Steady(out["/up"], 50.0, message) as up, Steady(out["/down"], 50.0, message) as down:
+        for _ in range(3):
+            before = up.count
+            eventually(lambda before=before: up.count > before + 50)
+            relay.refuse()
+            relay.cut()
+            eventually(lambda: away(client) and away(server))
+            before = up.count
+            eventually(lambda before=before: up.count > before + 50 * seconds)
+            relay.refuse(False)
+            eventually(lambda: linked(client) and linked(server))
+    counts = {"/up": up.count, "/down": down.count}
+    for topic, engine in senders.items():
+        ledger = settled(engine, topic, counts[topic])
+        assert balance(ledger) == ledger.delivered == counts[topic]
+        eventually(lambda topic=topic: len(there[topic].payloads) >= counts[topic])
+        assert numbers(there[topic].payloads) == [*range(counts[topic])]
+        assert outgoing(engine, topic).id == openings[topic]
+
+
+def test_latched_topics_and_services_go_on(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    pc.serve("/lamp", SetBool)
+    out, there = robot.publisher("/map", qos=LATCHED), pc.listener("/map", qos=LATCHED)
+    server, client = bridge.both(
+        Topic("/map", "transmit"), Topic("/lamp", "transmit", kind="service"), outlive=OUTLIVES
+    )
+    carries([out], server, ["/map"])
+    eventually(lambda: route(client, "/lamp").cause == "no_call")
+    came = len(there.payloads)
+    relay.refuse()
+    relay.cut()
+    eventually(lambda: away(client) and away(server))
+    out.publish(text("map"))
+    relay.refuse(False)
+    eventually(lambda: there.payloads[came:])
+    assert there.payloads[came:] == [text("map")]
+    eventually(lambda: route(client, "/lamp").cause == "no_call")
+
+
+def test_what_waits_is_dropped_when_the_session_ends(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    out, there = robot.publisher("/scan"), pc.listener("/scan")
+    server, client = bridge.both(Topic("/scan", "transmit", qos={"depth": 100}), outlive=2.0)
+    carries([out], server, ["/scan"])
+    opening = outgoing(client, "/scan").id
+    relay.refuse()
+    relay.cut()
+    for side in (client, server):
+        eventually(lambda side=side: happened(side, EventCode.LINK_CLOSED))
+        assert not away(side)
+    relay.refuse(False)
+    eventually(lambda: linked(client) and linked(server))
+    eventually(lambda: outgoing(client, "/scan").id not in (0, opening))
+    carries([out], server, ["/scan"])
+    out.publish(text("again"))
+    eventually(lambda: there.payloads)
