@@ -1,4 +1,4 @@
-"""A link outlives its connections: topics and calls go on where they were, and the far side's graph hears of nothing."""
+"""A link outlives its connections: topics and calls go on where they were, and the far side's graph stays as it is."""
 
 from __future__ import annotations
 
@@ -49,6 +49,12 @@ def test_reliable_topics_lose_nothing_while_the_link_is_away(
         carries([out[topic]], engine, [topic])
     openings = {topic: outgoing(engine, topic).id for topic, engine in senders.items()}
 
+    def endpoints() -> set[bytes]:
+        found = (domain.node.get_publishers_info_by_topic(topic) for domain in (robot, pc) for topic in ways)
+        return {bytes(each.endpoint_gid) for ends in found for each in ends}
+
+    before_all = endpoints()
+
     def message(number: int) -> bytes:
         return text(f"{number}" + " " * (40_000 if number % 2 else 10))
 
@@ -70,6 +76,7 @@ def test_reliable_topics_lose_nothing_while_the_link_is_away(
         eventually(lambda topic=topic: len(there[topic].payloads) >= counts[topic])
         assert numbers(there[topic].payloads) == [*range(counts[topic])]
         assert outgoing(engine, topic).id == openings[topic]
+    assert endpoints() == before_all
 
 
 def test_latched_topics_and_services_go_on(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
