@@ -1,0 +1,259 @@
+"""Measures what topics and calls lose when the path fails: ``python -m bench.outages`` prints a table a transport.
+
+A robot, a router and a server's machine have network namespaces of their own. Stock rclpy nodes publish, listen and
+call on the two ends, our bridge is between them, and one fault a run happens to the path or to a bridge. With the
+transport ``plain`` nothing is between the nodes: they share a domain, and find each other by address.
+
+A message counts if it was published from 1 s before the fault until all topics have been steady for 5 s, at least 8 s
+after the fault's end. ``a; b`` are the figures to the server's side and to the robot's. *Silence* is the longest
+time without a message of a reliable topic of 10 Hz, and *back* the time from the end of the cause to the end of that
+silence. *Latched*: messages that never came, and messages that came again to who had them. *Events* are publishers
+that came or went in the listeners' domains: of all topics of a rate, and of the latched topics, where each change
+brings one.
+*Calls*: answered of asked; of those under way when the fault began; carried out twice. The second table compares the
+bridge's account with these counts.
+
+It needs root, iproute2, nftables and conntrack, and takes 25 to 45 s a run beyond the outage itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from tests.network.hosts import NoHostError
+from tests.network.outage_bed import FAULTS, FLOWS, PLAIN, TRANSPORTS, OutageBed
+from tests.network.outage_counts import (
+    AccountCounts,
+    CallCounts,
+    TopicCounts,
+    count_account,
+    count_calls,
+    count_topic,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+_TOOLS = {"ip": "iproute2", "ss": "iproute2", "nft": "nftables", "conntrack": "conntrack"}
+_NEVER = "never"
+
+
+@dataclass
+class Outcome:
+    """The counts of one run.
+
+    Attributes:
+        lasted: s from the fault's begin to its end.
+        steady: whether all topics came back.
+    """
+
+    transport: str
+    fault: str
+    lasted: float
+    steady: bool
+    topics: dict[str, TopicCounts]
+    calls: CallCounts
+    accounts: dict[str, AccountCounts] = field(default_factory=dict)
+
+    def of(self, kind: str) -> list[TopicCounts]:
+        """Return the counts of a kind's topics, the one to the server's side first."""
+        return [self.topics[each.name] for each in FLOWS if each.kind == kind]
+
+    def account(self, kind: str) -> list[AccountCounts]:
+        return [self.accounts[each.name] for each in FLOWS if each.kind == kind]
+
+    @property
+    def rated(self) -> list[TopicCounts]:
+        return [self.topics[each.name] for each in FLOWS if each.rate]
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            **{key: value for key, value in vars(self).items() if key not in {"topics", "calls", "accounts"}},
+            "topics": {name: each._asdict() for name, each in self.topics.items()},
+            "calls": self.calls._asdict(),
+            "accounts": {name: each._asdict() for name, each in self.accounts.items()},
+        }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--transports", default="tcp,udp,zenoh", help=", ".join(TRANSPORTS))
+    parser.add_argument("--faults", default=",".join(FAULTS), help=", ".join(FAULTS))
+    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help="TCP, a cut of 1 s and a reset")
+    parser.add_argument("--json", type=Path, help="write all counts to this file")
+    options = parser.parse_args()
+    transports = ["tcp"] if options.quick else _known(options.transports, TRANSPORTS)
+    faults = ["cut-1", "reset"] if options.quick else _known(options.faults, FAULTS)
+    for tool, package in _TOOLS.items():
+        if os.geteuid() or shutil.which(tool) is None:
+            raise SystemExit(f"bench.outages needs root and {tool} (apt install {package})")
+    outcomes: list[Outcome] = []
+    failures: list[str] = []
+    for number in range(options.rounds):
+        for transport in transports:
+            for fault in faults:
+                if transport == PLAIN and not FAULTS[fault].plain:
+                    continue
+                words = f"{transport}, {FAULTS[fault].words}, round {number + 1}"
+                print(f"{time.strftime('%H:%M:%S')} {words}", file=sys.stderr, flush=True)
+                try:
+                    outcomes.append(_measured(transport, fault))
+                except AssertionError as error:  # one run of many; the table lacks it, and the exit code says so
+                    failures.append(f"{words}: {error}")
+                    print(failures[-1], file=sys.stderr, flush=True)
+                if options.json:
+                    found = {"runs": [each.as_json() for each in outcomes], "failures": failures}
+                    options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
+    for transport in transports:
+        _print(transport, [each for each in outcomes if each.transport == transport])
+    if failures:
+        raise SystemExit("\n".join(["not measured:", *failures]))
+
+
+def _known(names: str, allowed: Iterable[str]) -> list[str]:
+    chosen = names.split(",")
+    if unknown := [each for each in chosen if each not in allowed]:
+        raise SystemExit(f"unknown: {', '.join(unknown)}; there are {', '.join(allowed)}")
+    return chosen
+
+
+def _measured(transport: str, name: str) -> Outcome:
+    fault = FAULTS[name]
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="rsb-outages-") as folder,
+            OutageBed(Path(folder), transport, translated=fault.translated) as bed,
+        ):
+            record = bed.record(fault)
+    except NoHostError as error:
+        raise SystemExit(f"no namespaces: {error}; run this as root") from None
+    accounts = {each.name: count_account(record, each.name) for each in FLOWS}
+    return Outcome(
+        transport,
+        name,
+        (record.ended - record.began) / 1e9,
+        record.steady,
+        {each.name: count_topic(record, each.name, each.rate) for each in FLOWS},
+        count_calls(record),
+        {topic: account for topic, account in accounts.items() if account is not None},
+    )
+
+
+# --- tables
+
+
+def _print(transport: str, outcomes: Sequence[Outcome]) -> None:
+    by_fault = {name: [each for each in outcomes if each.fault == name] for name in FAULTS}
+    runs = {name: its for name, its in by_fault.items() if its}
+    print(f"\n### {transport}, {max(map(len, runs.values()), default=0)} runs a fault\n")
+    _table(
+        runs,
+        {
+            "lost: reliable 10 Hz": lambda its: _lost(its, "reliable"),
+            "keep_all": lambda its: _lost(its, "whole"),
+            "200 Hz": lambda its: _lost(its, "deep"),
+            "best effort": lambda its: _lost(its, "best"),
+            "latched: lost, again": lambda its: _pairs(
+                its, lambda run: (_sum(run.of("latched"), "lost"), _sum(run.of("latched"), "doubled"))
+            ),
+            "doubled, disordered": lambda its: _pairs(
+                its, lambda run: (_sum(run.rated, "doubled"), _sum(run.topics.values(), "disordered"))
+            ),
+            "silence, s": lambda its: _sides(its, lambda topic: topic.silence),
+            "back, s": lambda its: _sides(its, lambda topic: topic.back),
+            "events, of latched": lambda its: _pairs(
+                its, lambda run: (_sum(run.rated, "events"), _sum(run.of("latched"), "events"))
+            ),
+            "calls": _calls,
+        },
+    )
+    if transport != PLAIN and runs:
+        print("\nThe account's sum − published outside, of published; delivered − heard outside; dropped by cause:\n")
+        kinds = {"reliable 10 Hz": "reliable", "keep_all": "whole", "200 Hz": "deep", "best effort": "best"}
+        columns: dict[str, Callable[[Sequence[Outcome]], str]] = {
+            words: lambda its, kind=kind: _account(its, kind)  # type: ignore[misc]
+            for words, kind in (kinds | {"latched": "latched"}).items()
+        }
+        _table(runs, columns | {"causes, all topics": _causes})
+    if unsteady := [each for each in outcomes if not each.steady or any(topic.early for topic in each.topics.values())]:
+        print("\nNot steady before or after the fault:", ", ".join(each.fault for each in unsteady))
+
+
+def _table(runs: dict[str, list[Outcome]], columns: dict[str, Callable[[Sequence[Outcome]], str]]) -> None:
+    print("|", " | ".join(["fault", *columns]), "|")
+    print("|---" * (len(columns) + 1) + "|")
+    for name, its in runs.items():
+        print("|", " | ".join([FAULTS[name].words, *(cell(its) for cell in columns.values())]), "|", flush=True)
+
+
+def _spread(values: Iterable[float | None], digits: int = 0) -> str:
+    """Return the median with the lowest and the highest; None is more than any number."""
+    known = [float("inf") if each is None else each for each in values]
+    low, middle, high = (
+        _NEVER if each == float("inf") else f"{each:,.{digits}f}" for each in (min(known), median(known), max(known))
+    )
+    return middle if low == high else f"{middle} ({low} to {high})"
+
+
+def _sum(counts: Iterable[Any], figure: str) -> int:
+    return sum(getattr(each, figure) for each in counts)
+
+
+def _lost(runs: Sequence[Outcome], kind: str) -> str:
+    sides = [[run.of(kind)[side] for run in runs] for side in range(len(runs[0].of(kind)))]
+    lost = "; ".join(_spread(topic.lost for topic in side) for side in sides)
+    return f"{lost} of {median(topic.published for topic in sides[0]):,.0f}"
+
+
+def _sides(runs: Sequence[Outcome], figure: Callable[[TopicCounts], float | None]) -> str:
+    return "; ".join(_spread((figure(run.of("reliable")[side]) for run in runs), 1) for side in range(2))
+
+
+def _pairs(runs: Sequence[Outcome], pair: Callable[[Outcome], tuple[int, int]]) -> str:
+    return ", ".join(_spread(each) for each in zip(*map(pair, runs), strict=True))
+
+
+def _calls(runs: Sequence[Outcome]) -> str:
+    calls = [run.calls for run in runs]
+    answered, kept, twice, wrong = (
+        _spread(getattr(each, figure) for each in calls) for figure in ("answered", "kept", "twice", "wrong")
+    )
+    asked, pending = (median(getattr(each, figure) for each in calls) for figure in ("asked", "pending"))
+    wrongly = "" if wrong == "0" else f"; {wrong} answered wrongly"
+    return f"{answered} of {asked:g}; {kept} of {pending:g}; {twice}{wrongly}"
+
+
+def _account(runs: Sequence[Outcome], kind: str) -> str:
+    parts = []
+    for side in range(len(runs[0].account(kind))):
+        its = [run.account(kind)[side] for run in runs]
+        offered = _spread(each.accounted - each.published for each in its)
+        delivered = _spread(each.delivered - each.heard for each in its)
+        parts.append(f"{offered} of {median(each.published for each in its):,.0f}, {delivered}")
+    return "; ".join(parts)
+
+
+def _causes(runs: Sequence[Outcome]) -> str:
+    """Return what the accounts of all topics say of messages that are not delivered: the mean of the runs."""
+    total: Counter[str] = Counter()
+    for run in runs:
+        for account in run.accounts.values():
+            total.update(account.dropped)
+            total["unbalanced"] += abs(account.unbalanced)
+    return ", ".join(f"{count / len(runs):,.0f} {cause}" for cause, count in sorted(total.items()) if count) or "none"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,347 @@
+"""A robot, a router and a server's machine, topics and calls between them, and what may happen to the path.
+
+The router translates addresses where a fault needs that. `OutageBed.record` lets traffic flow until it is steady,
+causes one fault, waits until traffic is steady again, and returns what was published and heard, with the bridge's own
+account.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import yaml
+from tests.network.bridging import PORT, Program
+from tests.network.hosts import Cable, Host
+from tests.network.traffic import SERVICE, Flow, Traffic
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.keys import write_key
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+    from types import TracebackType
+    from typing import Self
+
+NEAR, FAR = 80, 81
+_ROBOT, _NEW_ROBOT, _AT_ROBOT = "10.99.1.2", "10.99.1.3", "10.99.1.1"
+_ELSEWHERE, _AT_ELSEWHERE = "10.99.3.2", "10.99.3.1"
+_OUTSIDE, _PC = "10.99.2.2", "10.99.2.1"
+FLOWS = (
+    Flow("/up/reliable", "reliable", 10),
+    Flow("/up/whole", "whole", 10),
+    Flow("/up/fast", "deep", 200),
+    Flow("/up/latched", "latched"),
+    Flow("/up/best", "best", 10),
+    Flow("/down/reliable", "reliable", 10, to_robot=True),
+    Flow("/down/latched", "latched", to_robot=True),
+    Flow("/down/best", "best", 10, to_robot=True),
+)
+PLAIN = "plain"
+TRANSPORTS = ("tcp", "udp", "zenoh", PLAIN)
+_QOS: dict[str, Any] = {"whole": {"history": "keep_all"}, "deep": 1000}
+"""As a session asks for it; of the other kinds it is `auto`."""
+_READY_WITHIN, _STEADY_BEFORE = 60.0, 3.0
+_STEADY, _FRESH = 5.0, 1.0
+"""Traffic is steady once the newest message of each topic has been younger than the second for the first, in s."""
+_WATCHED_AFTER, _WATCHED_AFTER_KILL = 8.0, 24.0
+"""s after a fault's end in which its effects may still come: a link without a byte is given up after 5 s, and DDS knows
+after 20 s that a killed process has gone."""
+_BACK_WITHIN = 90.0
+_DRAINS, _ACCOUNT_WITHIN = 3.0, 15.0
+_IN_FLIGHT = 0.1
+"""s before a fault at which a call is made: the server takes longer to answer."""
+
+
+class Fault(NamedTuple):
+    """Something that happens to the path.
+
+    Attributes:
+        kind: ``cut``, ``reset``, ``address``, ``roam``, ``rebind``, or the side that is killed: ``server``, ``client``.
+        seconds: how long it lasts, or 0 if it is a moment.
+        translated: whether the router translates addresses.
+        plain: whether nodes without a bridge have it, too.
+    """
+
+    words: str
+    kind: str
+    seconds: float = 0.0
+    translated: bool = False
+    plain: bool = False
+
+
+FAULTS = {
+    **{f"cut-{long:g}": Fault(f"link down {long:g} s", "cut", long, plain=True) for long in (0.3, 1, 3, 6, 20, 60)},
+    "reset-0.6": Fault("every connection reset, for 0.6 s", "reset", 0.6),
+    "reset": Fault("every connection reset, once", "reset"),
+    "forget-1": Fault("link down 1 s, the NAT forgets", "cut", 1, translated=True),
+    "forget-3": Fault("link down 3 s, the NAT forgets", "cut", 3, translated=True),
+    "address": Fault("the robot's address changes", "address", plain=True),
+    "roam": Fault("the robot roams to another network", "roam", plain=True),
+    "rebind": Fault("the NAT rebinds", "rebind", translated=True),
+    "server": Fault("server killed and started at once", "server"),
+    "client": Fault("client killed and started at once", "client"),
+}  # fmt: skip
+
+
+@dataclass
+class Record:
+    """What was published and heard around a fault. Times are ns of the monotonic clock.
+
+    Attributes:
+        began: when the fault began.
+        ended: when its cause ended; for a moment the same.
+        stopped: when the last message of a rate was published.
+        steady: whether traffic came back before `stopped`.
+        made: when each message was published, by topic; the first one's number is 1.
+        heard: number, time of publication and time of arrival of each message that came.
+        events: time, publishers that came and publishers that went in the listener's domain.
+        calls: when each was made and answered, or 0, or `traffic.WRONG`; the first one's number is 1.
+        carried_out: the numbers of the calls that the server has had, in its order.
+        accounts: the ledgers of the sending sides at the end, by topic; empty without a bridge.
+    """
+
+    began: int
+    ended: int
+    stopped: int = 0
+    steady: bool = False
+    made: dict[str, list[int]] = field(default_factory=dict)
+    heard: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)
+    events: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)
+    calls: list[tuple[int, int]] = field(default_factory=list)
+    carried_out: list[int] = field(default_factory=list)
+    accounts: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+class OutageBed:
+    """The machines with all that runs on them, which end with the context.
+
+    Attributes:
+        transport: ``tcp``, ``udp`` or ``zenoh``, or ``plain``: no bridge, and all nodes in one domain.
+    """
+
+    def __init__(
+        self, folder: Path, transport: str, *, translated: bool = False, flows: Sequence[Flow] = FLOWS
+    ) -> None:
+        self._folder, self.transport, self._translated, self._flows = folder, transport, translated, flows
+        self._stack = ExitStack()
+        self._programs: dict[str, Program] = {}
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            self._stack = stack
+            self._join()
+            if self.transport != PLAIN:
+                self._write_sessions()
+                for name, host in (("server", self._pc), ("client", self._robot)):
+                    self._programs[name] = Program(host, self._folder / f"{name}.yaml")
+                stack.callback(self._end_programs)
+            self._start_traffic()
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None:  # programs that an exception leaves in any state end with their hosts
+            self._programs.clear()
+        self._stack.__exit__(kind, error, trace)
+
+    def _end_programs(self) -> None:
+        for each in self._programs.values():  # as they are now: a killed one has a successor
+            each.close()
+
+    def _host(self, name: str) -> Host:
+        host = Host(name)
+        self._stack.callback(host.close)
+        return host
+
+    def _join(self) -> None:
+        self._robot, self._router, self._pc = map(self._host, ("robot", "router", "pc"))
+        self._router.run("sh", "-c", "echo 1 > /proc/sys/net/ipv4/ip_forward")
+        Cable(self._robot, self._router).address((f"{_ROBOT}/24", f"{_AT_ROBOT}/24"))
+        Cable(self._router, self._pc).address((f"{_OUTSIDE}/24", f"{_PC}/24"))
+        Cable(self._robot, self._router).address((f"{_ELSEWHERE}/24", f"{_AT_ELSEWHERE}/24"))
+        for gateway, metric in ((_AT_ROBOT, "1"), (_AT_ELSEWHERE, "2")):
+            self._robot.run("ip", "route", "add", "default", "via", gateway, "metric", metric)
+        if self._translated:
+            self._router.nft("add table ip nat; add chain ip nat out { type nat hook postrouting priority 100; }")
+            for protocol in ("tcp", "udp"):
+                self._router.nft(f"add rule ip nat out oif eth1 meta l4proto {protocol} masquerade to :40000-40999")
+        else:
+            self._pc.route(_OUTSIDE)
+
+    def _write_sessions(self) -> None:
+        write_key(self._folder / "robot1.key")
+        topics = [
+            {
+                "topic": each.name,
+                "direction": "receive" if each.to_robot else "transmit",
+                "type": "std_msgs/msg/String",
+                "qos": _QOS.get(each.kind, "auto"),
+                **({"protocol": "udp"} if self.transport == "udp" else {}),
+            }
+            for each in self._flows
+        ]
+        listens: dict[str, Any] = {"server_ip": "0.0.0.0", "server_port": PORT}
+        connects: dict[str, Any] = {"server_ip": _PC, "server_port": PORT}
+        if self.transport == "zenoh":
+            listens = {"server_ip": "zenoh", "zenoh": {"listen": [f"tcp/0.0.0.0:{PORT}"]}}
+            connects = {"server_ip": "zenoh", "zenoh": {"connect": [f"tcp/{_PC}:{PORT}"]}}
+        common = {"name": "robot1", "key_file": "robot1.key"}
+        server = {"role": "server", "domain_id": FAR, **listens}
+        client = {"role": "client", "domain_id": NEAR, **connects, "topics": topics}
+        client["services"] = [{"service": SERVICE, "provider": "client"}]
+        for session in (server, client):
+            (self._folder / f"{session['role']}.yaml").write_text(yaml.safe_dump(common | session))
+
+    def _start_traffic(self) -> None:
+        up = [each for each in self._flows if not each.to_robot]
+        down = [each for each in self._flows if each.to_robot]
+        plain = self.transport == PLAIN
+        for_robot: dict[str, Any] = {"domain_id": NEAR, "peer": _PC if plain else ""}
+        for_pc: dict[str, Any] = {"domain_id": NEAR if plain else FAR, "peer": _ROBOT if plain else ""}
+        self._listeners = (
+            Traffic(self._pc, "listen", flows=up, calls=False, **for_pc),
+            Traffic(self._robot, "listen", flows=down, calls=True, **for_robot),
+        )
+        self._talkers = (
+            Traffic(self._robot, "talk", flows=up, calls=False, **for_robot),
+            Traffic(self._pc, "talk", flows=down, calls=True, **for_pc),
+        )
+        self._caller = self._talkers[1]
+        for each in (*self._talkers, *self._listeners):
+            self._stack.callback(each.close)
+        eventually(
+            lambda: all(each.tell("matched") for each in (*self._talkers, *self._listeners)),
+            _READY_WITHIN,
+            "every node has found the others",
+        )
+        for side, flows in (("server", up), ("client", down)):
+            if side in self._programs:
+                for flow in flows:
+                    self._programs[side].sees_subscriber(flow.name)
+
+    def record(self, fault: Fault) -> Record:
+        """Cause a fault in the middle of steady traffic."""
+        for each in self._talkers:
+            each.tell("go")
+            for _ in range(3):
+                each.tell("change")
+        eventually(lambda: self._are_fresh(0), _READY_WITHIN, "every topic flows")
+        time.sleep(_STEADY_BEFORE)
+        self._change()
+        time.sleep(_IN_FLIGHT)
+        self._caller.tell("call")
+        time.sleep(_IN_FLIGHT)
+        record = Record(*self._cause(fault))
+        record.steady = self._is_steady(
+            record.ended, _WATCHED_AFTER_KILL if fault.kind in self._programs else _WATCHED_AFTER
+        )
+        self._change()
+        time.sleep(_FRESH)
+        for each in self._talkers:
+            each.tell("hush")
+        record.stopped = time.monotonic_ns()
+        time.sleep(_DRAINS)
+        for each in self._talkers:
+            record.made |= each.tell("made")
+        if self._programs:
+            record.accounts = self._accounts()
+        for each in self._listeners:
+            record.heard |= each.tell("heard")
+            record.events |= each.tell("events")
+        record.calls = self._caller.tell("calls")
+        record.carried_out = self._listeners[1].tell("carried out")
+        return record
+
+    def _change(self) -> None:
+        """Publish on the latched topics."""
+        for each in self._talkers:
+            each.tell("change")
+
+    # --- the faults
+
+    def _cause(self, fault: Fault) -> tuple[int, int]:
+        """Cause a fault, and return when it began and ended. Latched topics change in its middle, or right after it.
+
+        A command takes up to 0.05 s. A fault that lasts begins and ends before its commands, and so it may seem to end
+        a little early; a moment is before its command.
+        """
+        began = time.monotonic_ns()
+        match fault.kind:
+            case "cut":  # without a word, as out of a radio's reach
+                lose = "chain inet fault every { type filter hook prerouting priority -500; policy drop; }"
+                self._router.nft(f"add table inet fault; add {lose}")
+            case "reset" if fault.seconds:
+                reset = "chain inet fault every { type filter hook forward priority 0; }"
+                rule = "rule inet fault every meta l4proto tcp reject with tcp reset"
+                self._router.nft(f"add table inet fault; add {reset}; add {rule}")
+            case "reset":  # the robot's kernel ends each connection, and tells the other side
+                self._robot.run("ss", "--kill", "--tcp", "dst", _PC)
+            case "address":
+                device = f"ip address delete {_ROBOT}/24 dev eth0; ip address add {_NEW_ROBOT}/24 dev eth0"
+                route = f"ip route replace default via {_AT_ROBOT} metric 1"
+                self._robot.run("sh", "-ec", f"{device}; {route}")
+            case "roam":
+                self._robot.run("ip", "link", "set", "eth0", "down")
+            case "rebind":
+                self._forget()
+            case "server" | "client" as side:
+                self._programs[side].kill()
+                self._programs[side] = self._programs[side].again()
+            case _:
+                raise ValueError(fault.kind)
+        if not fault.seconds:
+            self._change()
+            return began, began
+        ends = began + int(fault.seconds * 1e9)
+        time.sleep(fault.seconds / 2)
+        self._change()
+        time.sleep(max(0, ends - time.monotonic_ns()) / 1e9)
+        if self._translated:
+            self._forget()
+        ended = time.monotonic_ns()
+        self._router.nft("delete table inet fault")
+        return began, ended
+
+    def _forget(self) -> None:
+        """Have the router forget its mappings, and make others; what comes for the old ones is for nobody."""
+        for protocol in ("tcp", "udp"):
+            self._router.nft(f"insert rule ip nat out oif eth1 meta l4proto {protocol} masquerade to :41000-41999")
+        self._router.run("conntrack", "--flush")
+
+    # --- its end
+
+    def _are_fresh(self, since: int) -> bool:
+        """Whether each topic that has a rate has brought a young message that was published after `since`."""
+        rated = {each.name for each in self._flows if each.rate}
+        newest = [made for each in self._listeners for name, made in each.tell("newest").items() if name in rated]
+        return bool(min(newest) > max(since, time.monotonic_ns() - int(_FRESH * 1e9)))
+
+    def _is_steady(self, ended: int, watched: float) -> bool:
+        """Wait until traffic is steady, at least `watched` s, at most `_BACK_WITHIN`. Return whether it is."""
+        deadline = ended + int(_BACK_WITHIN * 1e9)
+        steady_since = time.monotonic_ns()
+        while (now := time.monotonic_ns()) < deadline:
+            if not self._are_fresh(ended):
+                steady_since = now
+            elif now - steady_since > _STEADY * 1e9 and now - ended > watched * 1e9:
+                return True
+            time.sleep(0.2)
+        return False
+
+    def _accounts(self) -> dict[str, dict[str, Any]]:
+        """Return the ledgers of the sending sides, once nothing is in flight or some time has passed."""
+        senders = {each.name: self._programs["server" if each.to_robot else "client"] for each in self._flows}
+        asked, deadline = time.time(), time.monotonic() + _ACCOUNT_WITHIN
+        while True:
+            rows = {name: program.route(name) for name, program in senders.items()}
+            if time.time() > asked + 2 and not any(row.get("in_flight") for row in rows.values()):
+                return rows  # a status is at most 1.5 s old
+            if time.monotonic() > deadline:
+                return rows
+            time.sleep(0.5)
