@@ -53,6 +53,7 @@ _KEY_CHANGED = "the client has another key now"
 
 # s between attempts, before jitter.
 _FIRST_DELAY = 0.5  # before the first further attempt: a round figure
+_FIRST_DELAY_AWAY = 0.1  # the same while the server waits with the session: the path may be back at once
 _LONGEST_DELAY_UNREACHED = 1.0  # once the server is back, the link must be up within 3 s, with handshake and discovery
 # While the server refuses: its answer seldom changes soon. A round figure, on which servers rely: they forget a client
 # that has not tried for longer (`refused_clients.FORGOTTEN_AFTER`).
@@ -222,6 +223,7 @@ class ClientLink(Link):
         self._duplicates_logged_at = 0.0
         self.udp_failure = ""
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random, _JITTER)
+        self._returning = Backoff(_FIRST_DELAY_AWAY, _LONGEST_DELAY_UNREACHED, context.random, _JITTER)
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
         self._trials: Trials[ProvenServer] = Trials(context.now, _HANDSHAKE_TIMEOUT)
         self.handlers |= {Duplicate: self._on_duplicate, Shutdown: self._on_shutdown}
@@ -274,6 +276,7 @@ class ClientLink(Link):
             return
         self._longest = _LONGEST_DELAY_UNREACHED
         self._backoff.reset()
+        self._returning.reset()
         if self._stays_down:  # an operator did so during the handshake
             self.end("shut down", retry_after=None)
         elif key is not self.key:  # changed during the handshake
@@ -403,7 +406,8 @@ class ClientLink(Link):
         delay: float | None = None
         if not self._stays_down:
             asks = self.status.cause is LinkCause.SHUT_DOWN
-            delay = self._asking.next() if asks else max(self._backoff.next(self._longest), self._retry_after)
+            backoff = self._returning if self._away is not None else self._backoff
+            delay = self._asking.next() if asks else max(backoff.next(self._longest), self._retry_after)
             self.status.retry_at = self.context.now() + delay
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(delay):
