@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
     from rsb_bridge.model.reason import Reason
     from rsb_bridge.model.verdict import Verdict
@@ -42,7 +42,7 @@ class RouteSink(Protocol):
     def resends(self) -> bool:
         """Whether it then sends again what the other side had not acknowledged."""
 
-    def deliver(self, messages: Iterable[Message]) -> None:
+    def deliver(self, messages: Sequence[Message]) -> None:
         """Take messages that arrived whole and authentic."""
 
     def flush(self) -> None:

@@ -474,7 +474,7 @@ class Bridge:
         in_place = (
             (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
             (("check_messages",), self._set_check),
-            (("group", "ports", "shared_keys", "outlive"), lambda: None),  # which are read in the session when they are needed
+            (("group", "ports", "shared_keys", "outlive"), lambda: None),  # they are read in the session when needed
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
             *(live for part in self._parts for live in part.by_key),

@@ -25,6 +25,7 @@ from rsb_bridge.ros.ros_graph import agreed_type, type_hint
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.blocking_rules import stages_with_link
+from rsb_bridge.route.catching_up import EVERY, LATE, CatchUp
 from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
@@ -44,7 +45,7 @@ from rsb_bridge.wire.records import DeafRecord, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterator, Sequence
 
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
@@ -130,6 +131,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self._catch_up = CatchUp(context.now())
         self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self.outputs = SourcePublishers(self, self._unpacker)
         self.rest = RestAfterArming(self)
@@ -346,31 +348,42 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         batch, arriving, leaving = incoming_gates(self)
         self._gates = chained(batch), chained(arriving), chained(leaving)
 
-    def deliver(self, messages: Iterable[Message]) -> None:
+    def deliver(self, messages: Sequence[Message]) -> None:
         """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop."""
         if self._unpacker.holds:
             self._unpacker.wait(messages)
             return
-        (batch, arriving, leaving), sinks, began = self._gates, self.outputs.sinks, self.context.now()
+        batch, began = self._gates[0], self.context.now()
         if batch is not None and (why := batch(NO_SAMPLE, began)) is not None:
-            self._refuse(why, len(tuple(messages)))
+            self._refuse(why, len(messages))
             return
-        if not sinks:
+        if not self.outputs.sinks:
             return
-        now = sent = self.context.stamps.now()
+        now, offset = self.context.stamps.now(), self.peer.stamps.offset
+        if offset is None or (now - messages[0][1]) / 1e9 + offset < LATE or self.is_latched:
+            self._publish(messages, now, began)
+            return
+        allowed = self._catch_up.allowed(len(messages), began, self.meter.usual_rate)
+        self._publish(messages[:allowed], now, began)
+        if later := messages[allowed:]:
+            self._unpacker.pause(later, EVERY)
+
+    def _publish(self, messages: Sequence[Message], now: int, began: float) -> None:
+        """Publish messages that came at `now` (ns of the clock of stamps) and `began` (s), as `deliver`."""
+        (batch, arriving, leaving), sinks, sent = self._gates, self.outputs.sinks, now
         checker = self.check.checker
         # With a bounded number of lengths, a check takes next to no time, and nothing of the budget: one call less.
         check = None if checker is None else self.check.check if checker.loops else checker.check
         count, size, number, published = 0, 0, 0, b""
-        # An iterator, so that `*messages` below is the rest after a message that has to wait.
-        messages = iter(messages)
-        for message in messages:
+        # An iterator, so that `*following` below is the rest after a message that has to wait.
+        following = iter(messages)
+        for message in following:
             payload, stamp, flags = message
             if batch is not None:
                 number, payload, flags = unleased(payload, flags)
             # Before the gates: what waits comes here again, and would take a second token of the rate.
             if flags & ZSTD and not self._unpacker.begin((payload, stamp, flags)):
-                self._unpacker.wait((message, *messages))
+                self._unpacker.wait((message, *following))
                 break
             sample = NO_SAMPLE if arriving is leaving is None else GatedMessage(stamp, number)
             if arriving is not None and (why := arriving(sample, began)) is not None:
@@ -389,9 +402,9 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 if check is not None:
                     check(content)
                 if isinstance(sink, LatchedTopic):
-                    self._publish_latched(sink, header, content, look, messages)
+                    self._publish_latched(sink, header, content, look, following)
                 elif len(content) > PUBLISHED_ASIDE and self.purpose.in_graph:
-                    self._publish_aside(sink, content, len(payload), GatedMessage(stamp, number), messages)
+                    self._publish_aside(sink, content, len(payload), GatedMessage(stamp, number), following)
                     continue
                 elif (why := sink.publish(content, look)) is not None:
                     raise _NotPublishedError(CAUSES[why])

@@ -19,7 +19,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.cdr.checker import Checker
     from rsb_bridge.context import Context
@@ -236,7 +236,7 @@ class Unpacker:
         self,
         budget: ExpansionBudget,
         context: Context,
-        deliver: Callable[[Iterable[Message]], None],
+        deliver: Callable[[Sequence[Message]], None],
         reopen: Callable[[EventCode, str], None],
     ) -> None:
         self.holds = False
@@ -249,6 +249,7 @@ class Unpacker:
         self._decompressor = zstandard.ZstdDecompressor()
         self._expansion: _Expansion | None = None
         self._publication: LongPublication | None = None
+        self._pause: asyncio.TimerHandle | None = None
 
     def begin(self, message: Message) -> bool:
         """Return whether a message can be unpacked at this turn of the loop. One that will be refused costs no turn.
@@ -287,11 +288,18 @@ class Unpacker:
         if self._size > BACKLOG_LIMIT:
             self._reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, _BACKLOG_FULL)
 
+    def pause(self, messages: Iterable[Message], seconds: float) -> None:
+        """Have messages wait so long, or until what they wait for otherwise is done."""
+        if not self.holds:
+            self._pause = self._context.loop.call_later(seconds, self.go_on)
+        self.wait(messages)
+
     def go_on(self) -> None:
         """Deliver the messages that wait."""
         waiting, self._waiting, self._size = self._waiting, [], 0
         self.holds = False
-        self._deliver(waiting)
+        if waiting:
+            self._deliver(waiting)
 
     def publish(self, publisher: Publisher, content: bytes, look: Look | None, then: Then) -> None:
         """Publish a long message on another thread; later ones of this route wait until that is done."""
@@ -325,6 +333,9 @@ class Unpacker:
     def clear(self) -> None:
         """Drop the messages that wait."""
         self._waiting, self._size, self.holds = [], 0, False
+        if self._pause is not None:
+            self._pause.cancel()
+            self._pause = None
         if self._publication is not None:
             self._publication.withdraw(wait=False)
             self._publication.wanted = False

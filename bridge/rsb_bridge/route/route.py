@@ -35,7 +35,7 @@ from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from rsb_bridge.cdr.description import CompareTypes
     from rsb_bridge.cdr.known_types import Velocity
@@ -167,7 +167,7 @@ class Route:
     def flush(self) -> None:
         """Send more, as the channel has room again. A half that sends nothing ignores it."""
 
-    def deliver(self, messages: Iterable[Message]) -> None:
+    def deliver(self, messages: Sequence[Message]) -> None:
         """Take whole, authentic messages. A half that only sends gets none: the peer does not even have its key."""
 
     def news(self) -> SentReport | ReceivedReport | CallsReport | None:

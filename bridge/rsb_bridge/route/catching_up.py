@@ -1,0 +1,36 @@
+"""The pace of what comes late: hundreds of messages that waited for a link come at once when it is back.
+
+A subscription keeps ten messages by default, and loses the oldest of those that come faster than its node takes them,
+though each of them is acknowledged. So they are published a few at a time.
+"""
+
+from __future__ import annotations
+
+from rsb_bridge.model.budgets import TokenBucket
+
+LATE = 1.0
+"""s that a message took, from which on it is one of these. What is late steadily, on a thin link, is slower anyway."""
+AT_ONCE, EVERY = 10, 0.01
+"""Messages, the default depth of a subscription, and s until the next: a node in Python takes one in 0.1 to 1 ms."""
+
+
+class CatchUp:
+    """The pace of one topic, which is at least twice its usual rate: else it would never catch up.
+
+    Args:
+        now: s.
+    """
+
+    def __init__(self, now: float) -> None:
+        self._rate = AT_ONCE / EVERY
+        self._bucket = TokenBucket(AT_ONCE, self._rate, now)
+
+    def allowed(self, count: int, now: float, usual_rate: float | None) -> int:
+        """Return how many of `count` late messages may be published at `now` (s)."""
+        rate = max(AT_ONCE / EVERY, 2 * (usual_rate or 0.0))
+        if rate > 1.5 * self._rate or rate < self._rate / 1.5:
+            self._rate = rate
+            self._bucket = TokenBucket(rate * EVERY, rate, now)
+        allowed = min(count, int(self._bucket.left(now)))
+        self._bucket.spend(allowed, now)
+        return allowed
