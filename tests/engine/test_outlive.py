@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import pytest
+from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool
 from tests.support.bridge import balance, carries, happened, linked, outgoing, route, settled
 from tests.support.domain import LATCHED, text
@@ -114,3 +116,29 @@ def test_what_waits_is_dropped_when_the_session_ends(bridge: Bridge, relay: Rela
     carries([out], server, ["/scan"])
     out.publish(text("again"))
     eventually(lambda: there.payloads)
+
+
+def test_what_waited_overruns_no_subscription(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """Each of 600 events comes to a node that keeps ten, and takes one in a millisecond."""
+    out, there = robot.publisher("/events"), pc.listener("/events", qos=QoSProfile(depth=10))
+    server, client = bridge.both(Topic("/events", "transmit", qos={"history": "keep_all"}), outlive=OUTLIVES)
+    carries([out], server, ["/events"])
+    relay.refuse()
+    relay.cut()
+    eventually(lambda: away(client) and away(server))
+    came = len(there.payloads)
+    for number in range(600):
+        out.publish(text(str(number)))
+        time.sleep(0.001)
+    relay.refuse(False)
+
+    def all_came() -> bool:
+        """Take for a while, as a node that spins."""
+        for _ in range(50):
+            time.sleep(0.001)
+            if len(there.payloads) >= came + 600:
+                return True
+        return False
+
+    eventually(all_came, 30)
+    assert numbers(there.payloads[came:]) == [*range(600)]

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from rsb_bridge.model.budgets import TokenBucket
 
-LATE = 1.0
-"""s that a message took, from which on it is one of these. What is late steadily, on a thin link, is slower anyway."""
+LATE = 0.2
+"""s that a message took, from which on it is one of these. Where a link is steadily slower, this pace holds up nothing."""
 AT_ONCE, EVERY = 10, 0.01
 """Messages, the default depth of a subscription, and s until the next: a node in Python takes one in 0.1 to 1 ms."""
 
