@@ -251,6 +251,8 @@ class BaseLink(ABC):
     @property
     def down_reason(self) -> str:
         """The reason why it is not linked, for an operator, or an empty string."""
+        if self._away is not None:
+            return f"{self.status.reason}; topics and calls wait for it"
         return "" if self._channels is not None else self.status.reason
 
     @property

@@ -251,10 +251,11 @@ class ClientLink(Link):
         while True:
             self._retry.clear()
             self._ended.clear()
+            began = self.context.now()
             if not self._stays_down:
                 self._retry_after = 0.0
                 await self._call()
-            await self._pause()
+            await self._pause(self.context.now() - began)
 
     def retry(self) -> None:
         """Connect now instead of after the delay, and propose refused routes again."""
@@ -401,13 +402,17 @@ class ClientLink(Link):
         level = Level.DEBUG if repeated else Level.WARNING if expected else Level.ERROR
         self.log(level, code, f"no link with {peer}: {reason}; trying again", link_status=True)
 
-    async def _pause(self) -> None:
-        """Wait until the next attempt is due, or an operator asks for one."""
+    async def _pause(self, took: float) -> None:
+        """Wait until the next attempt is due, or an operator asks for one; the last one took so long (s)."""
         delay: float | None = None
         if not self._stays_down:
-            asks = self.status.cause is LinkCause.SHUT_DOWN
-            backoff = self._returning if self._away is not None else self._backoff
-            delay = self._asking.next() if asks else max(backoff.next(self._longest), self._retry_after)
+            if self.status.cause is LinkCause.SHUT_DOWN:
+                delay = self._asking.next()
+            elif self._away is not None:  # an attempt that nobody answered was a pause, too
+                delay = self._returning.next()
+                delay = max(min(delay, _FIRST_DELAY_AWAY), delay - took)
+            else:
+                delay = max(self._backoff.next(self._longest), self._retry_after)
             self.status.retry_at = self.context.now() + delay
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(delay):

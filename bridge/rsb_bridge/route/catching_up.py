@@ -9,9 +9,9 @@ from __future__ import annotations
 from rsb_bridge.model.budgets import TokenBucket
 
 LATE = 0.2
-"""s that a message took, from which on it is one of these. On a link that is always slower, the pace holds up nothing."""
+"""s that a message took, from which on it is one of these. A link that is always slower is not held up by the pace."""
 AT_ONCE, EVERY = 5, 0.01
-"""Messages, half the default depth of a subscription, and s until the next: nodes in Python take one in 0.1 to 1 ms."""
+"""Messages, half the default depth of a subscription, and s until the next: a node takes one in 0.1 to 1 ms."""
 _ROUNDED = 1e-6
 
 
