@@ -25,7 +25,7 @@ from rsb_bridge.ros.ros_graph import agreed_type, type_hint
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.blocking_rules import stages_with_link
-from rsb_bridge.route.catching_up import EVERY, LATE, CatchUp
+from rsb_bridge.route.catching_up import EVERY, LATE, NOT_WAITED, CatchUp
 from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
@@ -75,6 +75,7 @@ _REPORTS_AFTER = 100
 unreported messages arrived."""
 _PACKED = HISTORY | LEASED | ZSTD
 """Flags of messages whose payload is more than the content."""
+_NO_GATES = (None, None, None)
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """For messages without a history header: they count as messages of one publisher."""
 _LATENCIES = ("latency", "latency_p50", "latency_p99")
@@ -360,13 +361,18 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if not self.outputs.sinks:
             return
         now, offset = self.context.stamps.now(), self.peer.stamps.offset
-        if offset is None or (now - messages[0][1]) / 1e9 + offset < LATE or self.is_latched:
+        if offset is None or not LATE < (now - messages[0][1]) / 1e9 + offset < NOT_WAITED or self._must_be_fresh:
             self._publish(messages, now, began)
             return
         allowed = self._catch_up.allowed(len(messages), began, self.meter.usual_rate)
         self._publish(messages[:allowed], now, began)
         if later := messages[allowed:]:
             self._unpacker.pause(later, EVERY)
+
+    @property
+    def _must_be_fresh(self) -> bool:
+        """Whether gates look at its messages, as at commands, or a latched topic's publishers keep them."""
+        return self.is_latched or self._gates != _NO_GATES
 
     def _publish(self, messages: Sequence[Message], now: int, began: float) -> None:
         """Publish messages that came at `now` (ns of the clock of stamps) and `began` (s), as `deliver`."""
