@@ -29,7 +29,7 @@ OUTLIVES = 60.0
 
 def away(engine: Engine) -> bool:
     (link,) = inside(engine).role.links()
-    return not link.linked and link.session is not None
+    return link.is_away
 
 
 def numbers(payloads: list[bytes]) -> list[int]:

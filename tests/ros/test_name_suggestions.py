@@ -20,10 +20,13 @@ if TYPE_CHECKING:
 
 async def answered(searches: Searches[Asked], asked: Asked) -> str:
     """Ask, and give the search the time it takes."""
-    searches.of(asked)
+    changes = list[bool]()
+    before = searches.of(asked, lambda: changes.append(True))
     for _ in range(100):
         await asyncio.sleep(0)
-    return searches.of(asked)
+    answer = searches.of(asked, lambda: None)
+    assert changes == [True] * (answer != before)
+    return answer
 
 
 def found(searches: type[Searches[Asked]], graph: NoRos, asked: Asked) -> str:
@@ -81,7 +84,7 @@ def test_it_is_not_searched_for_at_each_question() -> None:
     async def ask() -> list[str]:
         meant = NameSuggester(graph, asyncio.get_running_loop())
         await answered(meant, ("service", "/dokc"))
-        return [meant.of(("service", name)) for name in ("/dokc", "/dokc", "/navigate")]
+        return [meant.of(("service", name), lambda: None) for name in ("/dokc", "/dokc", "/navigate")]
 
     assert asyncio.run(ask()) == ["did you mean /dock?"] * 2 + [""]
     assert graph.asked == 1
@@ -118,9 +121,9 @@ def test_one_search_a_second_whoever_asks() -> None:
         similar = SimilarTopics(graph, asyncio.get_running_loop())
         for _ in range(100):
             for number in range(1, 50):
-                similar.of(f"/topic{number}")
+                similar.of(f"/topic{number}", lambda: None)
             await asyncio.sleep(0.1)
-        return similar.of("/topic1")
+        return similar.of("/topic1", lambda: None)
 
     with virtual_loop() as loop:
         assert loop.run_until_complete(ask()) == "/topic0"
@@ -132,7 +135,7 @@ def test_search_among_many_names_leaves_the_loop_to_others() -> None:
 
     async def turns() -> int:
         similar, passed = SimilarTopics(graph, asyncio.get_running_loop()), 0
-        while not similar.of("/robot7/image_rwa"):
+        while not similar.of("/robot7/image_rwa", lambda: None):
             passed += 1
             await asyncio.sleep(0)
         return passed

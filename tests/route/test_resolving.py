@@ -91,7 +91,7 @@ def test_similar_name_is_suggested_for_moved_topic() -> None:
             ros=SimpleNamespace(publishers=lambda topic: elsewhere),
         ),
     )
-    resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True))
+    resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True), lambda: None)
     assert resolver.no_publisher() == "no publisher of /chat in domain 3; did you mean /chart?"
     resolver.update([publisher(A, "1", "/talker")])
     assert resolver.similar == ""
@@ -105,7 +105,7 @@ def test_a_search_without_a_result_leaves_no_circle() -> None:
     """A kept traceback leads back to the route, which then lasts until garbage is collected, with all that it has."""
     ros = SimpleNamespace(publishers=lambda topic: [], installed_hash=lambda type_name: None)
     context = cast("Any", SimpleNamespace(domain_id=3, similar_topics=SimpleNamespace(of=lambda topic: ""), ros=ros))
-    resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True))
+    resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True), lambda: None)
     gc.disable()
     try:
         assert resolver.resolve(UNUSED, cast("Any", None)) is None

@@ -19,6 +19,7 @@ class Conditions:
         commands: s from one command of an operator to the next, on average, or 0 for no commands.
         nights: part of the time that each robot is switched off, for hours: an engine that waits alone costs a tenth of
             one that is linked, so more days with faults can be lived in the same time.
+        outlive: s that links outlive their connections.
         patience: how many times longer than usual everything may take: more where an engine is slowed down.
     """
 
@@ -34,6 +35,7 @@ class Conditions:
     commands: float = 300.0
     nights: float = 0.6
     checks: tuple[float, float] = (1.0, 5.0)
+    outlive: float = 0.0
     patience: float = 1.0
 
 

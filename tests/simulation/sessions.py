@@ -18,7 +18,7 @@ SERVER_NAME = "control-pc"
 SERVER_ADDRESS = "10.0.0.1"
 
 
-def server_session(clients: Sequence[str], random: Random, *, encrypted: bool) -> Session:
+def server_session(clients: Sequence[str], random: Random, *, encrypted: bool, outlive: float) -> Session:
     alone = len(clients) == 1 and random.random() < 0.5
     return Session(
         name=clients[0] if alone else "pc",
@@ -28,11 +28,14 @@ def server_session(clients: Sequence[str], random: Random, *, encrypted: bool) -
         domain_id=1,
         use_name=True,
         use_encryption=encrypted,
+        outlive=outlive,
         clients=None if alone else tuple(Client(name=each) for each in clients),
     )
 
 
-def client_session(name: str, domain_id: int, topics: tuple[Topic, ...], random: Random, *, encrypted: bool) -> Session:
+def client_session(
+    name: str, domain_id: int, topics: tuple[Topic, ...], random: Random, *, encrypted: bool, outlive: float
+) -> Session:
     return Session(
         name=name,
         role="client",
@@ -41,6 +44,7 @@ def client_session(name: str, domain_id: int, topics: tuple[Topic, ...], random:
         domain_id=domain_id,
         use_name=True,
         use_encryption=encrypted,
+        outlive=outlive,
         topics=topics,
         allow=("/*",),  # the server's operators add and edit topics of both directions
     )

@@ -104,7 +104,8 @@ class World:
         names = [f"robot{number}" for number in range(1, random.choice(self.conditions.robots) + 1)]
         secret: dict[str, tuple[Key, ...]] = {name: (Key(random.randbytes(32)),) if encrypted else () for name in names}
         self.network.names[SERVER_NAME] = random.choice(([SERVER_ADDRESS], ["10.255.0.1", SERVER_ADDRESS]))
-        self.server = self._host("pc", SERVER_ADDRESS, server_session(names, random, encrypted=encrypted), secret)
+        session = server_session(names, random, encrypted=encrypted, outlive=self.conditions.outlive)
+        self.server = self._host("pc", SERVER_ADDRESS, session, secret)
         self.robots = [self._robot(name, 2 + index, {name: secret[name]}, random) for index, name in enumerate(names)]
 
     def random(self, purpose: str) -> Random:
@@ -118,7 +119,8 @@ class World:
 
     def _robot(self, name: str, number: int, keys: dict[str, tuple[Key, ...]], random: Random) -> Robot:
         topics = tuple(some_topic(name, index, random) for index in range(random.choice(self.conditions.topics)))
-        session = client_session(name, number, topics, random, encrypted=None not in keys.values())
+        encrypted, outlive = None not in keys.values(), self.conditions.outlive
+        session = client_session(name, number, topics, random, encrypted=encrypted, outlive=outlive)
         calls = self.random(f"services of {name}")
         services = [some_service(name, index, calls) for index in range(calls.choice(self.conditions.services))]
         goals = self.random(f"actions of {name}")

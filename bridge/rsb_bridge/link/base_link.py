@@ -227,6 +227,11 @@ class BaseLink(ABC):
     def linked(self) -> bool:
         return self._channels is not None
 
+    @property
+    def is_away(self) -> bool:
+        """Whether its session goes on without a connection."""
+        return self._away is not None
+
     def carriers(self) -> set[ChannelCarrier]:
         return self._channels.carriers() if self._channels is not None else set()
 

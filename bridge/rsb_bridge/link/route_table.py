@@ -108,7 +108,9 @@ class RouteTable(Extension):
     def away(self) -> None:
         self._to_propose.clear()
         for route in self._link.routes.values():
-            if route.id and not route.outlives:
+            if route.id and route.outlives:
+                route.judge_again()
+            elif route.id:
                 route.close(self._link.status.reason)
                 route.lead()
         self.arming.lease.stop()  # after the routes, as in `disconnected`
@@ -117,6 +119,7 @@ class RouteTable(Extension):
         for route in self._link.routes.values():
             if route.id and route.proposed_here and not route.life.accepted:  # opened while nobody could be asked
                 route.close("reopened")
+            route.judge_again()
         self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
 
     # --- adding and removing

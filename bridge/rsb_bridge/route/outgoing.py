@@ -77,7 +77,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._loop_filter = LoopFilter(self)
         self._path = OutgoingPath(self, self._ledger, self._loop_filter)
         self._subscription = TopicSubscription(self, self._path, self._loop_filter, self._look_who_is_present)
-        self._resolver = Resolver(context, proposal)
+        self._resolver = Resolver(context, proposal, self.judge_again)
         self.health = Health()
         self.delays = SendersDelay()
 

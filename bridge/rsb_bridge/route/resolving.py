@@ -52,12 +52,14 @@ class UnresolvedError(Exception):
 class Resolver:
     """Finds type and QoS of one route's messages. Asked again whenever the graph may have changed."""
 
-    def __init__(self, context: Context, proposal: Propose) -> None:
+    def __init__(self, context: Context, proposal: Propose, changed: Callable[[], None]) -> None:
+        """Begin; `changed` is called once another topic seems to be meant."""
         self.hint = TypeVersion()  # the type that the topic has on the receiving side
         self.publisher_qos: Qos | None = None  # that all publishers offer, or None without any
         self.unresolved: UnresolvedError | None = None  # the reason why type or QoS is unknown
         self._context = context
         self._proposal = proposal
+        self._changed = changed
         self._publishers: Sequence[Endpoint] = ()
         self._nodes: frozenset[str] = frozenset()  # of the last publishers
 
@@ -119,7 +121,7 @@ class Resolver:
         """
         if self._publishers:
             return ""  # without a search of the graph
-        similar = self._context.similar_topics.of(self._proposal.topic)
+        similar = self._context.similar_topics.of(self._proposal.topic, self._changed)
         if similar and self._nodes and self._nodes.isdisjoint(p.node for p in self._context.ros.publishers(similar)):
             return ""
         return similar

@@ -485,7 +485,7 @@ class Route:
         # What is not open is proposed again, or given up. What it owes comes last: it takes longest to find out.
         restless = (
             self.never_idle or self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still
-            or self.arming.required or (self.peer.linked and not self.id) or self.link_full is not None
+            or self.arming.required or self.peer.linked != bool(self.id) or self.link_full is not None
             or self.peer.path.fault is not None or self.losses.reasons or self.owing
         )  # fmt: skip
         return now if restless else self.judged.next_change

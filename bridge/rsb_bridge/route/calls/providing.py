@@ -475,7 +475,7 @@ class ProvidingRoute(CallsRoute):
         trouble = super().unavailable()
         if trouble is None or trouble.cause is not Cause.NO_SERVER or self._served_in or self.endpoints:
             return trouble
-        hint = self.context.suggester.of((self.spec.kind, self.local_topic))
+        hint = self.context.suggester.of((self.spec.kind, self.local_topic), self.judge_again)
         return Trouble(trouble.cause, f"{trouble.text}; {hint}") if hint else trouble
 
     def progress(self) -> CallsProgress:
