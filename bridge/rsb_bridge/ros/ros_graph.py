@@ -55,7 +55,6 @@ class Searches(Generic[Asked]):
         self._ros = ros
         self._loop = loop
         self._answers: dict[Asked, tuple[str, float]] = {}
-        self._askers: dict[Asked, set[Callable[[], None]]] = {}
         self._asked_at = float("-inf")
         self._search: asyncio.Task[None] | None = None
 
@@ -63,17 +62,16 @@ class Searches(Generic[Asked]):
         """Return the answer, or an empty string if nothing was found yet.
 
         Args:
-            changed: is called once there is another answer.
+            changed: is called if a search that this question begins has another answer.
         """
         now = self._loop.time()
-        self._askers.setdefault(asked, set()).add(changed)
         answer, at = self._answers.get(asked, ("", float("-inf")))
         if now - at >= _KNOWN_FOR and now - self._asked_at >= _ASKED_EVERY and self._search is None:
             self._asked_at = now
-            self._search = self._loop.create_task(self._find(asked))
+            self._search = self._loop.create_task(self._find(asked, changed))
         return answer
 
-    async def _find(self, asked: Asked) -> None:
+    async def _find(self, asked: Asked, changed: Callable[[], None]) -> None:
         answer = ""
         try:
             with contextlib.suppress(RosError):  # a hint is worth no error
@@ -82,12 +80,10 @@ class Searches(Generic[Asked]):
             self._search = None
         if len(self._answers) >= _MOST_ANSWERS:
             self._answers.clear()
-            self._askers.clear()
         before, _ = self._answers.get(asked, ("", 0.0))
         self._answers[asked] = (answer, self._asked_at)
         if answer != before:
-            for changed in self._askers.pop(asked, set()):
-                changed()
+            changed()
 
     async def _answer(self, asked: Asked) -> str:
         """Search; may raise `RosError`."""
