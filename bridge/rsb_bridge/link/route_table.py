@@ -109,7 +109,7 @@ class RouteTable(Extension):
         self._to_propose.clear()
         for route in self._link.routes.values():
             if route.id and route.outlives:
-                route.judge_again()
+                route.away()
             elif route.id:
                 route.close(self._link.status.reason)
                 route.lead()
@@ -119,7 +119,7 @@ class RouteTable(Extension):
         for route in self._link.routes.values():
             if route.id and route.proposed_here and not route.life.accepted:  # opened while nobody could be asked
                 route.close("reopened")
-            route.judge_again()
+            route.back()
         self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
 
     # --- adding and removing

@@ -337,6 +337,14 @@ class Route:
         self.life.handle(RouteEvent.REFUSE, reason)
         self.reopening.failed(self.context.now(), broke=broke)
 
+    def away(self) -> None:
+        """Wait, as the link has no connection and its session goes on."""
+        self.judge_again()
+
+    def back(self) -> None:
+        """Go on, as the session has another connection."""
+        self.judge_again()
+
     @property
     def outlives(self) -> bool:
         """Whether it stays open while the link is away."""

@@ -341,6 +341,14 @@ class CallingRoute(CallsRoute):
         """Return the lanes that stay open in ROS although the other side cannot be reached."""
         return ()
 
+    def away(self) -> None:
+        super().away()
+        self._pending.pause()
+
+    def back(self) -> None:
+        super().back()
+        self._pending.go_on()
+
     def close(self, reason: str) -> None:
         super().close(reason)
         self._provided = _UNKNOWN
