@@ -126,7 +126,14 @@ async def test_connection_to_itself_is_refused(monkeypatch: pytest.MonkeyPatch) 
     """Nobody listens, and the kernel gives the connection the port that it leads to."""
     number = free_port()
     own = [(socket.AF_INET, socket.SOCK_STREAM, 0, "", ("127.0.0.1", number))]
-    replaced.START_CONNECTION.set(monkeypatch, partial(start_connection, local_addr_infos=own))
+
+    def reusing(_: object) -> socket.socket:
+        made = socket.socket()
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        return made
+
+    connect = partial(start_connection, local_addr_infos=own, socket_factory=reusing)
+    replaced.START_CONNECTION.set(monkeypatch, connect)
     with pytest.raises(ConnectionRefusedError):
         await Tcp().connect("127.0.0.1", number, StreamHandler())
     (server,) = await bind("127.0.0.1", number, socket.SOCK_STREAM)
