@@ -11,6 +11,7 @@ import pytest
 from tests.bluetooth.guest.conftest import wait_until
 from tests.bluetooth.guest.stand_in import StandIn
 from tests.support.acceptors import Accepting
+from tests.support.constants import STREAM_STALLED_AFTER
 from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -273,7 +274,8 @@ def test_topic_paused_from_start_joins_when_resumed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("side", ["called", "accepted"])
-def test_all_go_on_when_the_connection_dies(side: str, tmp_path: Path) -> None:
+def test_all_go_on_when_the_connection_dies(side: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    STREAM_STALLED_AFTER.set(monkeypatch, 60.0)
     with paired(tmp_path, *_TOPICS) as pair:
         pair.carries("/map", "/joy", "/cmd", "/odom")
         getattr(pair.radio, side)[0].cut()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.sides import Route, by_sockets, connected
-from tests.support.constants import STREAM_DEAD_AFTER
+from tests.support.constants import STREAM_DEAD_AFTER, STREAM_STALLED_AFTER
 from tests.support.coroutines import until
 from tests.support.session_keys import session_keys
 
@@ -25,6 +25,12 @@ if TYPE_CHECKING:
 
 CUT = Reason("cut", EndCode.BROKE)
 _NUMBERS = count(3)
+
+
+@pytest.fixture(autouse=True)
+def _late_to_notice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a busy machine stand still between a message and the loss of its stream, whose routes would be closed."""
+    STREAM_STALLED_AFTER.set(monkeypatch, 60.0)
 
 
 class Numbers:
@@ -53,6 +59,7 @@ class Numbers:
         return len(self.arrived) + int(self._far.channel.counts().lost)
 
     def all_known(self) -> bool:
+        assert not self._near.lost, "no more will come"
         return bool(self.arrived) and self.arrived[-1] == self.sent - 1
 
 

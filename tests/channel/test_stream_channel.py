@@ -15,6 +15,7 @@ from rsb_bridge.channel.data_stream import LARGE
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.transport.streams import PacketCounts
 from rsb_bridge.wire.framing import DATA, HEADER, MOVED, DataWriter, pack_frame
+from rsb_bridge.wire.messages import Receipts
 from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
@@ -52,6 +53,20 @@ async def test_both_sides_send_at_once_and_in_order(two: bool) -> None:
             side.tick()
         await until(lambda: all(side.in_transit() == 0 for side in sides))
         assert all(len(side.receipts) < 400 for side in sides)
+
+
+async def test_receipt_due_by_shorter_interval_goes_at_once() -> None:
+    """The sender's window may be full, so that no further bytes come before that receipt."""
+    async with connected(Route(1, outgoing=True)) as (near, far):
+        far.take_receipts(Receipts(every=((1, 5000),)))
+        near.routes[1].send(bytes(1000))
+        await until(lambda: far.routes[1].arrived)
+        far.take_receipts(Receipts(every=((1, 2000),)))
+        assert far.receipts == []
+        far.take_receipts(Receipts(every=((1, 700),)))
+        assert [each.received for each in far.receipts] == [((1, near.in_transit()),)]
+        far.take_receipts(Receipts(every=((1, 700),)))
+        assert len(far.receipts) == 1, "no byte has come since"
 
 
 async def test_message_asked_for_goes_ahead_of_large_one() -> None:

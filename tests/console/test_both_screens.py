@@ -19,7 +19,7 @@ from tests.console.live import Pair, running
 from tests.console.nodes import Spec, encoded
 from tests.console.side import Side, every_so_often
 from tests.support.log_lines import check_lines
-from tests.support.ports import free_port
+from tests.support.ports import free_ports
 from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
@@ -144,7 +144,8 @@ class World:
     """
 
     def __init__(self, folder: Path, domains: tuple[int, int], nodes: contextlib.ExitStack) -> None:
-        self._ports = {row.name: free_port() for row in ROWS if row.held}
+        held = [row.name for row in ROWS if row.held]
+        self._ports = dict(zip(held, free_ports(len(held)), strict=True))
         topics = (msgspec.structs.replace(row.topic, port=self._ports.get(row.name)) for row in ROWS)
         pair = Pair(folder, *topics, domains=domains, stale_after=120.0)
         ports = {pair.client.server_port, *self._ports.values()}

@@ -6,6 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.acceptors import close_server
 from tests.support.operators import ANNA, Reachable
 from tests.support.waiting import eventually
 
@@ -66,7 +67,7 @@ class Between:
         """End all connections, and take no new ones."""
 
         async def cut() -> None:
-            self._server.close()
+            await close_server(self._server)
             for writer in self._writers:
                 writer.transport.abort()
 

@@ -153,9 +153,9 @@ def test_chacha_where_one_side_has_no_aes(
 
 def test_ports_of_their_own(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Both transports, both ways; an edit that keeps the port finds it free again."""
-    from tests.support.ports import free_port
+    from tests.support.ports import free_ports
 
-    tcp, udp = free_port(), free_port()
+    tcp, udp = free_ports(2)
     names = ("/t", "/u", "/tb", "/ub")
     topics = (
         Topic("/t", "transmit", protocol="tcp", port=tcp),

@@ -20,7 +20,7 @@ from tests.support.bridge import happened, linked, now, route
 from tests.support.domain import text
 from tests.support.inside import inside
 from tests.support.long import long
-from tests.support.ports import free_port
+from tests.support.ports import free_port, free_ports
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
@@ -126,7 +126,7 @@ def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) 
     """
     bridge.make_key("other")
     clients = (Client("robot1"), Client("robot2", key_file="other.key"))
-    ports = tuple({free_port() for _ in range(PORTS)} - {bridge.port})
+    ports = free_ports(PORTS)
     topics = (Topic(f"/topic{port}", "transmit", type="std_msgs/msg/String", qos=1, port=port) for port in ports)
     sessions = {
         "server": bridge.server_session(name="pc", clients=clients, ports=ports),
@@ -214,7 +214,7 @@ def test_half_a_pair_of_streams_holds_no_descriptor(
 
 def test_simultaneous_topics_share_descriptors(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pairs that all take their first one before any takes its second never have both, however often they try."""
-    ports = {free_port() for _ in range(8)} - {bridge.port}
+    ports = free_ports(8)
     topics = [Topic(f"/topic{port}", "transmit", type="std_msgs/msg/String", qos=1, port=port) for port in ports]
 
     def left() -> int:
@@ -240,7 +240,7 @@ def test_simultaneous_topics_share_descriptors(bridge: Bridge, monkeypatch: pyte
     replaced.OPEN_DATA_STREAM.set(monkeypatch, opens)
     client = bridge.client(*topics)
     replaced.CLIENTS_DESCRIPTORS.set(monkeypatch, short)
-    server = bridge.server(ports=tuple(ports))
+    server = bridge.server(ports=ports)
     eventually(lambda: sum(event.code == EventCode.ROUTE_CONNECTED for event in server.events()) >= 3)
     eventually(lambda: [len(each.carriers()) for each in inside(client).role.links()] == [7])
     eventually(lambda: any("none is left" in route.reason for route in now(client).routes))

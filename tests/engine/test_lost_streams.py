@@ -9,7 +9,7 @@ import pytest
 from std_srvs.srv import SetBool
 from tests.support import replaced
 from tests.support.bridge import balance, carries, happened, linked, outgoing, route, settled
-from tests.support.constants import DEAD_AFTER
+from tests.support.constants import DEAD_AFTER, STREAM_STALLED_AFTER
 from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
 from tests.support.ports import free_port
@@ -52,8 +52,11 @@ def cut(engine: Engine, *, large: bool) -> None:
 
 @pytest.mark.parametrize("large", [False, True])
 @pytest.mark.parametrize("by_client", [False, True])
-def test_topics_go_on(bridge: Bridge, robot: Domain, pc: Domain, large: bool, by_client: bool) -> None:
+def test_topics_go_on(
+    bridge: Bridge, robot: Domain, pc: Domain, large: bool, by_client: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One each way, with small and large messages by turns, while they are published at 50 Hz."""
+    STREAM_STALLED_AFTER.set(monkeypatch, 60.0)
     ways: dict[str, tuple[Domain, Domain, Direction]] = {
         "/up": (robot, pc, "transmit"),
         "/down": (pc, robot, "receive"),

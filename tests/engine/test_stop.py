@@ -14,6 +14,7 @@ import pytest
 from tests.support.bridge import STOPS_WITHIN, carries, happened, link, linked, outgoing
 from tests.support.domain import text
 from tests.support.inside import ledger_of
+from tests.support.ports import taken
 from tests.support.resources import resources, returns_to
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -241,8 +242,7 @@ def test_stop_does_not_wait_for_start_that_hangs(bridge: Bridge, robot: Domain) 
 
 def test_a_start_that_fails_leaves_nothing(bridge: Bridge) -> None:
     before = resources()
-    with socket.socket(type=socket.SOCK_DGRAM) as squatter:
-        squatter.bind(("127.0.0.1", bridge.port))
+    with taken(bridge.port, socket.SOCK_DGRAM):
         for _ in range(3):
             with pytest.raises(EngineError, match=pattern(ListenProblem.TAKEN)):
                 bridge.server()

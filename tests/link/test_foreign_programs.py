@@ -110,6 +110,7 @@ def test_a_network_that_swallows_packets(bridge: Bridge) -> None:
     """A full backlog drops SYN packets as a firewall does."""
     with contextlib.ExitStack() as sockets:
         silent = sockets.enter_context(socket.socket())
+        silent.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         silent.bind(("127.0.0.1", bridge.port))
         silent.listen(0)
         for _ in range(4):

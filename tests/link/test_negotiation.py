@@ -18,7 +18,7 @@ from tests.support.bridge import carries, find, happened, heard, link, now, rout
 from tests.support.domain import BEST_EFFORT, LATCHED, text
 from tests.support.long import long, long_cases
 from tests.support.participants import KnownNode
-from tests.support.ports import free_port
+from tests.support.ports import free_port, taken
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
@@ -269,10 +269,7 @@ def end_qos(side: Engine) -> tuple[Qos | None, Qos | None]:
 def test_a_topic_port_that_is_taken(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Both sides report it; once the port is free, trying again opens the topic."""
     port, out, there = free_port(), robot.publisher("/chat"), pc.listener("/chat")
-    with socket.socket(type=socket.SOCK_STREAM if protocol == "tcp" else socket.SOCK_DGRAM) as squatter:
-        squatter.bind(("127.0.0.1", port))
-        if protocol == "tcp":
-            squatter.listen()
+    with taken(port, socket.SOCK_STREAM if protocol == "tcp" else socket.SOCK_DGRAM):
         server, client = bridge.both(Topic("/chat", "transmit", protocol=protocol, port=port))
         for engine in (server, client):
             eventually(
@@ -293,12 +290,9 @@ def test_a_topic_port_that_is_taken(protocol: Any, bridge: Bridge, robot: Domain
 @pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
 def test_a_server_whose_port_is_taken(kind: Any, bridge: Bridge) -> None:
     """It reports it, and frees the ports that it had bound before."""
-    with socket.socket(type=kind) as squatter:
-        squatter.bind(("127.0.0.1", bridge.port))
-        if kind is socket.SOCK_STREAM:
-            squatter.listen()
-        with pytest.raises(EngineError, match=pattern(ListenProblem.TAKEN, address=f"127.0.0.1:{bridge.port}")):
-            bridge.server()
+    words = pattern(ListenProblem.TAKEN, address=f"127.0.0.1:{bridge.port}")
+    with taken(bridge.port, kind), pytest.raises(EngineError, match=words):
+        bridge.server()
     bridge.server()
 
 

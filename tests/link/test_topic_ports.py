@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from tests.support.bridge import Bridge, happened, linked, route, says
-from tests.support.ports import free_port
+from tests.support.ports import free_port, free_ports
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -98,7 +98,7 @@ def test_a_client_has_so_many_however_it_asks(bridge: Bridge) -> None:
     """All at once, one after the other, or over several links; what it gives back, it may have again."""
     server = bridge.server()
     secret = read_key(bridge.folder / bridge.key_file).secret
-    ports = [free_port() for _ in range(PORTS_PER_CLIENT + 1)]
+    *ports, another = free_ports(PORTS_PER_CLIENT + 2)
     with Rogue(bridge.port, secret) as rogue:
         proposals = [
             Propose(
@@ -113,7 +113,7 @@ def test_a_client_has_so_many_however_it_asks(bridge: Bridge) -> None:
         accepted = next(answer.route for answer in answers if isinstance(answer, Accept))
         rogue.say(Close(route=accepted, reason="", code=EndCode.REMOVED))
         assert isinstance(asks(rogue, 101, ports[-1]), Accept)
-        assert isinstance(asks(rogue, 103, free_port()), Refuse)
+        assert isinstance(asks(rogue, 103, another), Refuse)
     eventually(lambda: not linked(server))
     with Rogue(bridge.port, secret) as rogue:  # the ports of the link before are free again
         for at, port in enumerate(ports[:-1]):

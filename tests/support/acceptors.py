@@ -1,7 +1,8 @@
-"""A server that takes the streams and datagrams of a listening transport."""
+"""Servers of tests: one that takes the streams and datagrams of a listening transport, and the end of asyncio's own."""
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.transport.transport import Datagrams, DatagramSocket
+
+
+_TURNS = 10
+"""More turns of a loop than asyncio takes to serve a connection that it has accepted."""
 
 
 def _ignore(_: str) -> None:
@@ -32,3 +37,12 @@ class Accepting:
 
     async def prove(self, hosts: list[str]) -> list[str]:
         return []
+
+
+async def close_server(server: asyncio.Server) -> None:
+    """Close asyncio's own server; closed while it accepts, it would leave that connection's socket open."""
+    for listening in server.sockets:
+        asyncio.get_running_loop().remove_reader(listening)
+    for _ in range(_TURNS):
+        await asyncio.sleep(0)
+    server.close()

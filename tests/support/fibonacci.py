@@ -67,7 +67,6 @@ class FibonacciServer(Spun):
     def __init__(
         self, domain_id: int, *, result_timeout: float = 10.0, accepts: bool = True, hesitates: bool = False
     ) -> None:
-        super().__init__(domain_id, "fibonacci_server", start_parameter_services=False)
         self.goals: list[ServerGoalHandle] = []
         self.orders: list[int] = []
         self.cancels: list[str] = []
@@ -76,8 +75,12 @@ class FibonacciServer(Spun):
         if hesitates:
             self.hesitates.set()
         self._accepts = accepts
+        self._result_timeout = result_timeout
         self._ends: dict[str, threading.Event] = {}
         self._results: dict[str, tuple[str, list[int]]] = {}
+        super().__init__(domain_id, "fibonacci_server", start_parameter_services=False)
+
+    def _create(self) -> None:
         self._server = ActionServer(
             self.node,
             Fibonacci,
@@ -87,7 +90,7 @@ class FibonacciServer(Spun):
             handle_accepted_callback=self._accepted,
             cancel_callback=self._cancel,
             callback_group=ReentrantCallbackGroup(),
-            result_timeout=result_timeout,
+            result_timeout=self._result_timeout,
         )
 
     def goal(self, number: int = 0) -> ServerGoalHandle:
@@ -276,6 +279,8 @@ class FibonacciClient(Spun):
 
     def __init__(self, domain_id: int) -> None:
         super().__init__(domain_id, "fibonacci_client", start_parameter_services=False)
+
+    def _create(self) -> None:
         self.client = _ActionClient(self.node, Fibonacci, ACTION, callback_group=ReentrantCallbackGroup())
 
     def _destroy(self) -> None:

@@ -9,6 +9,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any, Self
 
 from tests.console.scripted import ScriptedEngine
+from tests.support.acceptors import close_server
 
 from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
@@ -84,7 +85,7 @@ class Reachable:
         return port
 
     async def _close(self) -> None:
-        self._listening.close()
+        await close_server(self._listening)
 
     def way(self, name: str = "anna", key: Key = ANNA, engine: str = "robot1", port: int = 0) -> OperatorConnector:
         """An operator's way to it; or by another port, where somebody is in between."""

@@ -52,6 +52,7 @@ class Spun(Joined):
 
     def __init__(self, *arguments: Any, **how: Any) -> None:
         super().__init__(*arguments, **how)
+        self._create()
         name = self.node.get_name()
         self._executor = MultiThreadedExecutor(self.threads, context=self.context)
         self._executor.add_node(self.node)
@@ -88,6 +89,9 @@ class Spun(Joined):
         self._executor.shutdown()
         self._destroy()
         super().close()
+
+    def _create(self) -> None:
+        """Create what rclpy does not create safely in a node that spins: actions, which it calls half made."""
 
     def _destroy(self) -> None:
         """Destroy what rclpy does not destroy with its node: actions."""

@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING
 import pytest
 from aiohappyeyeballs import start_connection
 from tests.support import constants, replaced
+from tests.support.acceptors import Accepting
 from tests.support.inside import socket_of
 from tests.support.ports import free_port
 from tests.support.wording import pattern, says
 
 from rsb_bridge.transport import tcp
-from rsb_bridge.transport.listening import LookUpProblem, bind
+from rsb_bridge.transport.listening import ListenProblem, LookUpProblem, bind
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
 from rsb_bridge.transport.tcp import Tcp, TcpStream, congestion_control, prefer_bbr
 from rsb_bridge.transport.transport import ListenError
@@ -126,11 +127,37 @@ async def test_connection_to_itself_is_refused(monkeypatch: pytest.MonkeyPatch) 
     """Nobody listens, and the kernel gives the connection the port that it leads to."""
     number = free_port()
     own = [(socket.AF_INET, socket.SOCK_STREAM, 0, "", ("127.0.0.1", number))]
-    replaced.START_CONNECTION.set(monkeypatch, partial(start_connection, local_addr_infos=own))
+
+    def reusing(_: object) -> socket.socket:
+        made = socket.socket()
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        return made
+
+    connect = partial(start_connection, local_addr_infos=own, socket_factory=reusing)
+    replaced.START_CONNECTION.set(monkeypatch, connect)
     with pytest.raises(ConnectionRefusedError):
         await Tcp().connect("127.0.0.1", number, StreamHandler())
     (server,) = await bind("127.0.0.1", number, socket.SOCK_STREAM)
     server.close()
+
+
+async def test_two_that_bind_at_once_cannot_both_listen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel lets both bind the port, and refuses the second one that listens."""
+    number = free_port()
+    with socket.socket() as other:
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        other.bind(("127.0.0.1", number))
+        bound: list[socket.socket] = []
+
+        async def bind_second(host: str, port: int, kind: socket.SocketKind) -> list[socket.socket]:
+            bound.extend(await bind(host, port, kind))
+            other.listen()
+            return bound
+
+        replaced.TCP_BIND.set(monkeypatch, bind_second)
+        with pytest.raises(ListenError, match=pattern(ListenProblem.TAKEN, address=f"127.0.0.1:{number}")):
+            await Tcp().listen("127.0.0.1", number, Accepting())
+    assert [each.fileno() for each in bound] == [-1], "closed"
 
 
 @pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])

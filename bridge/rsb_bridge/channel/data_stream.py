@@ -268,6 +268,8 @@ def take_receipts(receipts: Receipts, streams: Iterable[DataStream], scheduler: 
     for number, every in receipts.every:
         if number in by_number:
             by_number[number].counter.set_interval(every)
+            # As many may have come already, and the peer's window may be full: no further bytes would make one due.
+            by_number[number].count(0)
     # Together: by the receipt of a quiet stream alone, the bytes that a busy one has sent since its last receipt would
     # seem to wait on the path.
     received = [(by_number[number], count) for number, count in receipts.received if number in by_number]

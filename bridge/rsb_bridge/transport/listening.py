@@ -102,7 +102,7 @@ async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.soc
         for sock in sockets:
             sock.close()
         name = "TCP" if kind is socket.SOCK_STREAM else "UDP"
-        raise ListenError(_listen_error_message(error, f"{host}:{port}", name)) from None
+        raise ListenError(listen_error_message(error, f"{host}:{port}", name)) from None
     return sockets
 
 
@@ -125,6 +125,9 @@ class StreamListener:
         Args:
             sockets: bound; they are closed with this.
             backlog: connections that the kernel may hold until they are accepted.
+
+        Raises:
+            OSError: another program has bound the port, too, and listens already; the sockets are closed.
         """
         self._loop = asyncio.get_running_loop()
         self._sockets = sockets
@@ -132,9 +135,15 @@ class StreamListener:
         self._make_stream = make_stream
         self._accepting: set[asyncio.Task[None]] = set()
         self._again: dict[socket.socket, asyncio.TimerHandle] = {}
+        try:
+            for sock in sockets:
+                sock.setblocking(False)
+                sock.listen(backlog)
+        except OSError:
+            for sock in sockets:
+                sock.close()
+            raise
         for sock in sockets:
-            sock.setblocking(False)
-            sock.listen(backlog)
             self._loop.add_reader(sock, self._accept, sock)
 
     def close(self) -> None:
@@ -176,7 +185,7 @@ class StreamListener:
             accepted.close()
 
 
-def _listen_error_message(error: OSError, address: str, kind: str) -> str:
+def listen_error_message(error: OSError, address: str, kind: str) -> str:
     """Return the reason why an address can't be bound, and the remedy."""
     if error.errno == errno.EADDRINUSE:
         return ListenProblem.TAKEN(kind=kind, address=address)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from aiohappyeyeballs import start_connection
 
 from rsb_bridge.model.transport_traits import TcpTraits
-from rsb_bridge.transport.listening import LookUpProblem, StreamListener, bind, look_up
+from rsb_bridge.transport.listening import LookUpProblem, StreamListener, bind, listen_error_message, look_up
 from rsb_bridge.transport.streams import (
     Address,
     PacketCounts,
@@ -23,7 +23,7 @@ from rsb_bridge.transport.streams import (
     StreamProblem,
     os_error_message,
 )
-from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
+from rsb_bridge.transport.transport import Acceptor, Listener, ListenError, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
@@ -190,7 +190,11 @@ class Tcp(TcpTraits, StreamTransport):
         return stream
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
-        return StreamListener(await bind(host, port, socket.SOCK_STREAM), _BACKLOG, acceptor, self._stream)
+        sockets = await bind(host, port, socket.SOCK_STREAM)
+        try:
+            return StreamListener(sockets, _BACKLOG, acceptor, self._stream)
+        except OSError as error:
+            raise ListenError(listen_error_message(error, f"{host}:{port}", "TCP")) from None
 
     def _stream(self, handler: StreamHandler) -> TcpStream:
         return TcpStream(handler, self._ending)

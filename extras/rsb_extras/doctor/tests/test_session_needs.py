@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.console.scripted import LINK, ScriptedEngine
 from tests.support import surroundings
-from tests.support.ports import free_port
+from tests.support.ports import free_port, taken
 from tests.support.wording import says
 
 from rsb_bridge.config.keys import write_key
@@ -40,10 +40,7 @@ def found(code: str, of: Session, folder: Path, environ: Mapping[str, str] | Non
 def test_a_port_that_another_program_has(kind: socket.SocketKind, tmp_path: Path) -> None:
     server = session()
     assert [each.grade for each in found("ports", server, tmp_path)] == [Grade.OK]
-    with socket.socket(socket.AF_INET, kind) as other:
-        other.bind(("127.0.0.1", server.server_port))
-        if kind == socket.SOCK_STREAM:
-            other.listen()
+    with taken(server.server_port, kind):
         (finding,) = found("ports", server, tmp_path)
     assert (finding.grade, finding.facts["port"]) == (Grade.WARNING, server.server_port)
 

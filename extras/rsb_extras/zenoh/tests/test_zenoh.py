@@ -20,6 +20,7 @@ pytest.importorskip("zenoh")  # an extra
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from tests.support.bridge import balance, carries, connections, happened, heard, link, linked, outgoing, route, settled
+from tests.support.constants import STREAM_STALLED_AFTER
 from tests.support.domain import LATCHED, text
 from tests.support.inside import ledger_of
 from tests.support.ports import free_port
@@ -224,6 +225,7 @@ def test_datagrams_that_network_drops_are_in_ledger(
 def test_stream_that_misses_sample_goes_on(
     bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    STREAM_STALLED_AFTER.set(monkeypatch, 60.0)
     there, out = pc.listener("/odom"), robot.publisher("/odom")
     server, client = bridge.both(Topic("/odom", "transmit", qos={"depth": 100}), **over(router))
     carries([out], server, ["/odom"])
