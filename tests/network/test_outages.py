@@ -42,12 +42,11 @@ def test_cut_of_a_second_loses_nothing_reliable(bed: OutageBed) -> None:
     assert calls.pending
 
 
-def test_reset_doubles_nothing_and_flow_returns(bed: OutageBed) -> None:
-    """Messages published until the link is back are lost today, and some of them are in no account."""
+def test_reset_loses_and_doubles_nothing(bed: OutageBed) -> None:
     record = bed.record(FAULTS["reset"])
     _assert_once_in_order_and_back(record)
-    assert max(count_topic(record, flow.name, flow.rate).lost for flow in FLOWS), "no connection was reset"
     for flow in FLOWS:
+        assert flow.kind == "best" or not count_topic(record, flow.name, flow.rate).lost, flow
         account = count_account(record, flow.name)
         assert account is not None
         if flow.kind in {"whole", "deep", "latched"}:
