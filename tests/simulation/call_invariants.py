@@ -77,8 +77,8 @@ class CallInvariants:
         if near is not None and is_gone and offered(near, service):
             world.wrong(f"{service}: it is offered, and the link is down")
         if near is not None and service.server is None and not service.dead_is_seen and offered(near, service):
-            gone = now - service.changed
-            if gone > self._patience * WITHDRAWN_WITHIN and link is not None and not robot.troubles:
+            gone = now - service.changed if link is None else now - max(service.changed, link.linked_at)
+            if gone > self._patience * WITHDRAWN_WITHIN and link is not None and link.linked and not robot.troubles:
                 world.wrong(f"{service}: it is offered, though the server has been gone for {gone:.1f} s")
         if near is None or far is None or link is None or not self._can_be_called(robot, service):
             self._can_call.pop(service, None)
