@@ -9,7 +9,7 @@ after the fault's end. ``a; b`` are the figures to the server's side and to the 
 time without a message of a reliable topic of 10 Hz, and *back* the time from the end of the cause to the end of that
 silence. *Latched*: messages that never came, and messages that came again to who had them. *Events* are publishers
 that came or went in the listeners' domains: of all topics of a rate, and of the latched topics, where each change
-brings one.
+brings one; and how often the service came or went in its caller's.
 *Calls*: answered of asked; of those under way when the fault began; carried out twice. The second table compares the
 bridge's account with these counts.
 
@@ -32,7 +32,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from tests.network.hosts import NoHostError
-from tests.network.outage_bed import FAULTS, FLOWS, PLAIN, TRANSPORTS, OutageBed
+from tests.network.outage_bed import FAULTS, FLOWS, PLAIN, STEADY_BEFORE, TRANSPORTS, OutageBed
 from tests.network.outage_counts import (
     AccountCounts,
     CallCounts,
@@ -91,6 +91,7 @@ def main() -> None:
     parser.add_argument("--transports", default="tcp,udp,zenoh", help=", ".join(TRANSPORTS))
     parser.add_argument("--faults", default=",".join(FAULTS), help=", ".join(FAULTS))
     parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--before", type=float, default=STEADY_BEFORE, help="s of steady traffic before each fault")
     parser.add_argument("--quick", action="store_true", help="TCP, a cut of 1 s and a reset")
     parser.add_argument("--json", type=Path, help="write all counts to this file")
     options = parser.parse_args()
@@ -109,7 +110,7 @@ def main() -> None:
                 words = f"{transport}, {FAULTS[fault].words}, round {number + 1}"
                 print(f"{time.strftime('%H:%M:%S')} {words}", file=sys.stderr, flush=True)
                 try:
-                    outcomes.append(_measured(transport, fault))
+                    outcomes.append(_measured(transport, fault, options.before))
                 except AssertionError as error:  # one run of many; the table lacks it, and the exit code says so
                     failures.append(f"{words}: {error}")
                     print(failures[-1], file=sys.stderr, flush=True)
@@ -129,14 +130,14 @@ def _known(names: str, allowed: Iterable[str]) -> list[str]:
     return chosen
 
 
-def _measured(transport: str, name: str) -> Outcome:
+def _measured(transport: str, name: str, before: float) -> Outcome:
     fault = FAULTS[name]
     try:
         with (
             tempfile.TemporaryDirectory(prefix="rsb-outages-") as folder,
             OutageBed(Path(folder), transport, translated=fault.translated) as bed,
         ):
-            record = bed.record(fault)
+            record = bed.record(fault, before)
     except NoHostError as error:
         raise SystemExit(f"no namespaces: {error}; run this as root") from None
     accounts = {each.name: count_account(record, each.name) for each in FLOWS}
@@ -165,16 +166,16 @@ def _print(transport: str, outcomes: Sequence[Outcome]) -> None:
             "keep_all": lambda its: _lost(its, "whole"),
             "200 Hz": lambda its: _lost(its, "deep"),
             "best effort": lambda its: _lost(its, "best"),
-            "latched: lost, again": lambda its: _pairs(
+            "latched: lost, again": lambda its: _several(
                 its, lambda run: (_sum(run.of("latched"), "lost"), _sum(run.of("latched"), "doubled"))
             ),
-            "doubled, disordered": lambda its: _pairs(
+            "doubled, disordered": lambda its: _several(
                 its, lambda run: (_sum(run.rated, "doubled"), _sum(run.topics.values(), "disordered"))
             ),
             "silence, s": lambda its: _sides(its, lambda topic: topic.silence),
             "back, s": lambda its: _sides(its, lambda topic: topic.back),
-            "events, of latched": lambda its: _pairs(
-                its, lambda run: (_sum(run.rated, "events"), _sum(run.of("latched"), "events"))
+            "events: topics, latched, service": lambda its: _several(
+                its, lambda run: (_sum(run.rated, "events"), _sum(run.of("latched"), "events"), run.calls.events)
             ),
             "calls": _calls,
         },
@@ -188,7 +189,7 @@ def _print(transport: str, outcomes: Sequence[Outcome]) -> None:
         }
         _table(runs, columns | {"causes, all topics": _causes})
     if unsteady := [each for each in outcomes if not each.steady or any(topic.early for topic in each.topics.values())]:
-        print("\nNot steady before or after the fault:", ", ".join(each.fault for each in unsteady))
+        print("\nNot steady before or after the fault:", ", ".join({each.fault: None for each in unsteady}))
 
 
 def _table(runs: dict[str, list[Outcome]], columns: dict[str, Callable[[Sequence[Outcome]], str]]) -> None:
@@ -202,7 +203,8 @@ def _spread(values: Iterable[float | None], digits: int = 0) -> str:
     """Return the median with the lowest and the highest; None is more than any number."""
     known = [float("inf") if each is None else each for each in values]
     low, middle, high = (
-        _NEVER if each == float("inf") else f"{each:,.{digits}f}" for each in (min(known), median(known), max(known))
+        _NEVER if each == float("inf") else f"{round(each, digits) + 0.0:,.{digits}f}"  # + 0.0: no -0
+        for each in (min(known), median(known), max(known))
     )
     return middle if low == high else f"{middle} ({low} to {high})"
 
@@ -221,8 +223,8 @@ def _sides(runs: Sequence[Outcome], figure: Callable[[TopicCounts], float | None
     return "; ".join(_spread((figure(run.of("reliable")[side]) for run in runs), 1) for side in range(2))
 
 
-def _pairs(runs: Sequence[Outcome], pair: Callable[[Outcome], tuple[int, int]]) -> str:
-    return ", ".join(_spread(each) for each in zip(*map(pair, runs), strict=True))
+def _several(runs: Sequence[Outcome], figures: Callable[[Outcome], tuple[int, ...]]) -> str:
+    return ", ".join(_spread(each) for each in zip(*map(figures, runs), strict=True))
 
 
 def _calls(runs: Sequence[Outcome]) -> str:

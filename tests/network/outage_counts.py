@@ -54,6 +54,7 @@ class CallCounts(NamedTuple):
         kept: of these, answered later.
         twice: calls, of all, that the server had more than once.
         wrong: calls, of all, that got another call's answer.
+        events: how often the service came or went in the caller's domain.
     """
 
     asked: int
@@ -62,6 +63,7 @@ class CallCounts(NamedTuple):
     kept: int
     twice: int
     wrong: int
+    events: int
 
 
 class AccountCounts(NamedTuple):
@@ -134,6 +136,7 @@ def count_calls(record: Record) -> CallCounts:
         kept=sum(answered > 0 for _, answered in pending),
         twice=len(record.carried_out) - len(set(record.carried_out)),
         wrong=sum(answered == WRONG for _, answered in record.calls),
+        events=sum(at >= since for at, _ in record.offers),
     )
 
 

@@ -106,8 +106,9 @@ def test_topic_that_stays_away_is_never_back() -> None:
 def test_calls_are_counted_by_their_fates() -> None:
     record = _record([])
     record.calls = [(1 * _S, 0), (9 * _S, 9 * _S), (9 * _S, 13 * _S), (9 * _S, 0), (11 * _S, WRONG)]
+    record.offers = [(2 * _S, True), (11 * _S, False), (13 * _S, True)]
     record.carried_out = [1, 2, 3, 3, 5]
-    assert count_calls(record) == CallCounts(asked=4, answered=2, pending=2, kept=1, twice=1, wrong=1)
+    assert count_calls(record) == CallCounts(asked=4, answered=2, pending=2, kept=1, twice=1, wrong=1, events=2)
 
 
 def test_account_is_compared_with_counts_from_outside() -> None:

@@ -28,7 +28,7 @@ CALL_EVERY, ANSWER_TAKES = 0.5, 0.3
 WRONG = -1
 """In place of the time of an answer that is another call's."""
 _LOOKS_EVERY = 0.05
-"""s between looks at who publishes. Who comes and goes in between is not seen, unless the next one has another gid."""
+"""s between looks at who publishes and serves. Who comes and goes in between is not seen."""
 
 
 class Flow(NamedTuple):
@@ -113,6 +113,8 @@ class _Talker:
         self._intervals = {each.name: int(1e9 / each.rate) for each in flows if each.rate}
         self._client: Any = None
         self._calls: list[list[int]] = []
+        self._is_offered = False
+        self._offers: list[tuple[int, bool]] = []
         if calls:
             from test_msgs.srv import BasicTypes
 
@@ -142,10 +144,15 @@ class _Talker:
                 return self._made
             case "calls":
                 return self._calls
+            case "offers":
+                return self._offers
         return None
 
     def run(self) -> None:
         while answers(self.act, self._pause()):
+            if self._client is not None and self._client.service_is_ready() != self._is_offered:
+                self._is_offered = not self._is_offered
+                self._offers.append((time.monotonic_ns(), self._is_offered))
             while self._due and self._due[0][0] <= time.monotonic_ns():
                 at, name = self._due[0]
                 heapq.heapreplace(self._due, (at + self._intervals[name], name))
@@ -155,7 +162,7 @@ class _Talker:
                     self._publish(name)
 
     def _pause(self) -> float:
-        return max(0, self._due[0][0] - time.monotonic_ns()) / 1e9 if self._due else 1.0
+        return min(_LOOKS_EVERY, max(0, self._due[0][0] - time.monotonic_ns()) / 1e9) if self._due else _LOOKS_EVERY
 
     def _publish(self, name: str) -> None:
         made = self._made[name]
