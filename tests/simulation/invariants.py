@@ -15,10 +15,12 @@ from tests.simulation.action_invariants import ActionInvariants
 from tests.simulation.call_invariants import CallInvariants
 from tests.simulation.tables import tables
 
+from rsb_bridge.channel.data_stream import StreamReceiver
 from rsb_bridge.model.limits import KEPT_DEPTH
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.calls.goals import MOST_GOALS
 from rsb_bridge.route.calls.kept_calls import MOST_KEPT
+from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.transport.transport import DatagramTransport
 
 if TYPE_CHECKING:
@@ -106,11 +108,21 @@ class Invariants:
         sweep = world.loop.time() >= self._next_sweep
         for run in world.runs():
             self._check_tasks(run)
+            self._check_streams(run)
             if sweep:
                 self._check_tables(run)
         if sweep:
             self._next_sweep = world.loop.time() + self._patience * _SWEEP_EVERY
             self._check_timers()
+
+    def _check_streams(self, run: Run) -> None:
+        """Check that a reliable topic has lost no message with a stream of its opening, nor while its link was away."""
+        for link in run.links():
+            for route in link.routes.values():
+                if not (isinstance(route, IncomingRoute) and isinstance(route.channel, StreamReceiver)):
+                    continue
+                if route.resends and (lost := route.channel.counts().lost):
+                    self._world.wrong(f"{run.host.name}: {route.key} lost {lost} messages with a stream")
 
     # --- links
 

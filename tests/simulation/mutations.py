@@ -28,6 +28,7 @@ from rsb_bridge.channel.data_stream import DataStream, StreamSender
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.channel.window import Window
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
@@ -43,6 +44,7 @@ from rsb_bridge.route.lateness import LateWatch
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.sending import SendQueue
 from rsb_bridge.tasks import Tasks
+from rsb_bridge.wire.framing import DataReader
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
@@ -163,6 +165,7 @@ _answered = KeptAnswers.answered
 _take = KeptAnswers.decide
 _keep = KeptCalls.keep
 _end = PendingCalls.end
+_open_resumed = DataReader.open_resumed
 _settle = RouteLedger.settle
 _took = Window.acknowledge
 _propose = replaced.PROPOSE_ROUTE.value
@@ -171,6 +174,16 @@ _propose = replaced.PROPOSE_ROUTE.value
 def _no_limit(self: Any, name: str) -> Any:
     """Replace the look-up of a `Window`'s attributes by a form that has it without a limit."""
     return 1 << 60 if name == "limit" else object.__getattribute__(self, name)
+
+
+def _remember_nothing(self: Any, frame: Any) -> None:
+    """Replace `DataReader.open_resumed` by one that takes for new what comes next."""
+    _open_resumed(self, frame)
+    self._known = 0
+
+
+def _none(_: Any) -> Iterator[Any]:
+    return iter(())
 
 
 def nothing(*_: object, **__: object) -> None:
@@ -209,6 +222,7 @@ _GOALS = replace(STILL, topics=(0,), actions=(1,), periods=(0.0, 0.0), checks=(1
 
 _SILENT = replace(STILL, topics=(4,), periods=(1e9, 1e9))
 
+_OUTLIVES = replace(LIVELY, outlive=60.0)
 _WATCHED = replace(STILL, checks=(1.0, 1.0))
 
 # fmt: off
@@ -274,6 +288,14 @@ MUTATIONS = (
     Mutation("a call that waited for the action to be reached again is not counted when it is given up",
              ((CallingActionRoute, "_give_up_waiting", nothing),),
              "calls in flight, and has", replace(ACTIONS, faults=20.0), 3, 0.2),
+    Mutation("what is sent again comes again",
+             ((DataReader, "open_resumed", _remember_nothing),), "came out twice", _OUTLIVES, 1, 0.5),
+    Mutation("what was on a lost stream is not sent again",
+             ((DataStream, "unacknowledged", _none),), "messages with a stream", _OUTLIVES, 1, 0.5),
+    Mutation("handled control messages are not counted",
+             ((LinkSession, "handles", nothing),), "nobody caught", _OUTLIVES, 1, 0.5),
+    Mutation("routes are not told that their link is away",
+             ((RouteTable, "away", nothing),), "could flow", _OUTLIVES, 3, 0.5),
     Mutation("a call that waits for a goal's answer is not forgotten with its opening",
              ((KeptAnswers, "is_over", nothing),), "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1),
 )
