@@ -58,7 +58,7 @@ class Route:
     resends: bool = True
     weight: int = 4
     latencies: list[int] = field(default_factory=list)
-    queue: SendQueue = field(default_factory=SendQueue)
+    queue: SendQueue = field(default_factory=lambda: SendQueue(Budget(1 << 40)))
     sender: DatagramSender | None = None
 
     def deliver(self, messages: Iterable[Message]) -> None:

@@ -136,3 +136,31 @@ def test_what_waited_overruns_no_subscription(bridge: Bridge, relay: Relay, robo
     while len(there.payloads) < came + 600 and time.monotonic() < deadline:  # as a node that spins
         time.sleep(0.001)
     assert numbers(there.payloads[came:]) == [*range(600)]
+
+
+def test_topics_of_a_link_that_is_away_share_a_limit(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    topics = "/one", "/other"
+    out = {topic: robot.publisher(topic) for topic in topics}
+    there = {topic: pc.listener(topic) for topic in topics}
+    server, client = bridge.both(
+        *(Topic(topic, "transmit", qos={"history": "keep_all"}) for topic in topics), outlive=OUTLIVES
+    )
+    carries(out.values(), server, topics)
+    (link,) = inside(client).role.links()
+    link.budget.waiting.limit = 100_000
+    came = {topic: len(each.payloads) for topic, each in there.items()}
+    relay.refuse()
+    relay.cut()
+    eventually(lambda: away(client) and away(server))
+    for number in range(20):
+        for each in out.values():
+            each.publish(text(f"{number}" + " " * 10_000))
+    for topic in topics:
+        eventually(lambda topic=topic: route(client, topic).ledger.offered >= came[topic] + 20)
+    assert 90_000 < link.budget.waiting.held <= 110_000
+    relay.refuse(False)
+    for topic in topics:
+        eventually(lambda topic=topic: numbers(there[topic].payloads)[-1:] == [19])
+    delivered = sum(len(each.payloads) - came[topic] for topic, each in there.items())
+    assert delivered in (9, 10, 11)
+    assert sum(route(client, topic).ledger.dropped["queue full"] for topic in topics) == 40 - delivered

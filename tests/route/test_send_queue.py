@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.route.sending import QueueLimits, SendQueue
+from rsb_bridge.wire.framing import Budget
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
@@ -21,7 +22,7 @@ def names(queue: SendQueue) -> str:
 
 
 def test_the_oldest_beyond_the_depth_give_way() -> None:
-    queue = SendQueue()
+    queue = SendQueue(Budget(ANY))
     queue.add(messages("a", "b", "c"), 0.0)
     assert queue.trim(QueueLimits(0, 0.0, ANY), 0.0) == 0
     assert queue.trim(QueueLimits(2, 0.0, ANY), 0.0) == 1
@@ -29,7 +30,7 @@ def test_the_oldest_beyond_the_depth_give_way() -> None:
 
 
 def test_what_is_young_enough_stays_beyond_the_depth() -> None:
-    queue, limits = SendQueue(), QueueLimits(2, 5.0, ANY)
+    queue, limits = SendQueue(Budget(ANY)), QueueLimits(2, 5.0, ANY)
     for second in range(10):
         queue.add(messages(str(second)), float(second))
         queue.trim(limits, float(second))
@@ -37,7 +38,7 @@ def test_what_is_young_enough_stays_beyond_the_depth() -> None:
 
 
 def test_old_messages_go_unless_newest() -> None:
-    queue, limits = SendQueue(), QueueLimits(10, 0.0, ANY, 1.0)
+    queue, limits = SendQueue(Budget(ANY)), QueueLimits(10, 0.0, ANY, 1.0)
     for second, name in ((0.0, "a"), (0.5, "b"), (1.2, "c")):
         queue.add(messages(name), second)
         queue.trim(limits, second)
@@ -47,7 +48,7 @@ def test_old_messages_go_unless_newest() -> None:
 
 
 def test_bytes_are_bounded_but_for_one_message() -> None:
-    queue, limits = SendQueue(), QueueLimits(0, 0.0, 10)
+    queue, limits = SendQueue(Budget(ANY)), QueueLimits(0, 0.0, 10)
     queue.add(messages("123456", "12345", "x" * 100), 0.0)
     assert queue.trim(limits, 0.0) == 2
     assert len(queue) == 1
@@ -57,7 +58,7 @@ def test_bytes_are_bounded_but_for_one_message() -> None:
 
 
 def test_each_publisher_has_a_depth_of_its_own() -> None:
-    queue, limits = SendQueue(), QueueLimits(1, 0.0, ANY)
+    queue, limits = SendQueue(Budget(ANY)), QueueLimits(1, 0.0, ANY)
     for number in range(3):
         for publisher in ("a", "b", "c"):
             queue.add(messages(f"{publisher}{number}"), 0.0, publisher.encode())
@@ -68,10 +69,23 @@ def test_each_publisher_has_a_depth_of_its_own() -> None:
 
 
 def test_a_batch_ends_at_its_size_or_number() -> None:
-    queue = SendQueue()
+    queue = SendQueue(Budget(ANY))
     queue.add(messages("aa", "bb", "cc", "dd"), 0.0)
     assert queue.take(10, 3) == messages("aa", "bb")
     assert queue.take(1, 100) == messages("cc")
     assert queue.clear() == 1
     assert queue.take(10, 10) == []
     assert not queue
+
+
+def test_all_queues_of_a_link_are_counted_together() -> None:
+    held = Budget(10)
+    one, other = SendQueue(held), SendQueue(held)
+    one.add(messages("abc", "d"), 0.0)
+    other.add(messages("efgh"), 0.0)
+    assert held.held == one.size + other.size == 8
+    assert one.trim(QueueLimits(0, 0.0, 2), 0.0) == 1
+    assert other.take(1, ANY)
+    assert held.held == one.size == 1
+    one.clear()
+    assert held.held == 0

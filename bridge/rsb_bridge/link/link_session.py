@@ -1,4 +1,4 @@
-"""What outlives the connections of a link: the control messages that one side has sent and the other has not handled.
+"""The control messages that one side of a link has sent and the other has not handled, across connections.
 
 Two processes that have linked share a session (PROTOCOL.md, 1.7). When a connection breaks, the link is away: routes,
 their ids, endpoints and queues stay, and control messages wait. The next connection goes on where both sides were: each

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 TYPES_PER_LINK = 256  # a robot with all of ROS's common packages has some 200
 KEPT_LIMIT = 1 << 30  # bytes that its publishers keep: enough for 1,000 latched ones (`latched.PUBLISHER_COST`)
 UNACKNOWLEDGED_LIMIT = 512 << 20  # bytes that they hold for slow subscribers; one topic gets half of that at most
+WAITING_LIMIT = 64 << 20  # bytes that wait for a link that is away: a round figure
 _FURTHER_PUBLISHERS = 256  # beyond one for each topic, which only loops of bridges need
 
 PEERS_SHARE = 1.25  # of `CallLimits` on the providing side: calls end a little later there, and clocks differ
@@ -250,6 +251,7 @@ class PeerBudget:
         self.kept = Budget(KEPT_LIMIT)  # bytes of messages that publishers here keep for late joiners
         self.unacknowledged = Budget(UNACKNOWLEDGED_LIMIT)  # bytes that they hold for slow subscribers
         self.expansion = ExpansionBudget(now)  # bytes by which compressed messages may grow here
+        self.waiting = Budget(WAITING_LIMIT)  # bytes in the queues of all its topics
         self.further_publishers = Budget(_FURTHER_PUBLISHERS)  # beyond one for each topic
         self.types = TypeBudget()  # that are not installed here
         self.rates = AllowedRates()  # of the peer's topics here

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.topic_route import TopicRoute
     from rsb_bridge.transport.transport import Transport
+    from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.messages import Propose
 
 # Of an overload. Where these were measured: bench/README.md, *Constants of a topic's queue*.
@@ -60,13 +61,18 @@ class QueueLimits(NamedTuple):
 class SendQueue:
     """A first-in, first-out queue that is bounded in messages and bytes.
 
+    Args:
+        held: counts what all queues of a link hold, whatever its limit is.
+
     Attributes:
         waiting: each message, its publisher, and when (s) it was added; oldest first.
+        size: bytes of these.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, held: Budget) -> None:
         self.waiting: deque[tuple[Message, bytes, float]] = deque()
-        self._size = 0
+        self.size = 0
+        self._held = held
         self._counts: Counter[bytes] = Counter()  # of the publishers that are distinguished
 
     def __len__(self) -> int:
@@ -79,7 +85,7 @@ class SendQueue:
 
     def add(self, messages: Sequence[Message], now: float, publisher: bytes = b"") -> None:
         self.waiting.extend([(message, publisher, now) for message in messages])
-        self._size += sum([len(message[0]) for message in messages])
+        self._grow(sum([len(message[0]) for message in messages]))
         if publisher:
             self._counts[publisher] += len(messages)
 
@@ -95,7 +101,7 @@ class SendQueue:
                 del self.waiting[index]
         latest = now - limits.older_than
         # One message may always wait, however large or old, or it could never be sent.
-        while len(self.waiting) > 1 and (self._size > limits.size or self.waiting[0][2] < latest):
+        while len(self.waiting) > 1 and (self.size > limits.size or self.waiting[0][2] < latest):
             self._forget(*self.waiting.popleft())
         return before - len(self.waiting)
 
@@ -110,19 +116,23 @@ class SendQueue:
             taken_size += len(message[0])
             if publisher:
                 self._uncount(publisher)
-        self._size -= taken_size
+        self._grow(-taken_size)
         return taken
 
     def clear(self) -> int:
         """Remove all messages; return how many they were."""
         count = len(self.waiting)
         self.waiting.clear()
-        self._size = 0
+        self._grow(-self.size)
         self._counts.clear()
         return count
 
+    def _grow(self, size: int) -> None:
+        self.size += size
+        self._held.held += size
+
     def _forget(self, message: Message, publisher: bytes, _: float) -> None:
-        self._size -= len(message[0])
+        self._grow(-len(message[0]))
         if publisher:
             self._uncount(publisher)
 
@@ -205,7 +215,7 @@ class Outbox:
         self._automatic = route.proposal.qos is None
         self._ledger = ledger
         self.largest = route.transport.largest_message
-        self._queue = SendQueue()
+        self._queue = SendQueue(route.peer.budget.waiting)
         self._overload = Overload()
         self._limits = QueueLimits(0, 0.0, 0)  # by which messages were last added
 
@@ -270,6 +280,10 @@ class Outbox:
             depth: messages that the publisher of a latched topic keeps, or 0.
         """
         route, size = self._route, QUEUE_BYTES + self.largest
+        if not route.peer.linked:
+            # All topics of a link that is away may wait for minutes, and share one limit.
+            held = route.peer.budget.waiting
+            size = min(size, max(0, self._queue.size + held.limit - held.held))
         if route.arming.required and route.on_end not in ("", END_NONE):
             # It is a state: after a stall, a robot would follow all the old ones before the present one.
             return QueueLimits(1, 0.0, size)

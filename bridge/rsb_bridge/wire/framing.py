@@ -254,7 +254,7 @@ class Assembly:
         self._expected = 0
 
     def go_on(self, opener: StreamOpener) -> None:
-        """Begin anew with another opener."""
+        """Discard what is incomplete, and use another opener."""
         self.close()
         self._open_into = opener.open_into
 
