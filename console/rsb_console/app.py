@@ -177,8 +177,6 @@ class ConsoleApp(TerminalApp[None]):
                 await self._start(self.engine.session)
 
     async def _start(self, session: Session) -> None:
-        from rsb_bridge.engine import freeze_heap  # noqa: PLC0415 -- as in `_new_engine`
-
         self.note, self._last_event = "starting", 0
         self.main.reset()
         self.changes.clear()
@@ -200,7 +198,6 @@ class ConsoleApp(TerminalApp[None]):
         self.engine = engine
         try:
             await asyncio.to_thread(engine.start)
-            freeze_heap()
         except EngineError:  # its log has the reason, which the screen shows
             await asyncio.to_thread(self._close_server)  # nobody attaches to what does not run
         self.note = ""

@@ -261,6 +261,23 @@ def test_what_is_sent_again_comes_once(suite: CipherSuite) -> None:
     assert (reader.messages, reader.lost) == (7, 0)
 
 
+@SUITES
+def test_session_goes_on_under_other_keys(suite: CipherSuite) -> None:
+    """The next connection has keys of its own; what came before is passed by, what is begun is discarded."""
+    writer, reader = data_ends(suite)
+    assert reader.receive_data(writer.write_many([(b"a", 1, 0), (b"b", 2, 0)])) == [(b"a", 1, 0), (b"b", 2, 0)]
+    begun, *_ = write_chunks(writer, b"long", 3, 0, 2)
+    reader.receive_data(begun)
+    key = None if suite is CipherSuite.PLAIN else bytes(range(1, 33))
+    writer.messages -= 1  # the long one is sent again in full
+    writer.go_on(Sealer(suite, key))
+    reader.go_on(StreamOpener(suite, key))
+    reader.open_resumed(writer.write_resumed(again=1)[4:])
+    assert reader.receive_data(writer.write_many([(b"b", 2, 0), (b"long", 3, 0)])) == [(b"long", 3, 0)]
+    pieces = write_chunks(writer, b"longer", 4, 0, 3)
+    assert [each for piece in pieces for each in reader.receive_data(piece)] == [(b"longer", 4, 0)]
+
+
 def test_a_resumed_frame_that_cannot_be_is_refused() -> None:
     writer, reader = data_ends(CipherSuite.AESGCM)
     earlier = writer.write_resumed()[4:]

@@ -223,6 +223,21 @@ def test_data_keys_are_those_of_the_document(
 
 
 @ENCRYPTED
+@pytest.mark.parametrize(("role", "direction"), [("client", 0), ("server", 1)])
+def test_keys_of_a_session_that_goes_on_are_those_of_the_document(
+    suite: CipherSuite, role: Role, direction: int
+) -> None:
+    """Of routes that the next connection did not propose, once."""
+    keys = session_keys(suite, routes=())
+    keys.resume((1, 8))
+    sealed = keys.route_sealer(8, role).seal(b"content", b"header")
+    key = expand(expand(KEY, b"rsb resumed"), b"rsb data", struct.pack(">IB", 8, direction))
+    assert sealed == by_the_book(suite, key, 0, b"content", b"header")
+    with pytest.raises(AttributeError):
+        keys.resume((3,))
+
+
+@ENCRYPTED
 def test_attach_proof_is_that_of_the_document(suite: CipherSuite) -> None:
     proof = session_keys(suite).attach_proof(b"header", 5)
     key = expand(expand(KEY, b"rsb attach"), b"rsb stream", struct.pack(">I", 5))

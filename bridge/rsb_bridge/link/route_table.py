@@ -70,6 +70,8 @@ _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
 class RouteTable(Extension):
     """Negotiates a link's routes, which live on while the peer is away.
 
+    It has more than 40 methods because some twenty control messages are about routes, and each has its part here.
+
     Attributes:
         listed: identities of the topics that this side proposes; named ones stay even if the other side removes them.
         on_removed: is called with a route that an operator of the other side has removed.
@@ -94,7 +96,13 @@ class RouteTable(Extension):
     # --- the connection
 
     def connected(self) -> None:
+        for route in self._link.routes.values():
+            if route.id and route.proposed_here and not route.life.accepted:  # opened while nobody could be asked
+                route.close("reopened")
+            route.back()
         self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
+
+    back = connected
 
     def disconnected(self) -> None:
         self._to_propose.clear()
@@ -114,13 +122,6 @@ class RouteTable(Extension):
                 route.close(self._link.status.reason)
                 route.lead()
         self.arming.lease.stop()  # after the routes, as in `disconnected`
-
-    def back(self) -> None:
-        for route in self._link.routes.values():
-            if route.id and route.proposed_here and not route.life.accepted:  # opened while nobody could be asked
-                route.close("reopened")
-            route.back()
-        self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
 
     # --- adding and removing
 

@@ -190,7 +190,11 @@ def _why_unacceptable(provide: Provide, members: Sequence[ServiceMember], agreed
 
 
 class CallingRoute(CallsRoute):
-    """Offers services and publishes topics here, as long as the other side can answer."""
+    """Offers services and publishes topics here, as long as the other side can answer.
+
+    It has more than 40 methods because calls come from ROS and answers from the peer, and either may end before a call
+    does.
+    """
 
     outgoing: ClassVar[bool] = True
 
