@@ -15,6 +15,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.transports import NO_PROFILE, PROFILES, LinkProfile, profile_of
 from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.route.rate_limit import RateLimit
 from rsb_bridge.route.sending import Outbox, QueueLimits
 from rsb_bridge.transport.registry import default_transports
@@ -84,7 +85,8 @@ def test_queues() -> None:
     channel: Any = SimpleNamespace(free=False, behind=lambda now: False, still=lambda now: 0.0)
 
     def limits(qos: Qos, profile: LinkProfile) -> QueueLimits:
-        peer, arming = SimpleNamespace(profile=profile), SimpleNamespace(required=False)
+        peer = SimpleNamespace(profile=profile, linked=True, budget=PeerBudget(0.0))
+        arming = SimpleNamespace(required=False)
         route: Any = SimpleNamespace(transport=transport, proposal=proposal, qos=qos, peer=peer, arming=arming)
         return Outbox(route, RouteLedger()).limits(channel, 0, 0.0)
 

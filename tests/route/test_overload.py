@@ -11,6 +11,7 @@ from tests.route.test_loop_filter import Channel
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.route.sending import Outbox, Overload, QueueLimits
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.messages import Propose
@@ -32,7 +33,7 @@ def outbox(qos: Qos | None = None, *, own: Qos | None = None) -> Outbox:
         proposal=Propose(route=1, topic="/t", remote_topic="/t", from_client=True, qos=own),
         qos=qos or AUTO,
         arming=SimpleNamespace(required=False),
-        peer=SimpleNamespace(profile=NO_PROFILE),
+        peer=SimpleNamespace(profile=NO_PROFILE, linked=True, budget=PeerBudget(0.0)),
     )
     return Outbox(route, RouteLedger())
 
