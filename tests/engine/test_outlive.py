@@ -79,6 +79,9 @@ def test_reliable_topics_lose_nothing_while_the_link_is_away(
         assert numbers(there[topic].payloads) == [*range(counts[topic])]
         assert outgoing(engine, topic).id == openings[topic]
     assert endpoints() == before_all
+    for side in (server, client):
+        assert not happened(side, EventCode.LINK_STREAM_REOPENED)
+        assert not happened(side, EventCode.ROUTE_FAULT, "late")
 
 
 def test_latched_topics_and_services_go_on(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:

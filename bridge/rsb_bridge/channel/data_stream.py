@@ -427,7 +427,10 @@ class StreamPair:
     def back(self, keys: DataKeys) -> None:
         """Take the keys of the link's next connection. Then its streams may be added."""
         self.keys = keys
-        self._lost_at = self.book.now()  # the wait for streams begins
+        self._lost_at, self._lost_for = (
+            self.book.now(),
+            NO_REASON,
+        )  # the wait for streams begins; the link's loss is told
         for end in self.ends.values():
             end.take_keys(keys)
 
@@ -454,7 +457,7 @@ class StreamPair:
         """Close the routes that wait for a stream in place of a lost one."""
         for end in self._waiting():
             end.ready = False  # it is no longer connected, and is shown so
-            end.route.channel_lost(self._lost_for)
+            end.route.channel_lost(self._lost_for or Reason("no data connection came", EndCode.BROKE))
 
     def tick(self, control_quiet: float = 0.0) -> None:
         """Go on with held frames, and give up streams that pass nothing or do not come. Called once a second.

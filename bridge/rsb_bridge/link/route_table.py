@@ -96,13 +96,14 @@ class RouteTable(Extension):
     # --- the connection
 
     def connected(self) -> None:
+        self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
+
+    def back(self) -> None:
         for route in self._link.routes.values():
             if route.id and route.proposed_here and not route.life.accepted:  # opened while nobody could be asked
                 route.close("reopened")
             route.back()
-        self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
-
-    back = connected
+        self.connected()
 
     def disconnected(self) -> None:
         self._to_propose.clear()

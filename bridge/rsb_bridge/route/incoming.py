@@ -340,6 +340,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.rest.close()
         self.check.end()
 
+    def back(self) -> None:
+        super().back()
+        self._flows_since = self.context.now()  # what waited for the link is not late
+
     def set_check(self) -> None:
         self.check.set()
 

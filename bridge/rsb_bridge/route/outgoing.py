@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 
 _NO_TYPE = frozenset({Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT})
 _LIMITED = "they are limited to the messages sent"
+_CATCHES_UP = 10.0  # s after the link is back in which what waited goes out, and is not taken for late. A round figure
 _NODES_START_IN = 10.0
 """s from an opening for which a topic without a publisher only waits: nodes that start with the bridge are up by then.
 A round figure: nothing was measured; with a tenth of it, each boot of a robot would begin with faults."""
@@ -77,6 +78,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._loop_filter = LoopFilter(self)
         self._path = OutgoingPath(self, self._ledger, self._loop_filter)
         self._subscription = TopicSubscription(self, self._path, self._loop_filter, self._look_who_is_present)
+        self._back_at = float("-inf")  # s, when the link was away last
         self._resolver = Resolver(context, proposal, self.judge_again)
         self.health = Health()
         self.delays = SendersDelay()
@@ -311,9 +313,14 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
         return bool(own or self.ends.publishers(self.topic))
 
+    def back(self) -> None:
+        super().back()
+        self._back_at = self.context.now()
+
     def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
         unreported = self.delays.unreported(self._ledger.sent_now, self._ledger.reported_now, now)
-        if not flows:
+        # What waited for the link is not late.
+        if not flows or not self.peer.linked or now - self._back_at < _CATCHES_UP:
             self.lateness.reset()
             return
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
