@@ -97,13 +97,6 @@ class DataKeys:
         """Role of the other side."""
         return "server" if self.role == "client" else "client"
 
-    def go_on(self, route_id: int, writer: DataWriter | None, reader: DataReader | None) -> None:
-        """Have a route's codecs on streams use these keys."""
-        if writer is not None:
-            writer.go_on(self.keys.route_sealer(route_id, self.role))
-        if reader is not None:
-            reader.go_on(self.keys.stream_opener(route_id, self.peer_role))
-
     def stream_writer(self, route_id: int) -> DataWriter:
         """Return a sealing writer for a stream. A route id gets one writer, for either kind, in a link's life."""
         return DataWriter(self.keys.route_sealer(route_id, self.role), route_id)

@@ -427,10 +427,8 @@ class StreamPair:
     def back(self, keys: DataKeys) -> None:
         """Take the keys of the link's next connection. Then its streams may be added."""
         self.keys = keys
-        self._lost_at, self._lost_for = (
-            self.book.now(),
-            NO_REASON,
-        )  # the wait for streams begins; the link's loss is told
+        self._lost_at = self.book.now()  # the wait for streams begins
+        self._lost_for = NO_REASON  # the log has the link's loss
         for end in self.ends.values():
             end.take_keys(keys)
 
@@ -481,11 +479,10 @@ class StreamPair:
         waiting, asked_for = self._waiting(), now - max(self._lost_at, self._asked_at)
         if waiting and now - self._lost_at > _AWAITED_FOR:
             self._give_up()
-        elif waiting and asked_for >= _RETRIED_AFTER:
+        elif asked_for > (_RETRIED_AFTER if waiting else self._pause):
             self._asked_at = now
-            self._owner.open_streams(self.transport, self.port)
-        elif asked_for > self._pause:  # a route of the other side may need it
-            self._asked_at, self._pause = now, min(2 * self._pause, _LONGEST_PAUSE)
+            if not waiting:  # a route of the other side may need it
+                self._pause = min(2 * self._pause, _LONGEST_PAUSE)
             self._owner.open_streams(self.transport, self.port)
 
     def end(self, reason: str) -> None:
@@ -543,9 +540,8 @@ class _StreamEnd(DataChannel):
         """Wait for a stream in place of the lost one."""
         self.is_cut = True
 
-    @abstractmethod
     def take_keys(self, keys: DataKeys) -> None:
-        """Go on with the keys of another connection."""
+        """Go on with the keys of another connection. Each end takes those of its direction."""
 
     def go_on(self) -> None:
         """Go on on the new stream."""
@@ -641,7 +637,8 @@ class StreamSender(_StreamEnd, SendingChannel):
         return self._writer.write_chunk(content, stamp, flags, memory)
 
     def take_keys(self, keys: DataKeys) -> None:
-        keys.go_on(self._route_id, self._writer, None)
+        super().take_keys(keys)
+        self._writer.go_on(keys.keys.route_sealer(self._route_id, keys.role))
 
     def ask(self) -> None:
         if self.via.over:
@@ -702,7 +699,8 @@ class StreamReceiver(_StreamEnd, ReceivingChannel):
         return stream is self._from or super().uses(stream)
 
     def take_keys(self, keys: DataKeys) -> None:
-        keys.go_on(self._route_id, None, self._reader)
+        super().take_keys(keys)
+        self._reader.go_on(keys.keys.stream_opener(self._route_id, keys.peer_role))
 
     def cut(self) -> None:
         super().cut()
@@ -738,9 +736,6 @@ class StreamReceiver(_StreamEnd, ReceivingChannel):
 
 class StreamDuplex(StreamReceiver, StreamSender):
     """Either end of a route that sends both ways. The receiving end's methods come first: what arrives is taken."""
-
-    def take_keys(self, keys: DataKeys) -> None:
-        keys.go_on(self._route_id, self._writer, self._reader)
 
 
 def stream_channel(pair: StreamPair, route: RouteSink) -> StreamSender | StreamReceiver:

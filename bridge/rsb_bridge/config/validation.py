@@ -41,7 +41,7 @@ from rsb_bridge.feature import BRINGS_TRANSPORTS, installed, peer_keys
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.demands import local_name
-from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, TOPIC_PORT
+from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, OUTLIVE, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO
@@ -65,7 +65,7 @@ class SessionMistake(Wording):
     PORT_MISSING = "missing, or 0: give a {kind}, {range}"
     DOMAIN_INVALID = "{domain} is not a ROS domain: {range}"
     DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {value}, which is not a ROS domain: {range}"
-    OUTLIVE_OUT_OF_RANGE = "{value} is out of range: 0 to {limit} s"
+    OUTLIVE_OUT_OF_RANGE = "{value} is out of range: {range} s"
     STALE_WARNINGS_NEGATIVE = "{count} is not a count: 0 or more"
     PROFILE_ON_BLUETOOTH = "{profile} is no Bluetooth link (server_ip is a MAC): give bluetooth, or leave profile out"
     ADDRESS_OF_CLIENT = "a client cannot connect to {address}: give the server's own address"
@@ -96,7 +96,6 @@ class SessionMistake(Wording):
     NEXT_KEY_IS_CURRENT = "{name} is the key_file already: give the new key's file"
 
 
-_LONGEST_OUTLIVE = 86_400
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
 _ENTRY = re.compile(rf"(?P<list>{'|'.join(NOUNS)})\[(?P<at>\d{{1,9}})\]")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
@@ -191,8 +190,8 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from range_problems(session)
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
-    if not 0 <= session.outlive <= _LONGEST_OUTLIVE:
-        yield Problem("outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE(value=session.outlive, limit=_LONGEST_OUTLIVE))
+    if session.outlive not in OUTLIVE:
+        yield Problem("outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE(value=session.outlive, range=OUTLIVE))
     profiles = [("profile", session.profile)]
     profiles += [(join(join("clients", at), "profile"), each.profile) for at, each in enumerate(session.listed_clients)]
     for location, profile in profiles:

@@ -10,8 +10,6 @@ from rsb_bridge.model.budgets import TokenBucket
 
 LATE = 0.2
 """s that a message took, from which on it is one of these. A link that is always slower is not held up by the pace."""
-NOT_WAITED = 86_400.0
-"""s that no link outlives: a message that seems older did not wait for one."""
 AT_ONCE, EVERY = 5, 0.01
 """Messages, half the default depth of a subscription, and s until the next: a node takes one in 0.1 to 1 ms."""
 _ROUNDED = 1e-6

@@ -16,6 +16,7 @@ from rsb_bridge.channel.channel import Counts, ReceivingChannel
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
+from rsb_bridge.model.limits import OUTLIVE
 from rsb_bridge.model.qos import AUTO_DEPTH, match_subscriptions, parts_of_lease
 from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.snapshot import Ledger, Level, Stage, State
@@ -25,7 +26,7 @@ from rsb_bridge.ros.ros_graph import agreed_type, type_hint
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.blocking_rules import stages_with_link
-from rsb_bridge.route.catching_up import EVERY, LATE, NOT_WAITED, CatchUp
+from rsb_bridge.route.catching_up import EVERY, LATE, CatchUp
 from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
@@ -365,7 +366,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if not self.outputs.sinks:
             return
         now, offset = self.context.stamps.now(), self.peer.stamps.offset
-        if offset is None or not LATE < (now - messages[0][1]) / 1e9 + offset < NOT_WAITED or self._must_be_fresh:
+        if offset is None or not LATE < (now - messages[0][1]) / 1e9 + offset < OUTLIVE.high or self._must_be_fresh:
             self._publish(messages, now, began)
             return
         allowed = self._catch_up.allowed(len(messages), began, self.meter.usual_rate)

@@ -220,9 +220,8 @@ class Ping(ControlMessageBase, frozen=True):
 
     n: Count
     sent: Nanoseconds  # ns since the epoch on the sender's clock
-    handled: Count = (
-        0  # control messages of this session that the sender has handled (`OF_CONNECTION` ones not counted)
-    )
+    handled: Count = 0
+    """Control messages of this session that the sender has handled, without those in `OF_CONNECTION`."""
 
 
 class Pong(ControlMessageBase, frozen=True):
