@@ -1,4 +1,4 @@
-"""What a program has when its engine has started is left out of later garbage collections, and not kept for ever."""
+"""A program's heap is left out of garbage collections once its engine has started, until it is frozen again."""
 
 from __future__ import annotations
 

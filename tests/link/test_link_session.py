@@ -1,4 +1,4 @@
-"""What one side keeps of a session's control messages: those that the other side has not handled, each once."""
+"""A side keeps the control messages of a session that the other side has not handled, each once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What comes late is published at a pace that a subscription with the default depth keeps up with."""
+"""Late messages are published at a pace that a subscription with the default depth keeps up with."""
 
 from __future__ import annotations
 

@@ -243,7 +243,7 @@ def test_messages_go_on_after_lost_stream(suite: CipherSuite, ahead: int) -> Non
 
 @SUITES
 def test_what_is_sent_again_comes_once(suite: CipherSuite) -> None:
-    """Of five messages the sender knows that two have come, while four have; then it is cut amid sending again."""
+    """Four of five messages have arrived, and the sender knows of two. It is cut while it sends the others again."""
     writer, reader = data_ends(suite)
     messages = [(str(number).encode(), number, 0) for number in range(8)]
     come = writer.write_many(messages[:4])
@@ -263,7 +263,7 @@ def test_what_is_sent_again_comes_once(suite: CipherSuite) -> None:
 
 @SUITES
 def test_session_goes_on_under_other_keys(suite: CipherSuite) -> None:
-    """The next connection has keys of its own; what came before is passed by, what is begun is discarded."""
+    """The next connection has its own keys. Messages that have arrived are dropped, and incomplete ones discarded."""
     writer, reader = data_ends(suite)
     assert reader.receive_data(writer.write_many([(b"a", 1, 0), (b"b", 2, 0)])) == [(b"a", 1, 0), (b"b", 2, 0)]
     begun, *_ = write_chunks(writer, b"long", 3, 0, 2)

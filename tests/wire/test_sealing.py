@@ -227,7 +227,7 @@ def test_data_keys_are_those_of_the_document(
 def test_keys_of_a_session_that_goes_on_are_those_of_the_document(
     suite: CipherSuite, role: Role, direction: int
 ) -> None:
-    """Of routes that the next connection did not propose, once."""
+    """They are derived once, for routes that were proposed on an earlier connection."""
     keys = session_keys(suite, routes=())
     keys.resume((1, 8))
     sealed = keys.route_sealer(8, role).seal(b"content", b"header")

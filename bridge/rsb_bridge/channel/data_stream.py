@@ -5,8 +5,8 @@ that is lost holds up all that follows on its stream: with 2 % loss, joint state
 over Zenoh, where all share one connection (bench/README.md, *Thin links*). Not one for each route, because then the
 kernel would decide which topic goes next.
 
-A stream that is lost is opened again. Its routes go on on the new one, with what the other side has not acknowledged
-and then with the messages in their queues; the other side passes by what it has already, so that each message comes
+A lost stream is opened again. On the new one, its routes first send the messages that the other side has not
+acknowledged, then those in their queues. The other side drops the messages that it has already, so that each arrives
 once and in order. A best-effort topic sends nothing again. Routes of topics that have to be armed are closed instead,
 and open again: a robot must notice the break.
 
@@ -414,7 +414,7 @@ class StreamPair:
         return [end for end in self.ends.values() if end.is_cut]
 
     def away(self, reason: Reason) -> None:
-        """Have all routes wait, as the link has no connection; those that may not go on are closed already."""
+        """Have all routes wait, as the link has no connection. Armed routes are closed already."""
         if self.over:
             return
         self._cuts.clear()
@@ -541,7 +541,7 @@ class _StreamEnd(DataChannel):
         self.is_cut = True
 
     def take_keys(self, keys: DataKeys) -> None:
-        """Go on with the keys of another connection. Each end takes those of its direction."""
+        """Use the keys of the next connection: each end has one for its direction."""
 
     def go_on(self) -> None:
         """Go on on the new stream."""

@@ -1,7 +1,7 @@
-"""The pace of what comes late: hundreds of messages that waited for a link come at once when it is back.
+"""The pace of late messages: hundreds that have waited for a link arrive together when it is back.
 
-A subscription keeps ten messages by default, and loses the oldest of those that come faster than its node takes them,
-though each of them is acknowledged. So they are published a few at a time.
+A subscription keeps ten messages by default. If they arrive faster than its node takes them, it loses the oldest, even
+though DDS has acknowledged them. So late messages are published a few at a time.
 """
 
 from __future__ import annotations

@@ -357,7 +357,7 @@ class Route:
 
     @property
     def resends(self) -> bool:
-        """Whether it then sends again what was on the lost stream: calls do, and reliable topics."""
+        """Whether it then sends the messages of the lost stream again, as calls and reliable topics do."""
         return True
 
     def channel_lost(self, reason: Reason) -> None:

@@ -62,7 +62,7 @@ class SendQueue:
     """A first-in, first-out queue that is bounded in messages and bytes.
 
     Args:
-        held: counts what all queues of a link hold, whatever its limit is.
+        held: counts the bytes in all queues of a link, also beyond its limit.
 
     Attributes:
         waiting: each message, its publisher, and when (s) it was added; oldest first.

@@ -314,7 +314,7 @@ class SessionKeys:
         """Derive the keys of routes that were proposed on an earlier connection of the session. Call it once."""
         for route in routes:
             self._derive(route, self._resumed)
-        del self._resumed  # else whoever takes over this process could derive these keys again
+        del self._resumed  # so that an attacker in this process cannot derive these keys again
 
     def proposed(self, route: int, proposer: Role) -> None:
         """Derive the keys of a route when its proposal is sent or received, in the order of the control stream."""
