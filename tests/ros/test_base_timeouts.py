@@ -36,4 +36,5 @@ def test_answers_without_home() -> None:
     environ = {name: value for name, value in os.environ.items() if name not in ("HOME", "ROS_HOME", "ROS_LOG_DIR")}
     command = (sys.executable, "-m", "rsb_bridge.ros.base_timeouts", str(domains_of("nodes")), "/nobodys")
     asked = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=180, check=False)
-    assert (asked.returncode, asked.stdout) == (0, '{"/nobodys": {}}\n'), asked.stderr
+    # The last line, as the doctor reads it: DDS prints its own troubles before it.
+    assert (asked.returncode, asked.stdout.splitlines()[-1:]) == (0, ['{"/nobodys": {}}']), asked.stderr
