@@ -264,6 +264,20 @@ class ClientLink(Link):
             self._retry.set()
         self.table.retry()
 
+    def hurry(self) -> None:
+        """Look for the server now: this machine's devices, addresses or routes have changed.
+
+        May be called for each piece of news, on the loop; it does nothing while an operator has the link stay down.
+        """
+        if self._stays_down:
+            return
+        if self.control is not None:
+            stream = self.control.stream
+            if self.transport.source_address(stream.address) in ("", stream.own_address):
+                return
+            self.control.abort("this machine's address towards the server has changed")
+        self._retry.set()
+
     async def _call(self) -> None:
         """Try once to connect; return after a failure, or after the end of the link."""
         key = self.key
