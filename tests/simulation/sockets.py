@@ -47,6 +47,8 @@ class Socket:
         proto: int = 0,
     ) -> None:
         process = current_process()
+        if family == real.AF_NETLINK:  # so that it tells no news of the network: simulated time stays pure
+            raise os_error(errno.EAFNOSUPPORT)
         if not process.alive:
             raise os_error(errno.ENETDOWN)
         if len(process.descriptors) + _FIRST_DESCRIPTOR >= process.most_descriptors:

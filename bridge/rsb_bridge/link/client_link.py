@@ -44,7 +44,9 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.session import Identity
+    from rsb_bridge.transport.network_news import NetworkNews
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
+    from rsb_bridge.wire.connection import ServerConnection
     from rsb_bridge.wire.messages import Hello
     from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
@@ -219,6 +221,8 @@ class ClientLink(Link):
         self._retry = asyncio.Event()
         self._retry_after = 0.0
         self._stays_down = False
+        self._news: NetworkNews | None = None
+        self._source = ""  # address on this machine that the last connection had
         self._longest = _LONGEST_DELAY_UNREACHED
         self._duplicates_logged_at = 0.0
         self.udp_failure = ""
@@ -248,14 +252,16 @@ class ClientLink(Link):
     async def run(self) -> None:
         """Connect and reconnect for ever. First close the connection of an earlier run."""
         self.fail()
-        while True:
-            self._retry.clear()
-            self._ended.clear()
-            began = self.context.now()
-            if not self._stays_down:
-                self._retry_after = 0.0
-                await self._call()
-            await self._pause(self.context.now() - began)
+        self._news = self.transport.network_news(self.hurry)
+        with contextlib.nullcontext() if self._news is None else contextlib.closing(self._news):
+            while True:
+                self._retry.clear()
+                self._ended.clear()
+                began = self.context.now()
+                if not self._stays_down:
+                    self._retry_after = 0.0
+                    await self._call()
+                await self._pause(self.context.now() - began)
 
     def retry(self) -> None:
         """Connect now instead of after the delay, and propose refused routes again."""
@@ -398,7 +404,18 @@ class ClientLink(Link):
             attempt.end()
         return None if failure is None else self._with_remedy(failure)
 
+    def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
+        self._source = stream.own_address
+        return super().up(stream, connection, event)
+
+    def _with_device(self, reason: str) -> str:
+        """Return why the server is not reached, with what is wrong with the device that led there, if that is known."""
+        wrong = self._news.why_silent(self._source) if self._news is not None and self._source else ""
+        return f"{reason}; {wrong}" if wrong else reason
+
     def _failed(self, failure: Failure) -> None:
+        if not failure.refused:
+            failure = failure._replace(reason=self._with_device(failure.reason))
         self.status.attempts += 1
         self._longest = _LONGEST_DELAY_UNREACHED
         if failure.code is RefusalCode.NAME_TAKEN:  # the one that has the name may be dead, which shows within seconds
@@ -444,7 +461,7 @@ class ClientLink(Link):
             self.log(Level.WARNING, EventCode.LINK_NAME_TAKEN, self.fault.duplicates.text(now), link_status=True)
 
     def lost(self, reason: str, code: EventCode) -> None:
-        super().lost(reason, code)
+        super().lost(self._with_device(reason) if code is EventCode.LINK_LOST else reason, code)
         self._ended.set()
 
     def _on_shutdown(self, message: Shutdown) -> None:

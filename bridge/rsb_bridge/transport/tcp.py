@@ -15,6 +15,7 @@ from aiohappyeyeballs import start_connection
 
 from rsb_bridge.model.transport_traits import TcpTraits
 from rsb_bridge.transport.listening import LookUpProblem, StreamListener, bind, listen_error_message, look_up
+from rsb_bridge.transport.network_news import NetworkNews, news_of_kernel
 from rsb_bridge.transport.streams import (
     Address,
     PacketCounts,
@@ -27,6 +28,8 @@ from rsb_bridge.transport.transport import Acceptor, Listener, ListenError, Stre
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.model.reason import Reason
 
 # s. On a path with 2 s each way, the first packet's answer takes 4 s. Linux before 6.5 sends the next ones after 1, 3
@@ -207,6 +210,9 @@ class Tcp(TcpTraits, StreamTransport):
             except OSError:
                 return ""
             return str(probe.getsockname()[0])
+
+    def network_news(self, changed: Callable[[], None]) -> NetworkNews | None:
+        return news_of_kernel(changed)
 
 
 def _most_telling(error: OSError) -> OSError:

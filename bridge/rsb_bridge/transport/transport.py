@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rsb_bridge.model.session import Session
+    from rsb_bridge.transport.network_news import NetworkNews
     from rsb_bridge.transport.streams import Stream, StreamHandler
 
 
@@ -193,6 +194,13 @@ class StreamTransport(_Transport):
     def source_address(self, peer: Address) -> str:
         """Return the source address of a new stream to `peer`, or an empty string if it is unknown or can't change."""
         return ""
+
+    def network_news(self, changed: Callable[[], None]) -> NetworkNews | None:
+        """Have `changed` called soon after this machine's network changes, or return None if nobody tells.
+
+        For clients: a server that has another address cannot tell them, and hears of it when they come.
+        """
+        return None
 
 
 class DatagramTransport(_Transport):

@@ -34,6 +34,7 @@ from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import for_arrivals
+from rsb_bridge.transport.network_news import open_news
 from rsb_bridge.transport.tcp import BBR, congestion_control, prefer_bbr
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers, granted_receive_buffer
@@ -89,6 +90,10 @@ class MachineText(Wording):
         "echo 'net.ipv4.tcp_allowed_congestion_control=reno cubic bbr' | sudo tee /etc/sysctl.d/61-rsb.conf && "
         "sudo sysctl -p /etc/sysctl.d/61-rsb.conf"
     )
+    NETWORK_UNTOLD = (
+        "the kernel tells nobody here when addresses and routes change ({error}): a link finds out by its silence"
+    )
+    NETWORK_REMEDY = "allow AF_NETLINK: RestrictAddressFamilies of systemd, or the seccomp rules of a container"
     CLOCK_NOT_SYNCHRONIZED = "not synchronized: figures that compare two machines' clocks in logs are off"
     CLOCK_REMEDY = "sudo timedatectl set-ntp true, or install chrony"
     NO_INTERFACE = "no network interface is up but loopback: only nodes of this machine discover each other"
@@ -117,6 +122,7 @@ def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, .
         Check("shared_memory", "shared memory", partial(_shared_memory, root / "dev/shm")),
         Check("udp_buffers", "UDP buffers", _udp_buffers),
         Check("congestion_control", "TCP", _congestion_control),
+        Check("network_news", "network", _network_news),
         Check("multicast", "multicast", _multicast),
         Check("firewall", "firewall", _firewall),
         Check("clock", "clock", _clock),
@@ -245,6 +251,18 @@ def _congestion_control() -> Iterator[Finding]:
     else:
         text, remedy = MachineText.TCP_NO_BBR(used=used), MachineText.BBR_REMEDY()
         yield Finding("congestion_control", Grade.NOTE, "TCP", text, remedy, facts)
+
+
+def _network_news() -> Iterator[Finding]:
+    """Listen as the bridge does: containers may refuse it."""
+    finding = partial(Finding, "network_news", subject="network")
+    try:
+        open_news().close()
+    except OSError as error:
+        text = MachineText.NETWORK_UNTOLD(error=os.strerror(error.errno or 0))
+        yield finding(grade=Grade.NOTE, text=text, remedy=MachineText.NETWORK_REMEDY())
+    else:
+        yield finding(grade=Grade.OK, text="the kernel tells when addresses and routes change")
 
 
 def _clock() -> Iterator[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -62,6 +63,19 @@ def test_congestion_control_that_takes_loss_for_full_link(
     (finding,) = found("congestion_control", tmp_path)
     assert (finding.grade, finding.facts) == (grade, {"used": used})
     assert ("tcp_bbr" in finding.remedy) == (grade == Grade.NOTE)
+
+
+def test_kernel_that_tells_no_changes_of_the_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert grades(found("network_news", tmp_path)) == [("network_news", Grade.OK)]
+
+    def refuse() -> socket.socket:
+        raise OSError(errno.EAFNOSUPPORT, "refused")
+
+    doctor_places.OPEN_NEWS.set(monkeypatch, refuse)
+    (finding,) = found("network_news", tmp_path)
+    assert finding.grade == Grade.NOTE
+    assert os.strerror(errno.EAFNOSUPPORT) in finding.text
+    assert "AF_NETLINK" in finding.remedy
 
 
 def test_files_are_counted_once_their_program_was_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
