@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING
 from tests.support.acceptors import Accepting
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
+from rsb_bridge.channel.datagram_channel import DatagramSender
+from rsb_bridge.channel.reliable_datagrams import datagram_channel
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.channel.window import ReceiptBook, Window

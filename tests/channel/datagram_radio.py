@@ -6,7 +6,7 @@ import asyncio
 from random import Random
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.datagram_channel import datagram_channel
+from rsb_bridge.channel.reliable_datagrams import datagram_channel
 from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.transport.transport import RECEIVE_BUFFER, SendPath
 from rsb_bridge.wire.datagram import Probe, by_addressee
@@ -30,6 +30,8 @@ class RadioSocket:
 
     Attributes:
         loss: part of the datagrams that are lost by chance.
+        late: s by which some are late, and others overtake them.
+        mtu: bytes of the longest datagram that arrives.
         blocked: whether all are lost.
         dropped: of these, by a full queue.
     """
@@ -41,7 +43,8 @@ class RadioSocket:
     def __init__(self, radio: Radio, way: int, queue: int) -> None:
         self.when_writable: set[Callable[[], None]] = set()
         self.far: RadioChannel
-        self.loss = 0.0
+        self.loss = self.late = 0.0
+        self.mtu = _MTU
         self.blocked = False
         self.sent = self.dropped = 0
         self.taken_at = 0.0
@@ -53,13 +56,14 @@ class RadioSocket:
         for each in datagrams:
             self.sent += 1
             backlog = max(0.0, self._way.free_at - loop.time()) * self._radio.rate
-            if self.blocked or self._random.random() < self.loss:
+            if self.blocked or self._random.random() < self.loss or len(each) > self.mtu:
                 continue
             if backlog + len(each) > self._queue:
                 self.dropped += 1
                 continue
             self._way.free_at = max(self._way.free_at, loop.time()) + len(each) / self._radio.rate
-            loop.call_later(self._way.free_at + self._radio.delay - loop.time(), self._arrive, each)
+            late = self._random.uniform(0.0, self.late) if self.late else 0.0
+            loop.call_later(self._way.free_at + self._radio.delay + late - loop.time(), self._arrive, each)
 
     def _arrive(self, datagram: bytes) -> None:
         self.far.air.taken_at = asyncio.get_running_loop().time()
@@ -73,7 +77,7 @@ class RadioSocket:
         return SendPath(address, [])
 
     def datagram_size(self, address: Address) -> int:
-        return _MTU
+        return self.mtu
 
     def close(self) -> None:
         """Nothing is left."""

@@ -176,7 +176,9 @@ class Side:
 
 
 def routes_of(outgoing: Route) -> Route:
-    return Route(outgoing.id, outgoing.rank, outgoing=False, duplex=outgoing.duplex)
+    route = Route(outgoing.id, outgoing.rank, outgoing=False, duplex=outgoing.duplex)
+    route.resumes, route.resends = outgoing.resumes, outgoing.resends
+    return route
 
 
 @asynccontextmanager

@@ -18,7 +18,8 @@ from tests.support.schedulers import LoneConnection
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
+from rsb_bridge.channel.datagram_channel import DatagramSender
+from rsb_bridge.channel.reliable_datagrams import datagram_channel
 from rsb_bridge.channel.udp_channel import (
     ClientUdpChannel,
     PathProbe,
@@ -166,15 +167,16 @@ async def met(server: Server) -> tuple[Lossy, ServerUdpChannel]:
     return client, there
 
 
-async def one_way(server: Server) -> tuple[Lossy, Route, DatagramSender]:
+async def one_way(server: Server, *, armed: bool = False) -> tuple[Lossy, Route, DatagramSender]:
     """Connect a client that sends on a route; return its channel, the route on the server's side, and the sender."""
     client, keys = server.connect(b"link one")
     await ready(client)
     there = server.channels[b"link one"]
     await ready(there)
-    route = Route(1, outgoing=False)
+    route, here = Route(1, outgoing=False), Route(1, outgoing=True)
+    route.resumes = here.resumes = not armed
     datagram_channel(there, route, server.keys[b"link one"])
-    sender = datagram_channel(client, Route(1, outgoing=True), keys)
+    sender = datagram_channel(client, here, keys)
     assert isinstance(sender, DatagramSender)
     return client, route, sender
 
@@ -268,7 +270,7 @@ async def test_armed_command_is_sent_twice_taken_once(lost: int) -> None:
 async def test_last_command_is_sent_again_and_taken_once() -> None:
     """It may be the one that stops a robot, and no further one would make up for its loss."""
     async with serving() as server:
-        client, route, sender = await one_way(server)
+        client, route, sender = await one_way(server, armed=True)
         sent: list[bytes] = []
 
         def lose(datagrams: Sequence[bytes]) -> Sequence[bytes]:
@@ -289,7 +291,7 @@ async def test_last_command_is_sent_again_and_taken_once() -> None:
 async def test_command_is_not_sent_again_after_later_message() -> None:
     """Even after one of several datagrams, which is sent once; the robot would take the earlier one for the newest."""
     async with serving() as server:
-        client, route, sender = await one_way(server)
+        client, route, sender = await one_way(server, armed=True)
         client.passing = lambda _: ()
         sender.send([(b"go", 0, LEASED)])
         client.passing = tuple

@@ -6,7 +6,7 @@ import random
 from typing import TYPE_CHECKING
 
 from tests.support.bridge import balance, carries, route, settled
-from tests.support.domain import text
+from tests.support.domain import BEST_EFFORT, text
 from tests.support.relay import message_number
 from tests.support.waiting import eventually
 
@@ -29,7 +29,7 @@ def publish(publisher: Publisher, numbers: range, size: int = 0) -> None:
 
 def test_datagrams_that_are_lost(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
     """Every tenth datagram, then the last three: what is not heard is counted as lost, nothing twice."""
-    there, out = pc.listener("/count"), robot.publisher("/count")
+    there, out = pc.listener("/count", qos=BEST_EFFORT), robot.publisher("/count", qos=BEST_EFFORT)
     _, client, lost = *lossy(bridge, relay, out, "/count"), []
     kept = iter(range(1_000_000))
 
@@ -52,7 +52,7 @@ def test_datagrams_that_are_lost(bridge: Bridge, relay: Relay, robot: Domain, pc
 
 def test_fragments_that_are_lost_late_and_twice(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
     """Messages of four datagrams, in any order: a whole one arrives once, a torn one expires, the rest adds up."""
-    there, out = pc.listener("/count"), robot.publisher("/count")
+    there, out = pc.listener("/count", qos=BEST_EFFORT), robot.publisher("/count", qos=BEST_EFFORT)
     _, client = lossy(bridge, relay, out, "/count")
     chance, torn, held = random.Random(1), set[int](), []
 
@@ -83,14 +83,46 @@ def test_fragments_that_are_lost_late_and_twice(bridge: Bridge, relay: Relay, ro
     assert balance(ledger) == 100
 
 
+def test_what_is_lost_of_a_reliable_topic_comes_again(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """Small messages and large ones, of which datagrams get lost, come late, or come twice."""
+    there, out = pc.listener("/count"), robot.publisher("/count")
+    _, client = lossy(bridge, relay, out, "/count", "reliable")
+    chance, lost, held = random.Random(1), [], list[bytes]()
+
+    def jumble(datagram: bytes) -> list[bytes]:
+        if message_number(datagram) is None:
+            return [datagram]
+        fate = chance.random()
+        if fate < 0.2:
+            lost.append(datagram)
+            return []
+        if fate < 0.3:
+            held.append(datagram)
+            return []
+        late, held[:] = held[:], []
+        return [datagram, *late, datagram]
+
+    relay.to_server = jumble
+    publish(out, range(50))
+    publish(out, range(50, 100), size=200_000)
+    ledger = settled(client, "/count", 100)
+    assert lost
+    assert (ledger.delivered, ledger.dropped, balance(ledger)) == (100, {}, 100)
+    hears_just(there, 100)
+    assert [int(each[8:].split(b" ")[0].rstrip(b"\0")) for each in there.payloads] == [*range(100)]
+
+
 def hears_just(there: Listener, count: int) -> None:
     """As many messages come as the ledger says were delivered: published, that is. DDS brings them a moment later."""
     eventually(lambda: len(there.payloads) >= count, what=f"{count} messages")
     assert len(there.payloads) == count
 
 
-def lossy(bridge: Bridge, relay: Relay, out: Publisher, topic: str) -> tuple[Engine, Engine]:
+def lossy(
+    bridge: Bridge, relay: Relay, out: Publisher, topic: str, reliability: str = "best_effort"
+) -> tuple[Engine, Engine]:
     """Both engines, with a UDP topic that is open."""
-    server, client = bridge.both(Topic(topic, "transmit", protocol="udp", qos={"depth": 1000}))
+    qos = {"depth": 1000, "reliability": reliability}
+    server, client = bridge.both(Topic(topic, "transmit", protocol="udp", qos=qos))
     carries([out], server, [topic])
     return server, client

@@ -36,15 +36,18 @@ def numbers(payloads: list[bytes]) -> list[int]:
     return [int(each[8:].split(b" ")[0].rstrip(b"\0")) for each in payloads]
 
 
-@pytest.mark.parametrize("seconds", [0.0, 3.0])
+@pytest.mark.parametrize(("protocol", "seconds"), [("tcp", 0.0), ("tcp", 3.0), ("udp", 0.0), ("udp", 3.0)])
 def test_reliable_topics_lose_nothing_while_the_link_is_away(
-    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, seconds: float
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, protocol: str, seconds: float
 ) -> None:
     """One each way, with small and large messages by turns, through three cuts."""
     ways = {"/up": (robot, pc, "transmit"), "/down": (pc, robot, "receive")}
     there = {topic: to.listener(topic) for topic, (_, to, _) in ways.items()}
     out = {topic: by.publisher(topic) for topic, (by, _, _) in ways.items()}
-    topics = [Topic(topic, way, qos={"depth": 1000}) for topic, (_, _, way) in ways.items()]  # type: ignore[arg-type]
+    topics = [
+        Topic(topic, way, qos={"depth": 1000}, protocol=protocol)  # type: ignore[arg-type]
+        for topic, (_, _, way) in ways.items()
+    ]
     server, client = bridge.both(*topics, outlive=OUTLIVES)
     receivers, senders = {"/up": server, "/down": client}, {"/up": client, "/down": server}
     for topic, engine in receivers.items():
@@ -84,11 +87,16 @@ def test_reliable_topics_lose_nothing_while_the_link_is_away(
         assert not happened(side, EventCode.ROUTE_FAULT, "late")
 
 
-def test_latched_topics_and_services_go_on(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_latched_topics_and_services_go_on(
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, protocol: str
+) -> None:
     pc.serve("/lamp", SetBool)
     out, there = robot.publisher("/map", qos=LATCHED), pc.listener("/map", qos=LATCHED)
     server, client = bridge.both(
-        Topic("/map", "transmit"), Topic("/lamp", "transmit", kind="service"), outlive=OUTLIVES
+        Topic("/map", "transmit", protocol=protocol),
+        Topic("/lamp", "transmit", kind="service"),
+        outlive=OUTLIVES,
     )
     carries([out], server, ["/map"])
     eventually(lambda: route(client, "/lamp").cause == "no_call")

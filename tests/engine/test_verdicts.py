@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tests.support.bridge import carries, happened, route
-from tests.support.domain import text
+from tests.support.domain import BEST_EFFORT, text
 from tests.support.relay import message_number
 from tests.support.steady import Steady
 from tests.support.waiting import eventually, holds
@@ -48,7 +48,7 @@ def test_occasional_topic_is_not_stale(bridge: Bridge, robot: Domain, pc: Domain
 
 def test_half_of_the_messages_lost_on_the_way(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
     """Each takes several datagrams, and every other message loses one."""
-    listener, out = pc.listener("/scan"), robot.publisher("/scan")
+    listener, out = pc.listener("/scan", qos=BEST_EFFORT), robot.publisher("/scan", qos=BEST_EFFORT)
     server, client = bridge.both(Topic("/scan", "transmit", protocol="udp"))
     carries([out], server, ["/scan"])
     seen: set[int] = set()

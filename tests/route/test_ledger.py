@@ -61,8 +61,9 @@ def check(ledger: Ledger) -> None:
 
 @given(st.lists(steps, max_size=40), st.booleans())
 @settings(max_examples=settings().max_examples * 2, deadline=None)
-def test_no_report_makes_part_negative_or_sum_wrong(taken: list[tuple[Any, ...]], numbered: bool) -> None:
-    ledger = RouteLedger(numbered=numbered)
+def test_no_report_makes_part_negative_or_sum_wrong(taken: list[tuple[Any, ...]], lossy: bool) -> None:
+    ledger = RouteLedger()
+    ledger.lossy = lossy
     for now, (what, *details) in enumerate(taken):
         match what:
             case "send":
@@ -122,9 +123,10 @@ def test_other_process_cannot_settle_opening() -> None:
     assert (ledger.ledger(0).dropped, ledger.ledger(0).unknown) == ({}, 5)
 
 
-def opened(instance: str, sent: int, *, numbered: bool = False) -> RouteLedger:
+def opened(instance: str, sent: int, *, lossy: bool = False) -> RouteLedger:
     """A ledger with an opening in which some messages were sent."""
-    ledger = RouteLedger(numbered=numbered)
+    ledger = RouteLedger()
+    ledger.lossy = lossy
     ledger.opened(1, instance)
     ledger.offered += sent
     ledger.sent(sent)
@@ -161,7 +163,7 @@ def test_what_a_receiver_has_forgotten_is_unknown() -> None:
 @pytest.mark.parametrize(("instance", "rest"), [("first", {"link lost": 6}), ("second", {})])
 def test_datagrams_lost_stay_lost_after_link(instance: str, rest: dict[str, int]) -> None:
     """The count of drops falls neither when the opening ends nor when it is settled."""
-    ledger = opened("first", 20, numbered=True)
+    ledger = opened("first", 20, lossy=True)
     ledger.reported(ReceivedReport(route=1, received=11, delivered=11, newest=14), 0)
     assert ledger.ledger(0).dropped == {"lost on the way": 3}
     ledger.closed()

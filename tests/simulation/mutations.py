@@ -25,6 +25,8 @@ from tests.simulation.episodes import (
 from tests.support import replaced
 
 from rsb_bridge.channel.data_stream import DataStream, StreamSender
+from rsb_bridge.channel.datagram_channel import DatagramEnd
+from rsb_bridge.channel.reliable_datagrams import ReliableSender
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.channel.window import Window
 from rsb_bridge.link.keepalive import Keepalive
@@ -44,12 +46,15 @@ from rsb_bridge.route.lateness import LateWatch
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.sending import SendQueue
 from rsb_bridge.tasks import Tasks
+from rsb_bridge.wire.datagram import OrderedReader
 from rsb_bridge.wire.framing import DataReader
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
 
     from tests.simulation.world import World
+
+    from rsb_bridge.wire.framing import Message
 
 
 class Mutation(NamedTuple):
@@ -222,6 +227,15 @@ _GOALS = replace(STILL, topics=(0,), actions=(1,), periods=(0.0, 0.0), checks=(1
 
 _SILENT = replace(STILL, topics=(4,), periods=(1e9, 1e9))
 
+
+def _never(*_: Any) -> bool:
+    return False
+
+
+def _at_once(self: OrderedReader, number: int, message: Message) -> Message | None:
+    return message
+
+
 _OUTLIVES = replace(LIVELY, outlive=60.0)
 _WATCHED = replace(STILL, checks=(1.0, 1.0))
 
@@ -294,8 +308,14 @@ MUTATIONS = (
              ((DataStream, "unacknowledged", _none),), "messages with a stream", _OUTLIVES, 1, 0.5),
     Mutation("handled control messages are not counted",
              ((LinkSession, "handles", nothing),), "nobody caught", _OUTLIVES, 1, 0.5),
-    Mutation("routes are not told that their link is away",
-             ((RouteTable, "away", nothing),), "could flow", _OUTLIVES, 3, 0.5),
+    Mutation("routes over datagrams are not told that their link is away",
+             ((DatagramEnd, "away", nothing),), "could flow", _OUTLIVES, 3, 0.2),
+    Mutation("lost datagrams are not sent again",
+             ((ReliableSender, "_lost", nothing),), "could flow", _OUTLIVES, 3, 0.2),
+    Mutation("a datagram that is sent again comes again",
+             ((OrderedReader, "_has", _never),), "came out twice", _OUTLIVES, 3, 0.2),
+    Mutation("messages overtake a lost one",
+             ((OrderedReader, "_whole", _at_once),), "came out", _OUTLIVES, 3, 0.2),
     Mutation("a call that waits for a goal's answer is not forgotten with its opening",
              ((KeptAnswers, "is_over", nothing),), "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1),
 )

@@ -115,7 +115,7 @@ class TopicFlow(Flow):
     @property
     def ordered(self) -> bool:
         """Whether its messages may neither overtake each other nor come twice."""
-        return self.topic.protocol != "udp"
+        return self.topic.protocol != "udp" or (self.qos.reliability == "reliable" and not self.topic.arm)
 
     @property
     def latched(self) -> bool:

@@ -15,6 +15,7 @@ from rsb_bridge.wire.datagram import (
     Receipt,
     Urgent,
     by_addressee,
+    receipts,
     unpack_probe,
 )
 from rsb_bridge.wire.framing import LEASED, SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, Budget
@@ -295,21 +296,37 @@ def test_probes_travel_on_their_own_route(pong: bool, opaque: int) -> None:
     assert unpack_probe(message[0]) == probe
 
 
-@given(
-    st.integers(0, 2**32 - 1),
+ARRIVED = st.builds(
+    Arrived,
+    st.integers(1, 2**32 - 1),
     st.integers(0, 2**64 - 1),
-    st.lists(st.tuples(st.integers(1, 2**32 - 1), st.integers(0, 2**64 - 1), st.integers(0, 2**64 - 1)), max_size=50),
+    st.integers(0, 2**64 - 1),
+    st.one_of(st.just(0), st.integers(0, 2**1024 - 1)),
 )
-def test_receipts_are_as_the_document_says(buffer: int, at: int, routes: list[tuple[int, int, int]]) -> None:
-    receipt = Receipt(buffer, at, tuple(Arrived(*each) for each in routes))
-    assert receipt.pack() == struct.pack(">BIQ", 2, buffer, at) + b"".join(
-        struct.pack(">IQQ", *each) for each in routes
-    )
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1), st.lists(ARRIVED, min_size=1, max_size=60))
+def test_receipts_are_as_the_document_says(buffer: int, at: int, routes: list[Arrived]) -> None:
+    expected = []
+    for each in routes:
+        missing = each.missing.to_bytes(128).lstrip(b"\0")
+        expected.append(struct.pack(">IQQB", each.route, each.newest, each.opened, len(missing)) + missing)
+    receipt = Receipt(buffer, at, tuple(routes))
+    assert receipt.pack() == struct.pack(">BIQ", 2, buffer, at) + b"".join(expected)
     assert unpack_probe(receipt.pack()) == receipt
     with pytest.raises(ProtocolError, match=pattern(Broken.PROBE_INVALID, length=len(receipt.pack()))):
         unpack_probe(b"\4" + receipt.pack()[1:])
     with pytest.raises(ProtocolError, match=pattern(Broken.RECEIPT_INVALID, length=len(receipt.pack()) - 1)):
         unpack_probe(receipt.pack()[:-1])
+    parts = [*receipts(buffer, at, routes)]
+    assert [each for part in parts for each in part.arrived] == routes
+    assert all(len(part.pack()) <= 1100 and part[:2] == receipt[:2] for part in parts)
+
+
+def test_no_receipt_is_of_nothing() -> None:
+    assert [*receipts(1, 2, ())] == []
+    with pytest.raises(ProtocolError, match=pattern(Broken.RECEIPT_INVALID, length=5)):
+        unpack_probe(b"\2" + bytes(4))
 
 
 @given(st.binary(max_size=40))

@@ -36,11 +36,11 @@ class RouteSink(Protocol):
 
     @property
     def resumes(self) -> bool:
-        """Whether it stays open when its stream is lost, and goes on on the next one."""
+        """Whether it stays open when its connection is lost, and goes on on the next one."""
 
     @property
     def resends(self) -> bool:
-        """Whether it then sends again what the other side had not acknowledged."""
+        """Whether it sends again what the other side has not got."""
 
     def deliver(self, messages: Sequence[Message]) -> None:
         """Take messages that arrived whole and authentic."""

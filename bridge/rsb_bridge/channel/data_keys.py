@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.framing import DataReader, DataWriter
@@ -12,8 +12,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from rsb_bridge.wire.framing import Budget, Message
-    from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Role, SessionKeys, StreamOpener
+    from rsb_bridge.wire.sealing import Buffer, Role, SessionKeys, StreamOpener
 
+_Reader = TypeVar("_Reader", bound=DatagramReader)
 Meter: TypeAlias = "Callable[[int], bool]"
 """Takes so many bytes, with their headers and seals, or returns False: then nothing more of the route is taken."""
 
@@ -34,26 +35,6 @@ class MeteredDataReader(DataReader):
             self._ended = True
             self.close()
         return not self._ended
-
-
-class MeteredDatagramReader(DatagramReader):
-    """Opens datagrams as long as the meter allows. Forged datagrams are not counted."""
-
-    def __init__(self, opener: DatagramOpener, route: int, meter: Meter, budget: Budget) -> None:
-        super().__init__(opener, route, budget=budget)
-        self._meter = meter
-        self._ended = False
-
-    def receive(self, datagram: Buffer, now: float) -> Message | None:
-        if self._ended:
-            return None
-        opened = self.opened
-        message = super().receive(datagram, now)
-        if self.opened > opened and not self._meter(len(datagram)):
-            self._ended = True
-            self.close()
-            return None
-        return message
 
 
 class Scratch:
@@ -112,9 +93,7 @@ class DataKeys:
         """Return a sealing writer for datagrams. A route id gets one writer, for either kind, in a link's life."""
         return DatagramWriter(self.keys.route_sealer(route_id, self.role), self.keys.link_id, route_id)
 
-    def datagram_reader(self, route_id: int) -> DatagramReader:
+    def datagram_reader(self, route_id: int, kind: type[_Reader]) -> _Reader:
         """Opens a route's messages from datagrams."""
         opener = self.keys.datagram_opener(route_id, self.peer_role)
-        if (meter := self.meter_of(route_id)) is not None:
-            return MeteredDatagramReader(opener, route_id, meter, self.budget)
-        return DatagramReader(opener, route_id, budget=self.budget)
+        return kind(opener, route_id, budget=self.budget, meter=self.meter_of(route_id))

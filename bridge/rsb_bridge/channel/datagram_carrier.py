@@ -28,6 +28,8 @@ class Datagrams(Protocol):
     """The UDP channel whose datagrams take turns, as far as its carrier knows it."""
 
     socket: DatagramSocket
+    ready: bool
+    over: bool
 
     def send(self, datagrams: Sequence[bytes]) -> None: ...
 
@@ -53,6 +55,7 @@ class DatagramCarrier(Carrier):
         senders: sending ends of its routes, by the route's id.
         pacer: the pace of the path.
         proven: whether datagrams arrive, by the last receipt.
+        asked_at: when (s) a datagram asked for a receipt last.
     """
 
     def __init__(self, channel: Datagrams, scheduler: Scheduler) -> None:
@@ -67,7 +70,7 @@ class DatagramCarrier(Carrier):
         self._datagrams = 0  # sent so far
         self._counted = self._missing = 0  # datagrams that are no longer in transit, and how many of them have not come
         self._told = (0, 0)  # the two by the last receipt
-        self._unasked, self._asked_at = 0, -math.inf
+        self._unasked, self.asked_at = 0, -math.inf
         self._unanswered = math.inf  # since when (s) a receipt is asked for
         self._timer: asyncio.TimerHandle | None = None
         self._pause = _FIRST_PAUSE
@@ -79,7 +82,8 @@ class DatagramCarrier(Carrier):
 
     @property
     def congested(self) -> bool:
-        if self._channel.socket.congested:
+        channel = self._channel
+        if channel.socket.congested or not channel.ready or channel.over:
             return True
         if self.room() > 0:
             return False
@@ -106,9 +110,9 @@ class DatagramCarrier(Carrier):
         most = min(self.scheduler.window.every, self.pacer.limit // _PARTS)
         # Where asking or the answer got lost, every datagram asks, so that what gets lost by chance stops nothing.
         overdue = self._now > self._unanswered + self.pacer.patience / 2
-        if self.proven and self._unasked < most and self._now - self._asked_at < _ASKS_EVERY and not overdue:
+        if self.proven and self._unasked < most and self._now - self.asked_at < _ASKS_EVERY and not overdue:
             return False
-        self._unasked, self._asked_at = 0, self._now
+        self._unasked, self.asked_at = 0, self._now
         self._unanswered = min(self._unanswered, self._now)
         return True
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.channel import Counts, DataChannel, ReceivingChannel
+from rsb_bridge.channel.channel import REOPENS, Counts, DataChannel, ReceivingChannel
 from rsb_bridge.channel.pacing import WINDOW
 from rsb_bridge.channel.scheduler import SendingChannel
 from rsb_bridge.channel.udp_channel import TIMES, BufferShortage
@@ -32,27 +32,46 @@ _REPEATS, _REPEATED_AFTER = 5, 0.1
 link that loses 30 %, its first two copies get lost once in 11 times, and all seven once in 4,500."""
 
 
-class _DatagramChannel(DataChannel):
-    """The part that both ends share."""
+class DatagramEnd(DataChannel):
+    """The base of both ends.
+
+    Attributes:
+        is_cut: whether the link is away, and it waits for a UDP channel of its next connection.
+    """
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink) -> None:
         self.route = route
+        self.is_cut = False
         self._udp_channel = udp_channel
         self._route_id = route.id
+        self._was_ready = False  # before the link was away
 
     @property
     def ready(self) -> bool:
-        return self._udp_channel.ready
+        return self._was_ready or self._udp_channel.ready
 
     def trouble(self) -> Verdict | None:
-        text = self._udp_channel.trouble
-        return Verdict(State.DOWN, Cause.NO_PATH, text) if text else None
+        if text := self._udp_channel.trouble:
+            return Verdict(State.DOWN, Cause.NO_PATH, text)
+        if self._was_ready and not self._udp_channel.ready:
+            return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
+        return None
+
+    def away(self) -> None:
+        """Wait for the link's next connection; the UDP channel is about to be closed."""
+        self.is_cut = True
+        self._was_ready = self.ready
+
+    def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
+        """Go on over a UDP channel of the link's next connection."""
+        self.is_cut = False
+        self._udp_channel = udp_channel
 
     def close(self, reason: str) -> None:
         self._udp_channel.remove(self._route_id)
 
 
-class DatagramSender(_DatagramChannel, SendingChannel):
+class DatagramSender(DatagramEnd, SendingChannel):
     """The sending end, a `DatagramSource`.
 
     A message that has begun is sent whole, unless its beginning was written off.
@@ -86,7 +105,9 @@ class DatagramSender(_DatagramChannel, SendingChannel):
 
     @property
     def free(self) -> bool:
-        return self.via.is_new or (super().free and not (self.congested and self.via.pacer.path.known))
+        return (self.via.is_new and not self.is_cut) or (
+            super().free and not (self.congested and self.via.pacer.path.known)
+        )
 
     @property
     def moves(self) -> bool:
@@ -168,6 +189,27 @@ class DatagramSender(_DatagramChannel, SendingChannel):
         self.via.send(datagrams, size, times)
         return size
 
+    def ask(self) -> None:
+        if self.is_cut:
+            self._asked = True  # `go_on` takes the turn
+        else:
+            super().ask()
+
+    def away(self) -> None:
+        super().away()
+        self._repeats = 0
+
+    def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
+        super().go_on(udp_channel, keys)
+        self._codec.go_on(keys.keys.route_sealer(self._route_id, keys.role), keys.keys.link_id)
+        self._counted = self._missing = 0
+        self._receipted = (-1, 0)
+        self._cut, self._at = None, 0
+        self.via, self.start = udp_channel.sending(), 0
+        self.via.senders[self._route_id] = self
+        if self.waits:
+            self._scheduler.join(self)
+
     def close(self, reason: str) -> None:
         if self._repeating is not None:
             self._repeating.cancel()
@@ -208,7 +250,7 @@ class DatagramSender(_DatagramChannel, SendingChannel):
         return PacketCounts(newest + 1, max(0, newest + 1 - opened), newest + 1, 0, 0)
 
 
-class DatagramReceiver(_DatagramChannel, ReceivingChannel):
+class DatagramReceiver(DatagramEnd, ReceivingChannel):
     """The receiving end, a `DatagramSink`."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramReader) -> None:
@@ -225,12 +267,10 @@ class DatagramReceiver(_DatagramChannel, ReceivingChannel):
         super().close(reason)
 
     def received(self, datagrams: Sequence[Buffer], now: float) -> bool:
-        receive = self._codec.receive
+        receive = self._receive
         whole: list[Message] = []
         for datagram in datagrams:
-            message = receive(datagram, now)
-            if message is not None:
-                whole.append(message)
+            whole += receive(datagram, now)
         if self._codec.asked:
             self._codec.asked = False
             self._udp_channel.asked()
@@ -244,6 +284,10 @@ class DatagramReceiver(_DatagramChannel, ReceivingChannel):
         self.route.deliver(whole)
         return True
 
+    def _receive(self, datagram: Buffer, now: float) -> Sequence[Message]:
+        message = self._codec.receive(datagram, now)
+        return () if message is None else (message,)
+
     def news(self) -> Arrived | None:
         codec = self._codec
         if codec.opened == self._told:
@@ -254,9 +298,8 @@ class DatagramReceiver(_DatagramChannel, ReceivingChannel):
     def expire(self, now: float) -> None:
         self._codec.expire(now)
 
-
-def datagram_channel(udp_channel: UdpChannel, route: RouteSink, keys: DataKeys) -> DatagramSender | DatagramReceiver:
-    """Return this side's end of a route's channel on a UDP channel."""
-    if route.outgoing:
-        return DatagramSender(udp_channel, route, keys.datagram_writer(route.id))
-    return DatagramReceiver(udp_channel, route, keys.datagram_reader(route.id))
+    def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
+        super().go_on(udp_channel, keys)
+        self._codec.go_on(keys.keys.datagram_opener(self._route_id, keys.peer_role))
+        self._told = 0
+        udp_channel.receivers[self._route_id] = self

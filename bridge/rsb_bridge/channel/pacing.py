@@ -191,6 +191,7 @@ class Pacer:
 
     Attributes:
         window: bytes that may be in the receiver's buffer, or 0 if unknown.
+        round_trip: s from a datagram to its receipt, the last time; 0 before the first.
     """
 
     def __init__(self) -> None:
@@ -205,7 +206,7 @@ class Pacer:
         self._passed = (-1, 0)  # the last receipted sequence number, and bytes sent up to it
         self._heard_at = 0.0
         self._newest, self._opened = -1, 0
-        self._round_trip = 0.0
+        self.round_trip = 0.0
 
     def room(self, now: float, waits_since: float = math.inf) -> int:
         """Return the bytes that may be sent now; none if it is 0 or less.
@@ -242,7 +243,7 @@ class Pacer:
     @property
     def patience(self) -> float:
         """The time (s) without a receipt after which a full path seems to carry nothing."""
-        return max(_PATIENCE, 2 * self._round_trip)
+        return max(_PATIENCE, 2 * self.round_trip)
 
     def write_off(self) -> None:
         """Count all bytes as arrived or lost."""
@@ -299,7 +300,7 @@ class Pacer:
         self._newest, self._opened = newest, max(opened, self._opened)
         if sent_at is None:
             return
-        self._round_trip = now - sent_at
+        self.round_trip = now - sent_at
         size = self._arrived - before
         if self.path.passed(size, datagrams, arrived, sent_at, arrived_at, now, limited=self._limited):
             self._limited = False

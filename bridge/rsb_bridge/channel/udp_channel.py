@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from rsb_bridge.channel.datagram_carrier import DatagramCarrier
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
-from rsb_bridge.wire.datagram import MOST_ARRIVED, Probe, Receipt, Urgent, by_addressee, unpack_probe
+from rsb_bridge.wire.datagram import DatagramReader, Probe, Receipt, Urgent, by_addressee, receipts, unpack_probe
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import PROBE_ROUTE
 
@@ -47,7 +47,7 @@ class PathProbe:
     def __init__(self, keys: DataKeys) -> None:
         self.link_id = keys.keys.link_id
         self._writer = keys.datagram_writer(PROBE_ROUTE)
-        self._reader = keys.datagram_reader(PROBE_ROUTE)
+        self._reader = keys.datagram_reader(PROBE_ROUTE, DatagramReader)
 
     def write(self, probe: OfProbeRoute, size: int) -> list[bytes]:
         """Return the probe, receipt or urgent message as datagrams of at most `size` bytes."""
@@ -199,12 +199,10 @@ class UdpChannel(ABC):
         if self._peer is None:
             return
         news = [each for receiver in self.receivers.values() if (each := receiver.news()) is not None]
-        if not news:
-            return
-        at = int(self.socket.arrived_at() * 1e6)
-        for first in range(0, len(news), MOST_ARRIVED):  # in one piece each: a lost fragment would lose all
-            receipt = Receipt(self.receive_buffer, at, tuple(news[first : first + MOST_ARRIVED]))
-            self.send(self._probe.write(receipt, self.datagram_size()))
+        if news:
+            at = int(self.socket.arrived_at() * 1e6)
+            for receipt in receipts(self.receive_buffer, at, news):
+                self.send(self._probe.write(receipt, self.datagram_size()))
 
     def send_urgent(self, content: bytes) -> None:
         """Send a control message as `rsb_bridge.wire.codec` encodes it; nothing happens without the peer's address."""

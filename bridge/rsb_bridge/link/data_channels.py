@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.data_stream import StreamPair, stream_channel, take_receipts
-from rsb_bridge.channel.datagram_channel import datagram_channel
+from rsb_bridge.channel.datagram_channel import DatagramEnd
+from rsb_bridge.channel.reliable_datagrams import datagram_channel
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.channel.window import ReceiptBook, Window
@@ -102,9 +103,12 @@ class DataChannels:
             control.data = pair.add(control.stream, CONTROL_NUMBER, large=True, small=True)
 
     def away(self, reason: str) -> None:
-        """Have the routes on streams wait for the next connection. No route uses a UDP channel any more."""
+        """Have the routes wait for the next connection. None that has to be armed is open any more."""
         for pair in tuple(self._pairs.values()):
             pair.away(Reason(reason, EndCode.BROKE))
+        for route in self.ids.open_routes():
+            if isinstance(route.channel, DatagramEnd):
+                route.channel.away()
         for channel in self._udp.values():
             channel.close()
         self._udp.clear()
@@ -124,11 +128,11 @@ class DataChannels:
                 pair.go_on()  # where the control connection is its stream
 
     def open_all(self) -> None:
-        """Open the streams that routes wait for."""
+        """Open the streams and UDP channels that routes wait for."""
         for pair in self._pairs.values():
             if not pair.over and any(pair.lacks()):
                 self.open_streams(pair.transport, pair.port)
-        self._link.spawn(self._advance())  # those without a channel open theirs
+        self._link.spawn(self._advance())
 
     def ping(self) -> float:
         return 2 * (self._link.keepalive.clock.uncertainty or 0.0)
@@ -166,7 +170,11 @@ class DataChannels:
         if channel is None or channel.over:
             channel = self._open_udp(transport, port)
         # Without one, a client tries again, and a server waits for its client's probe; both then call `udp_ready`.
-        if channel is not None:
+        if channel is None:
+            return
+        if isinstance(route.channel, DatagramEnd):
+            route.channel.go_on(channel, self.keys)
+        else:
             route.channel = datagram_channel(channel, route, self.keys)
 
     def _carry(self, route: Route, pair: StreamPair) -> None:
@@ -181,12 +189,16 @@ class DataChannels:
 
     def udp_ready(self) -> None:
         """Advance the routes that wait for a UDP channel: one has found its path, or can be opened now."""
+        self.scheduler.run()
         self._link.spawn(self._advance())
 
     async def _advance(self) -> None:
         def advance(route: Route) -> None:
-            if route.id:  # a slice before this one may have closed it
-                route.advance()
+            if not route.id:  # a slice before this one has closed it
+                return
+            if isinstance(route.channel, DatagramEnd) and route.channel.is_cut:
+                self.open(route)
+            route.advance()
 
         await in_slices(self.ids.open_routes(), advance)  # hundreds may wait for the same path
 

@@ -189,6 +189,7 @@ class EventCode(StrEnum):
     ROUTE_SOURCES_CHANGED = "route.sources_changed"
     ROUTE_CLOCK_SET = "route.clock_set"
     ROUTE_PORT_UNAVAILABLE = "route.port_unavailable"
+    ROUTE_RELIABILITY_CHANGED = "route.reliability_changed"
     ROUTE_TYPE_CHANGED = "route.type_changed"
     """The publishers have another type than before, or some of them have."""
     ROUTE_TYPE_DIFFERS = "route.type_differs"

@@ -131,11 +131,8 @@ class RouteLedger:
     If the process that counted an opening has ended, the messages after its last report are `unknown`: neither
     delivered nor lost.
 
-    Args:
-        numbered: whether the channel numbers its messages and may lose any of them; on a stream, they are lost
-            with it.
-
     Attributes:
+        lossy: whether the channel may lose any message for good. Otherwise they are lost with the link.
         offered: messages taken from ROS.
         throttled: left out for the route's highest rate.
         expired: dropped here, because they were too old.
@@ -143,18 +140,21 @@ class RouteLedger:
         missed: messages published while the route was down, estimated.
     """
 
-    def __init__(self, *, numbered: bool = False) -> None:
+    def __init__(self) -> None:
+        self.lossy = False
         self.offered = 0
         self.throttled = 0
         self.dropped: Counter[str] = Counter()
         self.unknown = 0
         self.missed = MissedWhileDown()
-        self._numbered = numbered
-        self._missing_as = _ON_THE_WAY if numbered else _LINK_LOST
         self.expired = 0
         self._delivered = 0
         self._opening = _Opening()
         self._unsettled: _Opening | None = None
+
+    @property
+    def _missing_as(self) -> str:
+        return _ON_THE_WAY if self.lossy else _LINK_LOST
 
     @property
     def sent_now(self) -> int:
@@ -224,7 +224,7 @@ class RouteLedger:
         """
         opening = self._opening
         opening.counted = _within(report, opening.sent)
-        if self._numbered:
+        if self.lossy:
             opening.marks.append((now, opening.sent))
             # This ends at the mark that was just added, at the latest.
             while now - opening.marks[0][0] >= _OVERDUE_AFTER + delay:

@@ -33,7 +33,6 @@ from rsb_bridge.route.sending import OutgoingPath, remedy_for_size
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import OF_SENDER, no_subscriber
-from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.headers import publisher_id
 from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
 from rsb_bridge.wire.records import MOST_PUBLISHERS, ReceivedReport, SentReport
@@ -71,7 +70,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._told: Publishers | None = None  # of the publishers, to the peer
-        self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
+        self._ledger = RouteLedger()
         self._report: ReceivedReport | None = None  # of the present opening
         self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
         self._described: Describe | None = None
@@ -145,6 +144,11 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
                 EventCode.ROUTE_TYPE_CHANGED, f"its type has changed from {self._described.type} to {described.type}"
             )
             return
+        reliable = described.qos.reliability
+        if self._described is not None and not self.transport.reliable and reliable != self._described.qos.reliability:
+            # Both ends of a channel over datagrams depend on it.
+            self.request_reopen(EventCode.ROUTE_RELIABILITY_CHANGED, f"its publishers offer {reliable} now")
+            return
         if described != self._described:
             self._subscription.unsubscribe()
             self.life.handle(RouteEvent.DESCRIBE)
@@ -163,6 +167,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def _describe(self, described: Describe) -> None:
         self._described = described
         self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
+        self._ledger.lossy = self.lossy
         self.settle_age()
         self._path.compose()  # what is latched, as its QoS says now, is asked its age later
         self.log_other_end(self.type_name)
@@ -323,7 +328,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if not flows or not self.peer.linked or now - self._back_at < _CATCHES_UP:
             self.lateness.reset()
             return
-        if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
+        if self.lossy:  # unreported datagrams may be lost, unless pings by a stream are held up, too
             unreported = min(unreported, self.peer.keepalive.ping_wait)
         own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.keepalive.ping_delay))
         measured = self.delays.measure(own, self.peer.clock.uncertainty or 0.0, now)

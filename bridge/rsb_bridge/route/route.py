@@ -348,17 +348,22 @@ class Route:
     @property
     def outlives(self) -> bool:
         """Whether it stays open while the link is away."""
-        return self.life.accepted and self.resumes and self.transport.reliable
+        return self.life.accepted and self.resumes
 
     @property
     def resumes(self) -> bool:
-        """Whether it stays open when its stream is lost, and goes on on the next one."""
+        """Whether it stays open when its connection is lost, and goes on on the next one."""
         return not self.arming.required  # a break disarms what moves robots
 
     @property
     def resends(self) -> bool:
-        """Whether it then sends the messages of the lost stream again, as calls and reliable topics do."""
+        """Whether it sends lost messages again, as calls and reliable topics do."""
         return True
+
+    @property
+    def lossy(self) -> bool:
+        """Whether its channel may lose messages of an opening for good."""
+        return not self.transport.reliable and not (self.resumes and self.resends)
 
     def channel_lost(self, reason: Reason) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""

@@ -326,7 +326,7 @@ class TopicRoute(Route, Generic[ChannelT]):
     @property
     def _is_polled(self) -> bool:
         """Whether something may change that is neither one of the signs nor has a time."""
-        return not self.transport.reliable  # messages that never come whole
+        return self.lossy  # messages that never come whole
 
     def _measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         self.latency.tick()

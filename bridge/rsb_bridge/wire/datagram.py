@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 from rsb_bridge.wire.framing import LEASED, MESSAGE_LIMIT, UNFINISHED_LIMIT, Budget, Message
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 Origin = TypeVar("Origin")
 
@@ -22,9 +22,9 @@ _HEADER_SIZE = _HEADER.size
 _unpack_addressee = struct.Struct(">I8s").unpack_from
 _ASKS = 2  # a flag: the sender of the datagram wants a receipt now
 _PROBE = struct.Struct(">?Q")
-_RECEIPT, _ARRIVED = struct.Struct(">BIQ"), struct.Struct(">IQQ")
+_RECEIPT, _ARRIVED = struct.Struct(">BIQ"), struct.Struct(">IQQB")
 _RECEIPT_KIND, _URGENT_KIND = 2, 3
-MOST_ARRIVED = 50  # routes of one receipt, which fits into a datagram of 1,200 bytes
+_LONGEST_RECEIPT = 1100  # bytes: one fits into a datagram of 1,200
 # s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns.
 _EXPIRES, _NEWEST_EXPIRES = 1.0, 5.0
 _FRAGMENT_COST = 400
@@ -73,6 +73,11 @@ class Arrived(NamedTuple):
     route: int
     newest: int  # the highest sequence number opened
     opened: int  # datagrams opened so far
+    missing: int = 0  # of a reliable topic: bit n is set if the n-th before the newest has not come, up to bit 1,023
+
+    def pack(self) -> bytes:
+        missing = self.missing.to_bytes((self.missing.bit_length() + 7) // 8)
+        return _ARRIVED.pack(self.route, self.newest, self.opened, len(missing)) + missing
 
 
 class Receipt(NamedTuple):
@@ -80,11 +85,45 @@ class Receipt(NamedTuple):
 
     buffer: int  # bytes of the kernel's receive buffer on the receiver's side, at most 2**32 - 1
     at: int  # when the newest datagram reached the receiver's kernel, in µs on the receiver's clock, at most 2**64 - 1
-    arrived: tuple[Arrived, ...]  # of at most `MOST_ARRIVED` routes
+    arrived: tuple[Arrived, ...]
 
     def pack(self) -> bytes:
-        arrived = b"".join([_ARRIVED.pack(*each) for each in self.arrived])
-        return _RECEIPT.pack(_RECEIPT_KIND, self.buffer, self.at) + arrived
+        return _RECEIPT.pack(_RECEIPT_KIND, self.buffer, self.at) + b"".join([each.pack() for each in self.arrived])
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Receipt:
+        """Return the receipt in a payload.
+
+        Raises:
+            ProtocolError: it is none.
+        """
+        at, arrived = _RECEIPT.size, list[Arrived]()
+        try:
+            _, buffer, when = _RECEIPT.unpack_from(payload)
+            while at < len(payload):
+                route, newest, opened, length = _ARRIVED.unpack_from(payload, at)
+                at += _ARRIVED.size + length
+                arrived.append(Arrived(route, newest, opened, int.from_bytes(payload[at - length : at])))
+        except struct.error:
+            at = -1
+        if at != len(payload):
+            raise ProtocolError(Broken.RECEIPT_INVALID(length=len(payload)))
+        return cls(buffer, when, tuple(arrived))
+
+
+def receipts(buffer: int, at: int, arrived: Iterable[Arrived]) -> Iterator[Receipt]:
+    """Yield receipts that fit into one datagram each: a lost fragment would lose all of a longer one."""
+    part: list[Arrived] = []
+    size = _RECEIPT.size
+    for each in arrived:
+        length = len(each.pack())
+        if size + length > _LONGEST_RECEIPT:
+            yield Receipt(buffer, at, tuple(part))
+            part, size = [], _RECEIPT.size
+        part.append(each)
+        size += length
+    if part:
+        yield Receipt(buffer, at, tuple(part))
 
 
 class Urgent(NamedTuple):
@@ -110,17 +149,15 @@ def unpack_probe(payload: bytes) -> OfProbeRoute:
         return Urgent(payload[1:])
     if kind != _RECEIPT_KIND:
         return Probe.unpack(payload)
-    if len(payload) % _ARRIVED.size != _RECEIPT.size:
-        raise ProtocolError(Broken.RECEIPT_INVALID(length=len(payload)))
-    _, buffer, at = _RECEIPT.unpack_from(payload)
-    return Receipt(buffer, at, tuple(map(Arrived._make, _ARRIVED.iter_unpack(payload[_RECEIPT.size :]))))
+    return Receipt.unpack(payload)
 
 
 class Cut(NamedTuple):
     """A message in pieces, each for a datagram."""
 
     number: int
-    pieces: Sequence[Buffer]  # all but the last of one size
+    payload: Buffer
+    pieces: Sequence[Buffer]  # of the payload, all but the last of one size
     stamp: int  # ns since the epoch
     flags: int  # as of `rsb_bridge.wire.framing.Message`
 
@@ -140,6 +177,10 @@ class DatagramWriter:
         self._link_id = link_id
         self._route = route
         self._overhead = _HEADER_SIZE + sealer.suite.tag_length
+
+    def go_on(self, sealer: Sealer, link_id: bytes) -> None:
+        """Seal with the keys of the session's next connection. The messages' numbers go on."""
+        self._sealer, self._link_id = sealer, link_id
 
     @property
     def sequence(self) -> int:
@@ -194,15 +235,18 @@ class DatagramWriter:
         Raises:
             ValueError: the message needs more than `FRAGMENTS_LIMIT` datagrams.
         """
-        payload, stamp, flags = message
-        pieces = _cut(payload, max_datagram - self._overhead)
-        self.largest = max(self.largest, len(payload))
+        self.largest = max(self.largest, len(message[0]))
         self.number += 1
-        return Cut(self.number & 0xFFFFFFFF, pieces, stamp, flags)
+        return self.cut_again(self.number, message, max_datagram)
+
+    def cut_again(self, number: int, message: Message, max_datagram: int) -> Cut:
+        """Cut a message that has its number; raises as `cut`."""
+        payload, stamp, flags = message
+        return Cut(number & 0xFFFFFFFF, payload, _cut(payload, max_datagram - self._overhead), stamp, flags)
 
     def write_pieces(self, cut: Cut, begin: int, end: int, *, asks: bool = False) -> list[bytes]:
         """Return the datagrams of some pieces; `asks` as for `write_many`."""
-        number, pieces, stamp, flags = cut
+        number, _, pieces, stamp, flags = cut
         sealer, count = self._sealer, len(pieces)
         datagrams: list[bytes] = []
         for index in range(begin, min(end, count)):
@@ -217,17 +261,18 @@ class DatagramWriter:
 def _cut(payload: Buffer, room: int) -> Sequence[memoryview]:
     """Cut a message into the fewest pieces of at most `room` bytes, all but the last of one size."""
     view, length = memoryview(payload), len(payload)
-    count = -(-length // room)
+    count = max(-(-length // room), 1)
     if count > FRAGMENTS_LIMIT:
         raise ValueError(Misuse.TOO_MANY_DATAGRAMS(length=length, limit=FRAGMENTS_LIMIT))
-    size = -(-length // count)
-    return [view[begin : begin + size] for begin in range(0, length, size)]
+    size = max(-(-length // count), 1)
+    return [view[begin : begin + size] for begin in range(0, max(length, 1), size)]
 
 
 @dataclass(slots=True)
 class _Incomplete:
     count: int
     last_seen: float
+    since: int  # sequence number of its first fragment that came
     fragments: dict[int, bytes] = field(default_factory=dict)
     size: int = 0
     cost: int = 0
@@ -252,12 +297,14 @@ class DatagramReader:
         route: int,
         max_message: int = MESSAGE_LIMIT,
         budget: Budget | None = None,
+        meter: Callable[[int], bool] | None = None,
     ) -> None:
         """Read one route.
 
         Args:
             opener: of the peer's direction.
             budget: for incomplete messages; when it is spent, the route's oldest is given up. None: one of its own.
+            meter: takes the bytes of each datagram that opens; once it refuses some, nothing more is taken.
         """
         self.expired = 0
         self.newest = 0
@@ -267,6 +314,8 @@ class DatagramReader:
         self._route = route
         self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._max_message = max_message
+        self._meter = meter
+        self._ended = False  # by the meter
         self._incomplete: dict[int, _Incomplete] = {}  # by message number, in the order of the last fragments
         self._handed_on = 0  # the highest number of a leased message that was returned
         self._given_up = 0  # the highest number that was given up: late fragments up to it are not kept
@@ -302,26 +351,45 @@ class DatagramReader:
         except SealError:
             return None
         self.opened += 1
+        if self._meter is not None and not self._counted(len(datagram), self._meter):
+            return None
         if flags & _ASKS:
             self.asked = True
             flags ^= _ASKS  # on streams, that bit means `framing.MORE`
-        # The full message number is the one nearest to the newest (RFC 1982).
-        ahead = (number - self.newest) & 0xFFFFFFFF
-        if ahead < 2**31:
-            number = self.newest = self.newest + ahead
-        else:
-            number = self.newest + ahead - 2**32
+        number = self._full(number)
+        self.newest = max(self.newest, number)
         if count > 1:
-            whole = self._gather(number, index, count, content, now)
+            whole = self._gather(number, index, count, content, sequence, now)
             if whole is None:
                 return None
             content = whole
-        if flags & LEASED:
+        return self._whole(number, (content, stamp, flags))
+
+    def _counted(self, size: int, meter: Callable[[int], bool]) -> bool:
+        if not self._ended and not meter(size):
+            self._ended = True
+            self.close()
+        return not self._ended
+
+    def _full(self, number: int) -> int:
+        """Return the full message number, the one nearest to the newest (RFC 1982)."""
+        ahead = (number - self.newest) & 0xFFFFFFFF
+        return self.newest + (ahead if ahead < 2**31 else ahead - 2**32)
+
+    def _whole(self, number: int, message: Message) -> Message | None:
+        """Return a message that is whole, if it may be handed on now."""
+        if message[2] & LEASED:
             # A motion must not follow the stop that has overtaken it.
             if number < self._handed_on:
                 return None
             self._handed_on = number
-        return content, stamp, flags
+        return message
+
+    def go_on(self, opener: DatagramOpener) -> None:
+        """Open with the keys of the session's next connection; what is incomplete is discarded."""
+        DatagramReader.close(self)
+        self._opener = opener
+        self.opened = 0
 
     def expire(self, now: float) -> None:
         """Give up messages whose fragments did not come in time."""
@@ -335,12 +403,12 @@ class DatagramReader:
         for number in tuple(self._incomplete):
             self._forget(number)
 
-    def _gather(self, number: int, index: int, count: int, content: bytes, now: float) -> bytes | None:
+    def _gather(self, number: int, index: int, count: int, content: bytes, sequence: int, now: float) -> bytes | None:
         message = self._incomplete.get(number)
         if message is None:
             if number <= self._given_up:
                 return None
-            message = self._incomplete[number] = _Incomplete(count, now)
+            message = self._incomplete[number] = _Incomplete(count, now, sequence)
         if count != message.count or index in message.fragments or message.size + len(content) > self._max_message:
             self._give_up(number)  # its fragments contradict each other, or are too many
             return None
@@ -372,3 +440,79 @@ class DatagramReader:
 
     def _forget(self, number: int) -> None:
         self._budget.give(self._incomplete.pop(number).cost)
+
+
+class OrderedReader(DatagramReader):
+    """Opens the datagrams of a reliable topic: each message once and in order, as what got lost is sent again.
+
+    Attributes:
+        following: messages that a missing one has held up, and that follow the one returned last. To be taken by who
+            gets that.
+    """
+
+    def __init__(self, *args: Any, **limits: Any) -> None:
+        super().__init__(*args, **limits)
+        self.following: list[Message] = []
+        self._next = 1  # number of the message that is handed on next
+        self._ahead: dict[int, Message] = {}
+
+    @property
+    def missing(self) -> int:
+        """Which of the last datagrams have not come, as in `Arrived`."""
+        return self._opener.missing
+
+    @property
+    def has_gap(self) -> bool:
+        """Whether something of a later message has come while one is incomplete."""
+        return self.newest > self._next
+
+    def receive(self, datagram: Buffer, now: float) -> Message | None:
+        # Not opened without room, so that it is not acknowledged. The next message makes room once it is whole.
+        if self._budget.held + len(datagram) > self._budget.limit and not self._is_of_next(datagram):
+            return None
+        return super().receive(datagram, now)
+
+    def expire(self, now: float) -> None:
+        """Give up nothing: what is incomplete is sent again."""
+
+    def close(self) -> None:
+        super().close()
+        for message in self._ahead.values():
+            self._budget.give(len(message[0]))
+        self._ahead.clear()
+
+    def _is_of_next(self, datagram: Buffer) -> bool:
+        return len(datagram) >= _HEADER_SIZE and self._full(_HEADER.unpack_from(datagram)[7]) == self._next
+
+    def _has(self, number: int) -> bool:
+        return number < self._next or number in self._ahead
+
+    def _gather(self, number: int, index: int, count: int, content: bytes, sequence: int, now: float) -> bytes | None:
+        if self._has(number):
+            return None
+        message = self._incomplete.get(number)
+        if message is not None and message.count != count:
+            if sequence < message.since:
+                return None
+            self._forget(number)  # the path takes only smaller datagrams now, and all is sent again
+        elif message is not None and index in message.fragments:
+            return None
+        return super()._gather(number, index, count, content, sequence, now)
+
+    def _hold(self, number: int, cost: int) -> None:
+        self._budget.held += cost  # `receive` has asked whether there is room
+        self._incomplete[number].cost += cost
+
+    def _whole(self, number: int, message: Message) -> Message | None:
+        if self._has(number):
+            return None
+        if number > self._next:
+            self._budget.held += len(message[0])
+            self._ahead[number] = message
+            return None
+        self._next += 1
+        while (held := self._ahead.pop(self._next, None)) is not None:
+            self._budget.give(len(held[0]))
+            self.following.append(held)
+            self._next += 1
+        return message

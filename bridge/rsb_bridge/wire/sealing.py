@@ -253,6 +253,11 @@ class DatagramOpener:
         self.newest = -1
         self._seen = 0  # bit n: the n-th before the newest was received
 
+    @property
+    def missing(self) -> int:
+        """Which numbers of the window are not opened: bit n is set for the n-th before the newest."""
+        return ~self._seen & self._mask & ((1 << (self.newest + 1)) - 1 if self.newest < self._window else self._mask)
+
     def open(self, sequence: int, sealed: Buffer, associated: Buffer) -> bytes:
         """Open one datagram's content.
 
