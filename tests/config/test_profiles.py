@@ -14,6 +14,7 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.transports import NO_PROFILE, PROFILES, LinkProfile, profile_of
+from rsb_bridge.route.catching_up import Backlog
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.route.rate_limit import RateLimit
@@ -88,7 +89,7 @@ def test_queues() -> None:
         peer = SimpleNamespace(profile=profile, linked=True, budget=PeerBudget(0.0))
         arming = SimpleNamespace(required=False)
         route: Any = SimpleNamespace(transport=transport, proposal=proposal, qos=qos, peer=peer, arming=arming)
-        return Outbox(route, RouteLedger()).limits(channel, 0, 0.0)
+        return Outbox(route, RouteLedger(), Backlog()).limits(channel, 0, 0.0)
 
     live = limits(Qos(reliability="best_effort"), PROFILES["lte"])
     plain, lte = limits(Qos(), NO_PROFILE), limits(Qos(), PROFILES["lte"])

@@ -25,7 +25,6 @@ _WITHIN = 180.0
 
 
 class Subscription:
-    lost = 0
     matched = 1
 
     def __init__(self, sink: Any) -> None:

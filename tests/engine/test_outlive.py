@@ -29,7 +29,7 @@ OUTLIVES = 60.0
 
 def away(engine: Engine) -> bool:
     (link,) = inside(engine).role.links()
-    return link.is_away
+    return link.away_since is not None
 
 
 def numbers(payloads: list[bytes]) -> list[int]:
@@ -174,4 +174,4 @@ def test_topics_of_a_link_that_is_away_share_a_limit(bridge: Bridge, relay: Rela
         eventually(lambda topic=topic: numbers(there[topic].payloads)[-1:] == [19])
     delivered = sum(len(each.payloads) - came[topic] for topic, each in there.items())
     assert delivered in (9, 10, 11)
-    assert sum(route(client, topic).ledger.dropped["queue full"] for topic in topics) == 40 - delivered
+    assert sum(route(client, topic).ledger.dropped["outage"] for topic in topics) == 40 - delivered

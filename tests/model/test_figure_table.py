@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from tests.console.scripted import CALLS, LINK, route
 
 from rsb_bridge.model.figure_table import FIGURES, Of, Unit
 
 SCAN = route("/scan")
-SUBJECTS = {Of.LINK: LINK, Of.ROUTE: SCAN, Of.MESSAGES: SCAN, Of.CALLS: route("/dock", calls=CALLS)}
+SUBJECTS = {
+    Of.LINK: replace(LINK, session_ends=60.0),
+    Of.ROUTE: SCAN,
+    Of.MESSAGES: SCAN,
+    Of.CALLS: route("/dock", calls=CALLS),
+}
 
 
 def test_every_figure_can_be_read() -> None:

@@ -45,8 +45,7 @@ TRANSPORTS = ("tcp", "udp", "zenoh", PLAIN)
 _QOS: dict[str, Any] = {"whole": {"history": "keep_all"}, "deep": 1000}
 """As a session asks for it; of the other kinds it is `auto`."""
 STEADY_BEFORE = 3.0
-"""s of steady traffic before a fault. The bridge does not yet know the usual rate of so young routes, and so not what
-it misses while they are down; after 45 s it does."""
+"""s of steady traffic before a fault."""
 _READY_WITHIN = 60.0
 _STEADY, _FRESH = 5.0, 1.0
 """Traffic is steady once the newest message of each topic has been younger than the second for the first, in s."""

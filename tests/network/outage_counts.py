@@ -16,7 +16,8 @@ LEAD = 1.0
 """s before a fault at which its window begins: messages that are on their way then are lost with it."""
 _HOPED_FOR = 2.5
 """Intervals of a topic without a message that are no silence yet: a busy machine makes as many."""
-_PARTS = ("delivered", "throttled", "expired", "in_flight", "unknown")
+_PARTS = ("delivered", "throttled", "expired", "waiting", "in_flight", "unknown")
+_UNTAKEN = ("missed_while_down", "lost_in_dds", "unsubscribed")
 
 
 class TopicCounts(NamedTuple):
@@ -71,7 +72,7 @@ class AccountCounts(NamedTuple):
 
     Attributes:
         published: counted outside.
-        accounted: the account's sum: offered, missed while down, and lost in DDS.
+        accounted: the account's sum: offered, and what was not taken.
         heard: different messages, counted outside.
         delivered: the account's.
         dropped: by cause, with the rest of the account that is not delivered and not 0.
@@ -145,12 +146,12 @@ def count_account(record: Record, name: str) -> AccountCounts | None:
     if not record.accounts:
         return None
     row: dict[str, Any] = record.accounts[name]
-    figure = {field: int(row.get(field) or 0) for field in (*_PARTS, "offered", "missed_while_down", "lost_in_dds")}
+    figure = {field: int(row.get(field) or 0) for field in (*_PARTS, "offered", *_UNTAKEN)}
     dropped: dict[str, int] = row.get("dropped") or {}
-    others = {field: figure[field] for field in (*_PARTS[1:], "missed_while_down", "lost_in_dds") if figure[field]}
+    others = {field: figure[field] for field in (*_PARTS[1:], *_UNTAKEN) if figure[field]}
     return AccountCounts(
         published=len(record.made[name]),
-        accounted=figure["offered"] + figure["missed_while_down"] + figure["lost_in_dds"],
+        accounted=figure["offered"] + sum(figure[field] for field in _UNTAKEN),
         heard=len({number for number, _, _ in record.heard[name]}),
         delivered=figure["delivered"],
         dropped=dropped | others,

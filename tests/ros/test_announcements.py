@@ -78,10 +78,12 @@ class FakeRos(NoRos):
         self.asked += topic == ANNOUNCEMENT_TOPIC
         return self.announcers if topic == ANNOUNCEMENT_TOPIC else []
 
-    def subscribe(self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None) -> Any:
+    def subscribe(
+        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None, numbers: object = None
+    ) -> Any:
         self.sink, self.fail = sink, on_failure
         self.subscribed += 1
-        return SimpleNamespace(lost=0, close=lambda: None)
+        return SimpleNamespace(close=lambda: None)
 
     def advertise(self, spec: TopicSpec, origin: Hashable) -> Publisher:
         return self.publisher

@@ -19,6 +19,7 @@ from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.participant import Participant
+from rsb_bridge.ros.publication_numbers import Untaken
 from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 
 STRING, SET = "std_msgs/msg/String", "std_srvs/srv/SetBool"
@@ -103,7 +104,7 @@ def test_what_was_taken_before_error_is_not_lost(monkeypatch: pytest.MonkeyPatch
         writer.publish(bytes(9))
         client.call(b"\0\1\0\0\0")
     takes(lambda: reader.take(10, ()), 3)
-    assert reader.lost == 0
+    assert reader.numbers.counts[Untaken.LOST] == 0
     for request in takes(lambda: server.take(10), 3):
         server.answer(request.caller, b"\0\1" + bytes(11))
     takes(lambda: client.take(10), 3)

@@ -20,6 +20,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
 from rsb_bridge.ros.ros_interface import TopicSpec
 
 if TYPE_CHECKING:
@@ -163,10 +164,13 @@ def test_latched_history_reaches_each_new_subscription(open_node: Callable[..., 
         latched.publish(String(data=str(number)))
     for _ in range(2):
         received = Received()
-        subscription = node.subscribe(strings("/map", Qos(durability="transient_local")), received, "link")
+        numbers = PublicationNumbers(time.monotonic)
+        subscription = node.subscribe(
+            strings("/map", Qos(durability="transient_local")), received, "link", numbers=numbers
+        )
         eventually(lambda received=received: len(received.payloads) == 3)
         assert [each[8:9] for each in received.payloads] == [b"2", b"3", b"4"]
-        assert subscription.lost == 0
+        assert numbers.counts[Untaken.LOST] == 0
         subscription.close()
 
 
@@ -187,7 +191,8 @@ def test_own_latched_message_never_reaches_later_subscription(open_node: Callabl
 def test_losses_in_dds_are_counted_by_publisher(open_node: Callable[..., RosNode]) -> None:
     node, one, two = open_node(), open_node(name="one"), open_node(name="two")
     received = Received()
-    subscription = node.subscribe(strings("/fast", Qos(depth=4)), received, "link")
+    numbers = PublicationNumbers(time.monotonic)
+    node.subscribe(strings("/fast", Qos(depth=4)), received, "link", numbers=numbers)
     publishers = [each.advertise(strings("/fast"), "link") for each in (one, two)]
     for publisher in publishers:  # a gap is one only after the first message
         eventually(lambda publisher=publisher: publisher.subscriber_count)
@@ -202,7 +207,7 @@ def test_losses_in_dds_are_counted_by_publisher(open_node: Callable[..., RosNode
     received.hold.set()
     eventually(lambda: received.payloads.count(payload("99")) == 2)
     assert len(received.payloads) == 3 + 4
-    assert subscription.lost == 200 - 4
+    assert numbers.counts[Untaken.LOST] == 200 - 4
 
 
 @pytest.mark.usefixtures("told")
@@ -232,7 +237,8 @@ def test_keep_all_keeps_all(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     received = Received()
     received.hold.clear()
-    subscription = node.subscribe(strings("/all", Qos(history="keep_all")), received, "link")
+    numbers = PublicationNumbers(time.monotonic)
+    node.subscribe(strings("/all", Qos(history="keep_all")), received, "link", numbers=numbers)
     publisher = other.advertise(strings("/all", Qos(history="keep_all")), "link")
     eventually(lambda: publisher.subscriber_count)
     for number in range(3000):
@@ -240,7 +246,7 @@ def test_keep_all_keeps_all(open_node: Callable[..., RosNode]) -> None:
     received.hold.set()
     eventually(lambda: len(received.payloads) == 3000)
     assert received.payloads == [payload(str(number)) for number in range(3000)]
-    assert subscription.lost == 0
+    assert numbers.counts[Untaken.LOST] == 0
     assert max(received.batches) == 64
 
 
@@ -384,7 +390,8 @@ def test_newcomers_losses_count_from_its_first_message(
         before.publish(payload("too early"))
     eventually(lambda: node.publishers("/fast"))
     received = Received()
-    subscription = node.subscribe(strings("/fast", Qos(depth=4)), received, "link")
+    numbers = PublicationNumbers(time.monotonic)
+    node.subscribe(strings("/fast", Qos(depth=4)), received, "link", numbers=numbers)
     eventually(lambda: before.subscriber_count)
     received.hold.clear()
     before.publish(payload("block"))
@@ -396,7 +403,31 @@ def test_newcomers_losses_count_from_its_first_message(
     received.hold.set()
     eventually(lambda: received.payloads[-1] == payload("99"))
     assert len(received.payloads) == 1 + 4
-    assert subscription.lost == 96
+    assert numbers.counts[Untaken.LOST] == 96
+
+
+def test_what_no_subscription_took_is_counted_by_reason(open_node: Callable[..., RosNode]) -> None:
+    node, other = open_node(), open_node(name="other")
+    numbers = PublicationNumbers(time.monotonic)
+    publisher = other.advertise(strings("/fast"), "link")
+
+    def subscribed_after(count: int, gap: Untaken) -> None:
+        """Publish so many messages for nobody, and one that is taken."""
+        for _ in range(count):
+            publisher.publish(payload("nobody hears it"))
+        numbers.gap = gap
+        received = Received()
+        subscription = node.subscribe(strings("/fast"), received, "link", numbers=numbers)
+        eventually(lambda: publisher.subscriber_count)
+        publisher.publish(payload("heard"))
+        eventually(lambda: received.payloads == [payload("heard")])
+        subscription.close()
+        eventually(lambda: not publisher.subscriber_count)
+
+    eventually(lambda: node.publishers("/fast"))
+    for count, gap in ((7, Untaken.UNSUBSCRIBED), (5, Untaken.MISSED), (3, Untaken.LOST), (2, Untaken.MISSED)):
+        subscribed_after(count, gap)
+    assert numbers.counts == {Untaken.UNSUBSCRIBED: 7, Untaken.MISSED: 7, Untaken.LOST: 3}
 
 
 def test_a_history_that_begins_late_is_no_loss(
@@ -406,12 +437,13 @@ def test_a_history_that_begins_late_is_no_loss(
     node, other = open_node(), open_node(name="other")
     received = Received()
     latched = Qos(durability="transient_local", history="keep_all")
-    subscription = node.subscribe(strings("/map", latched), received, "link")
+    numbers = PublicationNumbers(time.monotonic)
+    node.subscribe(strings("/map", latched), received, "link", numbers=numbers)
     newcomer = other.advertise(strings("/map", Qos(durability="transient_local", depth=2)), "link")
     for number in range(5):
         newcomer.publish(payload(str(number)))
     eventually(lambda: received.payloads[-1:] == [payload("4")])
-    assert subscription.lost == 0
+    assert numbers.counts[Untaken.LOST] == 0
 
 
 def own(node: RosNode) -> dict[tuple[str, Hashable], set[bytes]]:

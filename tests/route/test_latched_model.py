@@ -104,7 +104,7 @@ class NearDds:
 
 
 class NearReader:
-    lost, alive = 0, True
+    alive = True
     matched = 1
 
     def __init__(self, dds: NearDds, sink: Sink) -> None:
@@ -243,7 +243,7 @@ class Route:
         subject = TopicSpec("/latched", "std_msgs/msg/String", "", qos)
         self.topic.opened()
         self.subscription.begin(subject, automatic=True, expected_rate=None, known=self.topic.newest())
-        self.subscription.subscribe()
+        self.subscription.subscribe(missed=False)
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         assert self.subscription.histories is not None

@@ -14,7 +14,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.ledger import MissedWhileDown, RouteLedger
+from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.messages import Describe, Ready
 from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, VerdictRecord
@@ -46,6 +46,7 @@ steps = st.one_of(
     st.tuples(st.just("expire"), st.integers(0, 5)),
     st.tuples(st.just("open"), st.integers(1, 4), instances),
     st.tuples(st.just("close")),
+    st.tuples(st.just("goodbye")),
     st.tuples(st.just("report"), reports),
     st.tuples(st.just("settle"), st.none() | reports, instances),
 )
@@ -53,7 +54,7 @@ steps = st.one_of(
 
 def check(ledger: Ledger) -> None:
     known = (ledger.delivered, ledger.throttled, ledger.expired, *ledger.dropped.values())
-    parts = (*known, ledger.unknown, ledger.in_flight)
+    parts = (*known, ledger.unknown, ledger.waiting, ledger.in_flight)
     assert sum(parts) == ledger.offered
     assert min(parts) >= 0
     assert len(ledger.dropped) <= 32
@@ -82,11 +83,13 @@ def test_no_report_makes_part_negative_or_sum_wrong(taken: list[tuple[Any, ...]]
                 ledger.opened(*details)
             case "close":
                 ledger.closed()
+            case "goodbye":
+                ledger.receiver_left()
             case "report":
                 ledger.reported(details[0], now)
             case "settle":
                 ledger.settle(*details)
-        check(ledger.ledger(0))
+        check(ledger.ledger({}))
 
 
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=10), st.lists(st.integers(0, 4), max_size=10))
@@ -106,7 +109,7 @@ def test_true_reports_are_taken_as_they_are(sent: list[int], lost: list[int]) ->
             before = ReceivedReport(route=route_id, received=arrived, delivered=arrived, newest=count)
         ledger.closed()
     ledger.settle(before, "first")
-    final = ledger.ledger(0)
+    final = ledger.ledger({})
     assert final.delivered == delivered
     assert final.dropped.get("link lost", 0) == sum(sent) - delivered
 
@@ -120,7 +123,7 @@ def test_other_process_cannot_settle_opening() -> None:
     ledger.closed()
     ledger.opened(1, "second")
     assert ledger.settle(ReceivedReport(route=1, received=131, delivered=131, newest=131), "second")
-    assert (ledger.ledger(0).dropped, ledger.ledger(0).unknown) == ({}, 5)
+    assert (ledger.ledger({}).dropped, ledger.ledger({}).unknown) == ({}, 5)
 
 
 def opened(instance: str, sent: int, *, lossy: bool = False) -> RouteLedger:
@@ -145,7 +148,7 @@ def test_messages_too_old_anywhere_are_expired(over: bool) -> None:
         assert ledger.settle(report, "first")
     else:
         assert ledger.reported(report, 0)
-    balance = ledger.ledger(0)
+    balance = ledger.ledger({})
     assert (balance.delivered, balance.expired, balance.dropped) == (15, 7, {"incomplete": 2})
     assert balance.in_flight == 0
 
@@ -156,7 +159,7 @@ def test_what_a_receiver_has_forgotten_is_unknown() -> None:
     ledger.reported(ReceivedReport(route=1, received=4, delivered=4, newest=4), 0)
     ledger.closed()
     ledger.settle(None, "first")
-    balance = ledger.ledger(0)
+    balance = ledger.ledger({})
     assert (balance.delivered, balance.dropped, balance.unknown) == (4, {}, 6)
 
 
@@ -165,51 +168,34 @@ def test_datagrams_lost_stay_lost_after_link(instance: str, rest: dict[str, int]
     """The count of drops falls neither when the opening ends nor when it is settled."""
     ledger = opened("first", 20, lossy=True)
     ledger.reported(ReceivedReport(route=1, received=11, delivered=11, newest=14), 0)
-    assert ledger.ledger(0).dropped == {"lost on the way": 3}
+    assert ledger.ledger({}).dropped == {"lost on the way": 3}
     ledger.closed()
-    assert ledger.ledger(0).dropped == {"lost on the way": 3}
+    assert ledger.ledger({}).dropped == {"lost on the way": 3}
     ledger.settle(None if rest == {} else ReceivedReport(route=1, received=11, delivered=11, newest=14), instance)
-    balance = ledger.ledger(0)
+    balance = ledger.ledger({})
     assert balance.dropped == {"lost on the way": 3, **rest}
     assert (balance.unknown, balance.in_flight) == (0 if rest else 6, 0)
 
 
-def test_missed_messages_are_time_at_usual_rate() -> None:
-    missed = MissedWhileDown()
-    missed.lost(0.0)
-    missed.estimate(10.0, 500, published=True)
-    assert missed.count == 0  # the rate is not known
-    missed.rate = 20.0
-    missed.lost(100.0)
-    missed.estimate(101.0, 500, published=True)
-    missed.lost(101.0)
-    assert (missed.count, missed.since is not None) == (20, True)
-    missed.estimate(151.0, 500, published=False)  # paused, or nobody is there
-    missed.subscribed(151.5, 500)
-    missed.estimate(152.0, 504, published=True)
-    assert (missed.count, missed.since is not None) == (36, False)
-    missed.estimate(200.0, 1500, published=True)
-    assert missed.count == 36
+def test_what_is_not_sent_waits() -> None:
+    ledger = opened("first", 4)
+    ledger.offered += 6
+    ledger.drop("outage", 2)
+    balance = ledger.ledger({})
+    assert (balance.waiting, balance.in_flight, balance.open) == (4, 4, 8)
 
 
-def test_silent_publishers_miss_nothing_for_long() -> None:
-    missed = MissedWhileDown()
-    missed.rate = 20.0
-    missed.lost(0.0)
-    missed.subscribed(0.0, 7)
-    for second in range(1, 10):
-        missed.estimate(float(second), 7, published=True)
-    assert (missed.count, missed.since is not None) == (60, False)
-
-
-def test_burst_of_kept_messages_is_no_negative_miss() -> None:
-    missed = MissedWhileDown()
-    missed.rate = 20.0
-    missed.lost(0.0)
-    missed.estimate(2.0, 7, published=True)
-    missed.subscribed(2.1, 7)
-    missed.estimate(3.0, 700, published=True)
-    assert missed.count == 40
+@pytest.mark.parametrize("reported", [0, 3])
+def test_goodbye_leaves_nothing_unknown(reported: int) -> None:
+    ledger = opened("first", 10)
+    if reported:
+        ledger.reported(ReceivedReport(route=1, received=reported, delivered=reported, newest=reported), 0)
+    ledger.receiver_left()
+    ledger.closed()
+    ledger.opened(1, "second")
+    assert ledger.settle(None, "second")
+    balance = ledger.ledger({})
+    assert (balance.delivered, balance.dropped, balance.open) == (reported, {"link lost": 10 - reported}, 0)
 
 
 @pytest.fixture
@@ -260,6 +246,8 @@ def test_impossible_report_is_said_once_and_ends_nothing(make_context: Callable[
         {"offered": 10, "delivered": 15, "dropped": {"link lost": -5}},
         {"offered": 10, "delivered": 15, "unknown": -5},
         {"offered": 10, "delivered": 10, "missed_while_down": -1},
+        {"offered": 10, "delivered": 10, "unsubscribed": -1},
+        {"offered": 10, "delivered": 11, "waiting": -1},
     ],
 )
 def test_a_sender_s_impossible_ledger_is_not_shown(

@@ -70,7 +70,6 @@ class Graph(NoRos):
         self.sink = sink
 
         class Subscription:
-            lost = 0
             matched = 1
 
             def close(self) -> None:

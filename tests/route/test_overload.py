@@ -10,6 +10,7 @@ from tests.route.test_loop_filter import Channel
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.transports import NO_PROFILE
+from rsb_bridge.route.catching_up import Backlog
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.route.sending import Outbox, Overload, QueueLimits
@@ -35,7 +36,7 @@ def outbox(qos: Qos | None = None, *, own: Qos | None = None) -> Outbox:
         arming=SimpleNamespace(required=False),
         peer=SimpleNamespace(profile=NO_PROFILE, linked=True, budget=PeerBudget(0.0)),
     )
-    return Outbox(route, RouteLedger())
+    return Outbox(route, RouteLedger(), Backlog())
 
 
 class FullChannel(Channel):

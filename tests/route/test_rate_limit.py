@@ -98,7 +98,7 @@ def test_receivers_omissions_are_throttled_in_senders_ledger() -> None:
         route=1, received=10, delivered=3, expired=0, incomplete=0, newest=10, dropped={THROTTLED: 7}
     )
     assert ledger.reported(report, 0.0)
-    balance = ledger.ledger(0)
+    balance = ledger.ledger({})
     assert (balance.delivered, balance.throttled, balance.dropped, balance.in_flight) == (3, 7, {}, 0)
 
 

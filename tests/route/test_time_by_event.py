@@ -24,6 +24,7 @@ from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
@@ -43,8 +44,8 @@ _SEEDS = range(1, 13)
 
 
 _SUBSCRIPTION: Any = SimpleNamespace(
-    spec=None, receives=True, failure="", lost=0, is_unmatched=False, awaits_match=False, tick=lambda: None,
-    close=lambda: 0, unsubscribe=lambda: None,
+    spec=None, receives=True, failure="", numbers=PublicationNumbers(float), is_unmatched=False, awaits_match=False,
+    tick=lambda: None, close=lambda: 0, unsubscribe=lambda: None,
 )  # fmt: skip
 """One that works."""
 

@@ -11,6 +11,7 @@ from tests.support.offline import FakePeer
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, auto_depth
+from rsb_bridge.ros.publication_numbers import Untaken
 from rsb_bridge.ros.ros_interface import Liveliness, TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.topic_subscription import TopicSubscription
@@ -47,7 +48,6 @@ class FakeRos(NoRos):
 class FakeSubscription:
     def __init__(self, qos: Qos) -> None:
         self.qos = qos
-        self.lost = 0
         self.matched = 1
         self.liveliness = Liveliness(alive=0, unjudged=1)
         self.closed = False
@@ -93,7 +93,7 @@ def make_subscription(
     subscription = TopicSubscription(cast("Any", owner), cast("OutgoingPath", Path()), loop_filter, lambda: None)
     spec = TopicSpec("/fast", "std_msgs/msg/String", "", qos)
     subscription.begin(spec, automatic=automatic, expected_rate=expected_rate, known={})
-    subscription.subscribe()
+    subscription.subscribe(missed=False)
     return subscription
 
 
@@ -127,14 +127,14 @@ def test_losses_deepen_subscription_of_busy_topic(loop: VirtualLoop, make_contex
     for _ in range(10):
         second_passes()
     assert len(ros.made) == 1
-    ros.made[0].lost = 7
+    subscription.numbers.lose(7)
     for _ in range(10):
         second_passes()
     assert [(each.qos.depth, each.closed) for each in ros.made] == [(500, True), (5000, False)]
-    ros.made[1].lost = 2
+    subscription.numbers.lose(2)
     second_passes()
     assert len(ros.made) == 2
-    assert subscription.lost == 9
+    assert subscription.numbers.counts[Untaken.LOST] == 9
     assert owner.events == [EventCode.ROUTE_DEEPENED]
     assert subscription.close() == 0
     assert ros.made[1].closed

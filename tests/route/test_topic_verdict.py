@@ -211,6 +211,13 @@ def test_subscriber_that_hears_another_publisher_is_told_so() -> None:
     assert "so that they hear only /joystick: change" in several.text
 
 
+def test_topic_that_catches_up_is_fine_and_says_what_is_left() -> None:
+    flows: dict[str, Any] = {"crossing": Crossing.YES, "sent": 5, "came": True, "endpoints": [endpoint("/talker")]}
+    verdict = topic_verdict(left=1412, limit=5.0, sends=True, **flows)
+    assert (verdict.state, verdict.cause, verdict.text) == (State.OK, Cause.CATCHING_UP, "catching up, 1,412 left")
+    assert topic_verdict(left=0, limit=5.0, sends=True, **flows).cause == Cause.THROTTLED
+
+
 def test_hearing_subscribers_beside_deaf_ones() -> None:
     asks = [endpoint("/rviz"), endpoint("/ok", BEST_EFFORT)]
     beside = verdict_on(RECEIVER, endpoints=asks, qos=BEST_EFFORT)

@@ -60,7 +60,7 @@ class ActionInvariants:
         dead_is_seen = action.dead_is_seen
         gone = action.server is None and not dead_is_seen
         if near is not None and offered(near, action):
-            if not any(link.linked or link.is_away for link in near.links() if link.name == robot.name):
+            if not any(link.linked or link.away_since is not None for link in near.links() if link.name == robot.name):
                 world.wrong(f"{action}: clients see a server, and the link is down")
             waited = now - max(action.changed, world.clear_since(robot))
             if gone and waited > self._patience * WITHDRAWN_WITHIN and not robot.troubles:

@@ -55,7 +55,7 @@ class CallInvariants:
                         )
                     if left := left_of_ended_calls(route):
                         self._world.wrong(f"{run.host.name}: of calls that are over, {route.key} has {left}")
-                    if held and not link.linked and not link.is_away:
+                    if held and not link.linked and link.away_since is None:
                         self._world.wrong(f"{run.host.name}: {route.key} has {held} calls in flight without a link")
                     under_way[isinstance(route, CallingRoute)] += held
             self._check_budget(run, link.budget, under_way)
@@ -73,7 +73,7 @@ class CallInvariants:
         robot = world.robot(service.robot)
         near, far = near_and_far(world, service)
         link = _link(near, robot) if near is not None else None
-        is_gone = link is None or not (link.linked or link.is_away)
+        is_gone = link is None or not (link.linked or link.away_since is not None)
         if near is not None and is_gone and offered(near, service):
             world.wrong(f"{service}: it is offered, and the link is down")
         if near is not None and service.server is None and not service.dead_is_seen and offered(near, service):

@@ -274,10 +274,11 @@ class Invariants:
             ledger.throttled,
             ledger.expired,
             ledger.unknown,
+            ledger.waiting,
             ledger.in_flight,
             *ledger.dropped.values(),
         )
-        open_ends = ledger.unknown + ledger.in_flight
+        open_ends = ledger.unknown + ledger.open
         wrong = ""
         if min(parts) < 0:
             wrong = "a part of it is negative"
@@ -301,7 +302,7 @@ class Invariants:
                     wrong = f"{account.published} messages were published, of which {account.unreported} may be unknown"
                 elif ledger.delivered + ledger.unknown < account.published - account.removed:
                     wrong = f"{account.published} messages were published, and some of them are counted as lost"
-                elif ledger.in_flight:
+                elif ledger.open:
                     wrong = f"nothing was sent for {now - last:.1f} s, and something is in flight"
         if wrong:
             side = "client" if route.peer.is_client else "server"

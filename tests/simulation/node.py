@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.calls import Fields
+    from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.ros.ros_interface import LostPort, OnFailure, RawMessage, RequestSink, ResponseSink, Sink, TopicSpec
 
 
@@ -121,9 +122,16 @@ class Node:
     def installed_hash(self, type_name: str) -> str | None:
         return self._domain.installed.get(type_name)
 
-    def subscribe(self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None) -> Reader:
+    def subscribe(
+        self,
+        spec: TopicSpec,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+        numbers: PublicationNumbers | None = None,
+    ) -> Reader:
         self._check_type(spec.type_name, spec.type_hash)
-        reader = Reader(self._domain, self._name, *spec, self._taking(sink), origin, on_failure)
+        reader = Reader(self._domain, self._name, *spec, self._taking(sink), origin, on_failure, numbers)
         reader.stalled = self._stalled
         _keep(self.readers, reader)
         if self.on_reader is not None:

@@ -20,6 +20,7 @@ import msgspec
 from tests.simulation.services import Client, Server, Services, Taker
 
 from rsb_bridge.model.qos import Qos, incompatible
+from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.ros.ros_interface import Liveliness, RawMessage
 
 if TYPE_CHECKING:
@@ -224,7 +225,6 @@ class Reader(Taker[RawMessage]):
     """A subscription of any node's: `rsb_bridge.ros.ros_interface.Subscription`.
 
     Attributes:
-        lost: messages that came and could not be kept until they were taken.
         on_take: told of each batch, before the sink.
     """
 
@@ -239,12 +239,15 @@ class Reader(Taker[RawMessage]):
         sink: Sink,
         origin: Hashable = None,
         on_failure: OnFailure | None = None,
+        numbers: PublicationNumbers | None = None,
     ) -> None:
         super().__init__(domain, node, topic, type_name, type_hash, sink, on_failure)
         self.topic = topic
         self.qos = qos
         self.seen_qos = msgspec.structs.replace(qos, depth=0)
-        self.lost = 0
+        self.numbers = numbers or PublicationNumbers(domain.loop.time)
+        latched = qos.durability == "transient_local"
+        self.numbers.begin(None if latched else frozenset(each.gid for each in domain.writers(topic)))
         self.matched = 1
         self.liveliness = Liveliness(alive=1)
         self.taken = 0
@@ -258,8 +261,18 @@ class Reader(Taker[RawMessage]):
             return
         if len(self._pending) >= self._depth:
             self._pending.popleft()
-            self.lost += 1
         self.put(sample)
+
+    def _count(self, batch: list[RawMessage]) -> None:
+        """Follow the numbers, as `rsb_bridge.ros.topic_endpoints.Reader` does."""
+        numbers, newest = self.numbers, self.numbers.newest
+        for message in batch:
+            previous = newest.get(message.gid)
+            if previous is None:
+                previous = numbers.first(message.gid, message.number)
+            if message.number > previous + 1:
+                numbers.lose(message.number - previous - 1)
+            newest[message.gid] = message.number
 
     def go_on(self) -> None:
         """Take again what has come meanwhile, soon."""
@@ -270,6 +283,7 @@ class Reader(Taker[RawMessage]):
     def _take(self, batch: list[RawMessage]) -> None:
         now = self._domain.wall_ns()  # a process that was frozen receives then what arrived meanwhile
         batch = [each._replace(stamp=now) for each in batch]
+        self._count(batch)
         self.taken += len(batch)
         if self.on_take is not None:
             self.on_take(batch)

@@ -65,6 +65,7 @@ _OF_TOPIC: dict[str, Any] = {
     "rate": 0.0,
     "expected_rate": None,
     "lost_in_dds": 0,
+    "left": 0,
     "loss": None,
     "datagrams": 0,
     "remedy_for_size": "",
@@ -112,6 +113,7 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
         losses=SimpleNamespace(loss=known["loss"]),
         lost_in_dds=lambda: known["lost_in_dds"],
     )
+    half.backlog = SimpleNamespace(exists=known["left"] > 0, left=known["left"])
     half.stale_since = lambda crossing: known["stale_since"]
     half.late = lambda: known["late"]
     half.was_full_since = lambda since: known["loss_of_full_link"]
@@ -163,6 +165,7 @@ def _half(known: dict[str, Any], now: float) -> Any:
         peer=SimpleNamespace(
             linked=known["link_down"] is None,
             down_reason=known["link_down"] or "",
+            away_since=None,
             path=SimpleNamespace(fault=known["path"]),
         ),
         transport=SimpleNamespace(reliable=True),
@@ -180,6 +183,7 @@ def _half(known: dict[str, Any], now: float) -> Any:
         came=known["came"],
         came_before=known["came_before"],
         trouble=lambda: known["no_path"],
+        away_text=lambda: known["link_down"] or "the link is down",
     )
 
 

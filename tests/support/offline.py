@@ -80,6 +80,7 @@ class FakePeer:
     linked = True
     keepalive: Any = SimpleNamespace(ping_delay=0.0, ping_wait=0.0)
     down_reason = ""
+    away_since = None
     connections = 1
 
     def __init__(self) -> None:

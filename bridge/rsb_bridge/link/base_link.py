@@ -120,6 +120,7 @@ class BaseLink(ABC):
         self._away: DataChannels | None = None  # of a session without a connection
         self.session: LinkSession | None = None  # None also where the link does not outlive its connections
         self._session_ends: asyncio.TimerHandle | None = None
+        self._lost_at = 0.0
         self.peer: Hello | Welcome | None = None  # before the first connection
         self.instance = ""  # process of the peer
         self.connections = 0
@@ -228,9 +229,16 @@ class BaseLink(ABC):
         return self._channels is not None
 
     @property
-    def is_away(self) -> bool:
-        """Whether its session goes on without a connection."""
-        return self._away is not None
+    def away_since(self) -> float | None:
+        """When (s) its connection was lost, if its session goes on without one, or None."""
+        return None if self._away is None else self._lost_at
+
+    @property
+    def session_ends(self) -> float | None:
+        """When the session ends unless a connection comes, in s since the epoch; None if it has one, or is over."""
+        if self._session_ends is None:
+            return None
+        return self.context.wall_of(self.context.clock.steady() + self._session_ends.when() - self.context.now())
 
     def carriers(self) -> set[ChannelCarrier]:
         return self._channels.carriers() if self._channels is not None else set()
@@ -256,8 +264,6 @@ class BaseLink(ABC):
     @property
     def down_reason(self) -> str:
         """The reason why it is not linked, for an operator, or an empty string."""
-        if self._away is not None:
-            return f"{self.status.reason}; topics and calls wait for it"
         return "" if self._channels is not None else self.status.reason
 
     @property
@@ -366,7 +372,7 @@ class BaseLink(ABC):
         self.status.since = self.context.clock.steady()
         if self.session is not None and code is EventCode.LINK_LOST and not channels.control.is_fault:
             seconds = self.context.session.outlive
-            self._away = channels
+            self._away, self._lost_at = channels, self.context.now()
             self._session_ends = self.context.loop.call_later(seconds, self._expire)
             self.extensions.away()
             channels.away(reason)
@@ -424,6 +430,7 @@ class BaseLink(ABC):
     def end(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
         """End the connection on purpose, and tell the peer; without one, at most a session ends."""
         if self._channels is not None:
+            self.extensions.leaving()
             self._channels.control.shut_down(reason, retry_after=retry_after, code=code)
         else:
             self.end_session()

@@ -466,6 +466,7 @@ class ClientLink(Link):
 
     def _on_shutdown(self, message: Shutdown) -> None:
         control = self.channels.control
+        self.peer_leaves()
         if message.retry_after is None:
             control.abort(server_refusal(message.reason), EventCode.LINK_SHUT_DOWN)
         else:

@@ -48,6 +48,9 @@ class Extension:
     def back(self) -> None:
         """Go on: the session has another connection."""
 
+    def leaving(self) -> None:
+        """Send what the peer has to know before this side's goodbye."""
+
     def tick(self) -> None:
         """Do the regular work, once a second, linked or not."""
 
@@ -118,6 +121,10 @@ class Extensions:
     def back(self) -> None:
         for each in self._told:
             each.back()
+
+    def leaving(self) -> None:
+        for each in self._told:
+            each.leaving()
 
     def all(self) -> tuple[Extension, ...]:
         return tuple(self._all)

@@ -21,6 +21,7 @@ from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import LinkSnapshot
+from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.wire.codec import ReportParts, report_entries
@@ -142,6 +143,12 @@ class RouteReports(Extension):
         parts = (routes[first : first + _REPORTED_AT_ONCE] for first in range(0, len(routes), _REPORTED_AT_ONCE))
         self._link.spawn(in_slices(parts, report, at_once=1))
 
+    def leaving(self) -> None:
+        """Send the last counts: what is not in them has not arrived."""
+        routes = [*self._link.routes.values()]
+        for first in range(0, len(routes), _REPORTED_AT_ONCE):
+            self._report_now(routes[first : first + _REPORTED_AT_ONCE])
+
     def _report_now(self, routes: Iterable[Route]) -> None:
         if (report := _report(routes)) is not None:
             self._link.send(report)
@@ -247,6 +254,12 @@ class Link(BaseLink):
         """Tell the other side that an operator drops a demand."""
         self.table.arming.demand_dropped(source)
 
+    def peer_leaves(self) -> None:
+        """Take the peer's counts for final: it has said goodbye."""
+        for route in self.routes.values():
+            if isinstance(route, OutgoingRoute):
+                route.receiver_left()
+
     # --- snapshots
 
     def snapshot(self) -> LinkSnapshot:
@@ -263,6 +276,7 @@ class Link(BaseLink):
             since=self.context.wall_of(self.status.since),
             retry_in=self.status.retry_in(now),
             attempts=self.status.attempts,
+            session_ends=self.session_ends,
             encrypted=self.encrypted,
             cipher=self.channels.session_keys.suite.name if linked and self.encrypted else "",
             fingerprint=current_key,

@@ -295,10 +295,10 @@ BridgeRole: TypeAlias = ClientRole | ServerRole
 
 async def _farewell(links: Iterable[Link], reason: str) -> None:
     """Close links, and wait up to 0.5 s until their peers have been sent the reason."""
-    controls = [link.control for link in links if link.control is not None]
-    streams = [control.stream for control in controls]
-    for control in controls:
-        control.shut_down(reason, retry_after=0.0)
+    links = [*links]
+    streams = [link.control.stream for link in links if link.control is not None]
+    for link in links:
+        link.end(reason, retry_after=0.0)
     loop = asyncio.get_running_loop()
     deadline = loop.time() + _FAREWELL
     while any(not stream.gone for stream in streams) and loop.time() < deadline:  # noqa: ASYNC110 -- plain state, polled for a moment

@@ -288,6 +288,7 @@ class ServerLink(Link):
         if message.retry_after is None:
             command = f"rsb-console retry {shlex.quote(self.name)}"
             reason += f"; press r in its console or run `{command}` on its machine to connect it again"
+        self.peer_leaves()
         self.channels.control.abort(reason, EventCode.LINK_CLOSED_BY_PEER)
 
     def client_names(self, topic: Topic) -> Topic:

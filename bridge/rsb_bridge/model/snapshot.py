@@ -119,9 +119,10 @@ _MEANT = frozenset({"already published", "would loop", "paused", "disarmed"})
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """The balance of a route's messages: ``offered = delivered + throttled + dropped + expired + unknown + in_flight``.
+    """The balance of a route's messages.
 
-    All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
+    ``offered = delivered + throttled + dropped + expired + unknown + waiting + in_flight``. All are message counts
+    since the route was made. `dropped` says each cause: ``queue full``, ``outage``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
     ``malformed``, ``too complex``, ``would loop``, ``paused``, ``disarmed``, ``incomplete``.
     """
@@ -130,12 +131,23 @@ class Ledger:
     delivered: int = 0  # given to DDS on the receiving side
     throttled: int = 0  # left out for a highest rate
     expired: int = 0  # dropped because they were older than `max_age`, or than their publisher's lifespan
-    in_flight: int = 0  # not accounted for yet
+    in_flight: int = 0  # sent, and not reported yet by the receiving side
     dropped: dict[str, int] = field(default_factory=dict)
     unknown: int = 0  # sent to a process that ended before it reported whether they arrived
-    lost_in_dds: int = 0  # lost before the bridge could take them; not part of `offered`
+    lost_in_dds: int = 0  # lost before the subscribed bridge could take them; not part of `offered`
     missed_while_down: int = 0
-    """Published while the route was down, estimated from the usual rate; not part of `offered`."""
+    """Published while the route was closed: its link was down for longer than it outlives. Not part of `offered`."""
+    unsubscribed: int = 0
+    """Published before the bridge subscribed first, or while the topic was not to cross (paused, disarmed, refused).
+    Not part of `offered`."""
+    waiting: int = 0  # not sent yet
+    waiting_since: float | None = None
+    """s since the epoch, when the oldest message in the queue came, or None if the queue is empty."""
+
+    @property
+    def open(self) -> int:
+        """Messages whose end is not known yet."""
+        return self.waiting + self.in_flight
 
     @property
     def dropped_total(self) -> int:
@@ -309,6 +321,8 @@ class LinkSnapshot:
     full_in: Fullness | None = None  # the rates to here, as the peer reports them, or None if the link is not full
     loss_out: float | None = None  # share of the packets from here that is lost, 0 to 1, or None without a figure
     loss_in: float | None = None  # the same to here, as the peer reports it
+    session_ends: float | None = None
+    """S since the epoch, when what waits for it is dropped unless it is back; None while it is up, or nothing waits."""
     warning_since: float | None = None
     """s since the epoch, when `warning` or its cause began, or None without a warning."""
     acknowledged: Acknowledgement | None = None

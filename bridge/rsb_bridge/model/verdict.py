@@ -66,6 +66,8 @@ class Cause(StrEnum):
     """Nothing comes from the other side, and this side does not know why."""
     NO_MESSAGE = "no_message"
     """As `SILENT`, while no message is due."""
+    CATCHING_UP = "catching_up"
+    """The link is back, and messages that waited for it still cross."""
     THROTTLED = "throttled"
     """As many messages cross as an operator allows."""
     OFFER_FAILED = "offer_failed"

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from rsb_bridge.model.purposes import Purpose
+    from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.ros.ros_interface import OnFailure, Sink, TopicSpec
 
 _NODE = "/rsb_internal"
@@ -34,7 +35,7 @@ class BytesSource:
         self._sink = sink
         self._closed = closed
         self._number = 0
-        self.lost, self.liveliness = 0, Liveliness(alive=1)
+        self.liveliness = Liveliness(alive=1)
         self.matched = 1
         self.closed = False
 
@@ -121,7 +122,12 @@ class InternalEnds(Generic[SourceT, DrainT]):
     subscriptions = publishers
 
     def subscribe(
-        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None
+        self,
+        spec: TopicSpec,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+        numbers: PublicationNumbers | None = None,
     ) -> Subscription:
         key, (make, _) = (spec.topic, origin), self._makers(origin)
         source: SourceT = make(sink, lambda: _forget(self.sources, key, source))

@@ -45,16 +45,10 @@ class LastingSubscription:
         self._loop = loop
         self._subscribe = subscribe
         self._changed = changed
-        self._lost_before = 0
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY)
         self._opened_at = loop.time()
         self._retry: asyncio.TimerHandle | None = None
         self._subscription: Subscription | None = self._open()
-
-    @property
-    def lost(self) -> int:
-        """Messages that DDS lost before they could be taken, over all attempts."""
-        return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
 
     @property
     def matched(self) -> int:
@@ -100,7 +94,6 @@ class LastingSubscription:
 
     def _drop(self) -> None:
         if self._subscription is not None:
-            self._lost_before += self._subscription.lost
             self._subscription.close()
             self._subscription = None
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.arrivals import Incoming
     from rsb_bridge.ros.participant import Participant
+    from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.ros.ros_interface import (
         Endpoint,
         LostPort,
@@ -197,11 +198,16 @@ class RosNode:
             )
 
     def subscribe(
-        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None
+        self,
+        spec: TopicSpec,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+        numbers: PublicationNumbers | None = None,
     ) -> Subscription:
         with self._lock:
             participant = self._joined()
-            reader = participant.create_reader(spec)
+            reader = participant.create_reader(spec, numbers)
             key = (reader.topic, origin)
             # It gets the set itself: the messages of publishers that this link makes later are left out, too.
             subscription = _Subscription(reader, spec.qos, sink, on_failure, key, self._own[key], self)
@@ -530,10 +536,6 @@ class _Subscription(Drain[RawMessage]):
         self.own = own
         self._reader = reader
         self._node = node
-
-    @property
-    def lost(self) -> int:
-        return self._reader.lost
 
     @property
     def matched(self) -> int:

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.arrivals import Arrivals, Incoming
     from rsb_bridge.ros.native.named_types import BorrowedType
     from rsb_bridge.ros.native.rclpy_extension import Entity, Kind, Question
+    from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.ros.ros_interface import TopicSpec
 
 _TRY_AGAIN = 0.1
@@ -150,7 +151,7 @@ class Participant:
             reset_error()
             raise RosError(f"{node} cannot be asked: {reason_of(error)}") from error
 
-    def create_reader(self, spec: TopicSpec) -> Reader:
+    def create_reader(self, spec: TopicSpec, numbers: PublicationNumbers | None = None) -> Reader:
         """Create a raw subscription.
 
         Raises:
@@ -165,7 +166,7 @@ class Participant:
             qos = msgspec.structs.replace(qos, liveliness_lease_duration=lease)
         handle = self._create("subscription", spec.topic, borrow_type(spec.type_name, spec.type_hash), qos)
         liveliness = LivelinessOfPublishers(handle.rclpy) if lease else None
-        return Reader(handle, self._buffer, earlier, liveliness)
+        return Reader(handle, self._buffer, earlier, numbers, liveliness)
 
     def create_writer(self, spec: TopicSpec) -> Writer:
         """Create a raw publisher; errors as `create_reader`.

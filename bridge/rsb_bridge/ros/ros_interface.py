@@ -13,6 +13,7 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.ros.ros_thread import RosTurns
 
 
@@ -138,14 +139,6 @@ class Liveliness(NamedTuple):
 
 class Subscription(Protocol):
     """A raw subscription, drained by the ROS thread."""
-
-    @property
-    def lost(self) -> int:
-        """Messages DDS lost before we could take them: gaps in each publisher's ``publication_sequence_number``.
-
-        Of a publisher that was there before the subscription, those before the first message taken are not counted:
-        they were published for others. Of a publisher that came later, they are.
-        """
 
     @property
     def matched(self) -> int:
@@ -277,13 +270,19 @@ class RouteEnds(Protocol):
         """Return the subscriptions on a topic, our own node's left out."""
 
     def subscribe(
-        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None
+        self,
+        spec: TopicSpec,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+        numbers: PublicationNumbers | None = None,
     ) -> Subscription:
         """Subscribe raw, to a type installed here or known by name and hash only.
 
         A message that a publisher of the same `origin` on this node published is never yielded: that keeps a topic
         bridged both ways over one link from looping. A subscription that fails later closes itself and calls
-        `on_failure`; it is never called for one that was closed.
+        `on_failure`; it is never called for one that was closed. `numbers` goes on with each subscription of a user to
+        the topic, one at a time, and counts what none of them took.
 
         Raises:
             RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.calls import Fields
+    from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.ros.ros_interface import (
         LostPort,
         OnFailure,
@@ -210,7 +211,14 @@ class StandIn(NoRos):
         except (ImportError, ValueError):  # a bench without ROS does without
             return None
 
-    def subscribe(self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None) -> _Reader:
+    def subscribe(
+        self,
+        spec: TopicSpec,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+        numbers: PublicationNumbers | None = None,
+    ) -> _Reader:
         readers = self._readers.setdefault(spec.topic, [])
         reader = _Reader(sink, readers)
         readers.append(reader)
@@ -223,7 +231,7 @@ class StandIn(NoRos):
 class _Reader:
     """The bridge's subscription to a topic of the stand-in."""
 
-    lost, liveliness = 0, Liveliness(alive=1)
+    liveliness = Liveliness(alive=1)
     matched = 1
 
     def __init__(self, sink: Sink, among: list[_Reader]) -> None:

@@ -27,6 +27,7 @@ from rsb_bridge.ros.native.librcl import (
     wait_for_all_acked,
 )
 from rsb_bridge.ros.native.rclpy_extension import assert_liveliness, reason_of
+from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.ros.ros_interface import Liveliness, RawMessage, RosError, RosProblem
 
 if TYPE_CHECKING:
@@ -35,10 +36,6 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.native.librcl import TakeBuffer
     from rsb_bridge.ros.native.rclpy_extension import Handle, LivelinessOfPublishers
 
-_PUBLISHERS_REMEMBERED = 1024
-"""Publishers of one subscription whose newest numbers are kept. A round figure; see `Reader._forget_oldest`."""
-_DISCOVERED_WITHIN = 5.0
-"""s that a publisher that was there before may take to be found: DDS repeats lost parts of its discovery every 3 s."""
 _LAST_NUMBER = 2**63 - 1
 _LARGE = 16 * 1024
 """Bytes from which on a call through ctypes costs less than rclpy's copy."""
@@ -57,8 +54,7 @@ class Reader:
     """A raw subscription, of the thread that takes from it.
 
     Attributes:
-        lost: missing messages: between taken ones, and before the first of a publisher that came after the
-            subscription.
+        numbers: of its publishers' messages.
         has_more: whether the last take may have left something.
     """
 
@@ -69,6 +65,7 @@ class Reader:
         handle: Handle,
         buffer: TakeBuffer,
         earlier: frozenset[bytes] | None,
+        numbers: PublicationNumbers | None = None,
         liveliness: LivelinessOfPublishers | None = None,
     ) -> None:
         """Begin to count.
@@ -76,19 +73,18 @@ class Reader:
         Args:
             buffer: memory for taken messages, shared by the readers of a thread.
             earlier: publishers from before the subscription, or None if each publisher's first messages are history.
+            numbers: of earlier subscriptions of the same user to the topic, or None if there are none.
             liveliness: of its publishers, or None if the QoS has no lease.
         """
         self.handle = handle
         self.topic: str = handle.rclpy.get_topic_name()
-        self.lost = 0
+        self.numbers = numbers or PublicationNumbers(time.monotonic)
+        self.numbers.begin(earlier)
         self.has_more = False
         self._buffer = buffer
         self._info = ctypes.create_string_buffer(INFO_ROOM)
         self._last_size = 0  # bytes that the last message had
-        self._last: dict[bytes, int] = {}  # newest sequence number by publisher
-        self._earlier = earlier
         self._guid_of = cyclone_dds.SubscriptionPublishers(handle.address).guid_of if cyclone_dds.is_used() else None
-        self._made_at = time.monotonic()
         self._liveliness = liveliness
 
     def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage] | None:
@@ -99,8 +95,8 @@ class Reader:
         Raises:
             RosError: rcl failed at the first of them.
         """
-        address, buffer, info, last = self.handle.address, self._buffer, self._info, self._last
-        guid_of = self._guid_of
+        address, buffer, info, numbers = self.handle.address, self._buffer, self._info, self.numbers
+        guid_of, last = self._guid_of, numbers.newest
         buffer_reference, unpack = ctypes.byref(buffer), MESSAGE_INFO.unpack_from
         taken: list[RawMessage] = []
         size = 0
@@ -136,10 +132,9 @@ class Reader:
                 number = 0  # RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
             previous = last.get(gid)
             if previous is None:
-                previous = 0 if self._is_newcomer(gid) else number
-                self._forget_oldest()
+                previous = numbers.first(gid, number)
             if number > previous + 1:
-                self.lost += number - previous - 1
+                numbers.lose(number - previous - 1)
             last[gid] = number
             taken.append(_new(RawMessage, (buffer.taken(), stamp, gid, number, 0, source)))
         return taken if size else None
@@ -164,18 +159,6 @@ class Reader:
         if self._liveliness is not None:
             self._liveliness.close()
         self.handle.free()
-
-    def _is_newcomer(self, gid: bytes) -> bool:
-        """Whether a publisher came after the subscription, which so should have had its first message."""
-        if self._earlier is None or gid in self._earlier:
-            return False
-        return time.monotonic() - self._made_at > _DISCOVERED_WITHIN
-
-    def _forget_oldest(self) -> None:
-        """Make room for another publisher: short-lived ones must not fill the memory."""
-        if len(self._last) >= _PUBLISHERS_REMEMBERED:
-            del self._last[next(iter(self._last))]
-            self._earlier = None  # from now on, one that seems new may be one that was forgotten
 
 
 class Writer:

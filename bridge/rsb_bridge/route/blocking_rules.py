@@ -80,6 +80,8 @@ class JudgedRoute(Protocol):
 
     def trouble(self) -> Verdict | None: ...
 
+    def away_text(self) -> str: ...
+
 
 HalfT = TypeVar("HalfT", bound=JudgedRoute)
 Rules: TypeAlias = "tuple[Callable[[HalfT, Crossing], Verdict | None], ...]"
@@ -160,7 +162,7 @@ class LossyPath:
 def blocked(half: JudgedRoute, crossing: Crossing) -> Verdict | None:
     """Return the verdict that keeps the others from being known, or None."""
     if not half.peer.linked:
-        return Verdict(State.DOWN, Cause.LINK_DOWN, half.peer.down_reason or "the link is down")
+        return Verdict(State.DOWN, Cause.LINK_DOWN, half.away_text(), half.peer.away_since)
     # Each loss of a channel refuses the route, too. This comes first, because its text has the remedy.
     if why := half.breaking:
         text = (

@@ -554,7 +554,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
         uncertainty = self.peer.stamps.uncertainty
-        if uncertainty is None or not flows:
+        # What waited for the link is not late, nor what waits behind that.
+        if uncertainty is None or not flows or self.judged.peer.cause == Cause.CATCHING_UP:
             self.lateness.reset()
         else:
             recent = self.latency.recent
@@ -564,7 +565,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return *super()._signs(), self._report, self.audience, self.others, self.clocks
 
     def _next_change(self, now: float, crossing: Crossing) -> float:
-        return now if self._sender_ledger.in_flight else super()._next_change(now, crossing)
+        return now if self._sender_ledger.open else super()._next_change(now, crossing)
 
     @property
     def _is_polled(self) -> bool:
@@ -604,7 +605,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         failure = _failure_of(self.judged.peer)
         if failure and failure != failed_before:
             self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
-        ledger = reported_ledger(report)
+        ledger = reported_ledger(report, self.context.wall())
         if ledger is None:
             self.notices.doubt(self.peer.instance, "the last plausible ones are shown")
         else:
@@ -622,7 +623,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """
         report = self._received_report()
         before, self._last_report = self._last_report, report
-        awaits = self._sender_ledger.in_flight and self.life.phase is RoutePhase.READY
+        awaits = self._sender_ledger.open and self.life.phase is RoutePhase.READY
         if report == _with_latencies(before, report) and not awaits:
             return None
         verdict = lasting(report.verdict, self.verdict(), self.context.now())
@@ -697,7 +698,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     @property
     def silence_counts(self) -> bool:
         """Whether silence counts while messages are in transit; otherwise the sending side judges."""
-        return super().silence_counts and (self.silence.own or self._sender_ledger.in_flight > 0)
+        return super().silence_counts and (self.silence.own or self._sender_ledger.open > 0)
 
     @property
     def present_type(self) -> TypeVersion:

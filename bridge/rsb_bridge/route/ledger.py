@@ -15,16 +15,18 @@ from rsb_bridge.model.snapshot import Ledger
 from rsb_bridge.route.age import EXPIRED
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 _OVERDUE_AFTER = 2.0
 """s after which an unreported message counts as lost, if its channel may lose any. Reports come each second, so that a
 loss shows after 3 s."""
-_FOUND_WITHIN = 3.0
-"""s within which publishers find a new subscription; who has sent nothing by then sends nothing now."""
 _MOST_CAUSES = 32
 """Causes of drops with a count of their own, as many as a report has room for (PROTOCOL.md, 3)."""
 _OTHER = "other"
+OUTAGE = "outage"
+"""Left out of a queue while its link was away or caught up: older than the topic's QoS promises to keep."""
 THROTTLED = "throttled"
 """The receiver left these out, for the rate that it allows."""
 CAUSES = {
@@ -111,6 +113,7 @@ class _Opening:
         overdue: of numbered ones, how many had more than 2 s to arrive before that was counted.
         lost_as: the cause of what never arrived.
         marks: when (s) how many were sent, the oldest first.
+        final: whether the receiver has counted all that it will: it has left with a goodbye.
     """
 
     route_id: int = 0
@@ -119,6 +122,7 @@ class _Opening:
     counted: _Counted | None = None
     overdue: int = 0
     lost_as: str = _LINK_LOST
+    final: bool = False
     marks: deque[tuple[float, int]] = field(default_factory=deque)
 
 
@@ -128,8 +132,8 @@ class RouteLedger:
     The receiver counts each opening from 0. Its counts after the last report on an opening come with the next opening's
     `Ready` (PROTOCOL.md, 3). Until then those messages are in flight; only messages that it never saw are lost.
 
-    If the process that counted an opening has ended, the messages after its last report are `unknown`: neither
-    delivered nor lost.
+    If the process that counted an opening has ended without a goodbye, the messages after its last report are
+    `unknown`: neither delivered nor lost.
 
     Attributes:
         lossy: whether the channel may lose any message for good. Otherwise they are lost with the link.
@@ -137,7 +141,6 @@ class RouteLedger:
         throttled: left out for the route's highest rate.
         expired: dropped here, because they were too old.
         unknown: sent to a process that ended before it reported whether they arrived.
-        missed: messages published while the route was down, estimated.
     """
 
     def __init__(self) -> None:
@@ -146,7 +149,6 @@ class RouteLedger:
         self.throttled = 0
         self.dropped: Counter[str] = Counter()
         self.unknown = 0
-        self.missed = MissedWhileDown()
         self.expired = 0
         self._delivered = 0
         self._opening = _Opening()
@@ -209,6 +211,10 @@ class RouteLedger:
             self._unsettled = self._opening
         self._opening = _Opening()
 
+    def receiver_left(self) -> None:
+        """Take the last report for final: the receiver sends it before its goodbye."""
+        self._opening.final = True
+
     def disarmed(self) -> None:
         """Count messages of the present opening that have not arrived as disarmed: the receiver drops them."""
         self._opening.lost_as = "disarmed"
@@ -261,7 +267,7 @@ class RouteLedger:
             overtaken = counted.lost(opening.overdue)
             self.drop(self._missing_as, overtaken)
             left -= counted.settled + overtaken
-        if same_process:
+        if same_process or opening.final:
             self.drop(opening.lost_as, left)
         else:
             self.unknown += left
@@ -269,15 +275,19 @@ class RouteLedger:
         self.dropped = _folded(self.dropped)
         return plausible
 
-    def ledger(self, lost_in_dds: int) -> Ledger:
-        """Return the balance; `lost_in_dds` messages were lost before they could be taken from ROS."""
+    def ledger(self, untaken: Mapping[str, int]) -> Ledger:
+        """Return the balance; `untaken` has the messages that were not taken from ROS, by `Untaken`."""
         delivered, dropped = self._delivered, dict(self.dropped)  # a Counter takes ten times as long
 
         def drop(cause: str, count: int) -> None:
             dropped[cause] = dropped.get(cause, 0) + count
 
+        in_flight = 0
         for opening in (self._opening, self._unsettled):
-            if opening is not None and opening.counted is not None:
+            if opening is None:
+                continue
+            in_flight += opening.sent
+            if opening.counted is not None:
                 delivered += opening.counted.delivered
                 if opening.counted.expired:
                     drop(INCOMPLETE, opening.counted.expired)
@@ -285,6 +295,7 @@ class RouteLedger:
                     drop(cause, count)
                 if lost := opening.counted.lost(opening.overdue):
                     drop(self._missing_as, lost)
+                in_flight -= opening.counted.settled + lost
         # The receiver lists these among its drops; here they have parts of their own.
         throttled = self.throttled + dropped.pop(THROTTLED, 0)
         expired = self.expired + dropped.pop(EXPIRED, 0)
@@ -294,71 +305,19 @@ class RouteLedger:
             delivered=delivered,
             throttled=throttled,
             expired=expired,
-            in_flight=self.offered - accounted,
+            waiting=self.offered - accounted - in_flight,
+            in_flight=in_flight,
             dropped=dropped if len(dropped) <= _MOST_CAUSES else dict(_folded(Counter(dropped))),
             unknown=self.unknown,
-            lost_in_dds=min(lost_in_dds, _LARGEST),
-            missed_while_down=self.missed.count,
+            **untaken,
         )
 
 
-class MissedWhileDown:
-    """Estimates the messages that were published while a route was down: its downtime at the usual rate.
-
-    Time counts from `lost` until a message comes again, as long as somebody publishes: publishers have to find a new
-    subscription first, which takes seconds on a busy machine.
-
-    Attributes:
-        rate: Hz, the usual rate of the topic, or None if it has none.
-        since: s, from which on time counts, or None if it does not.
-    """
-
-    def __init__(self) -> None:
-        self.rate: float | None = None
-        self._messages = 0.0
-        self.since: float | None = None
-        self._subscribed: tuple[float, int] | None = None
-
-    @property
-    def count(self) -> int:
-        """Messages since the route was made."""
-        return min(int(self._messages), _LARGEST)
-
-    def lost(self, now: float) -> None:
-        """Count from `now` (s) on, if there is a usual rate. May be called twice."""
-        self._subscribed = None
-        if self.since is None and self.rate:
-            self.since = now
-
-    def subscribed(self, now: float, offered: int) -> None:
-        """Note that the route subscribed again at `now` (s), with `offered` messages before."""
-        if self.since is not None:
-            self._subscribed = (now, offered)
-
-    def estimate(self, now: float, offered: int, *, published: bool) -> None:
-        """Count the time until `now` (s), if somebody publishes, without the messages that were taken meanwhile.
-
-        Args:
-            offered: messages taken from ROS since the route was made.
-        """
-        if self.since is None:
-            return
-        taken = 0
-        elapsed, self.since = now - self.since, now
-        if self._subscribed is not None:
-            since, before = self._subscribed
-            taken = offered - before
-            if taken or now - since >= _FOUND_WITHIN:
-                self.since = self._subscribed = None
-        if published:
-            self._messages += max(0.0, elapsed * (self.rate or 0.0) - taken)
-
-
-def reported_ledger(report: SentReport) -> Ledger | None:
-    """Return the ledger that a sender reports, or None if its figures are impossible."""
+def reported_ledger(report: SentReport, now: float) -> Ledger | None:
+    """Return the ledger that a sender reports at `now` (s since the epoch), or None if its figures are impossible."""
     known = (report.delivered, report.throttled, report.expired, *report.dropped.values())
-    parts = (*known, report.unknown, report.in_flight)
-    figures = (*parts, report.lost_in_dds, report.missed_while_down)
+    parts = (*known, report.unknown, report.waiting, report.in_flight)
+    figures = (*parts, report.lost_in_dds, report.missed_while_down, report.unsubscribed)
     if sum(parts) != report.offered or not all(0 <= figure <= _LARGEST for figure in figures):
         return None
     return Ledger(
@@ -366,11 +325,14 @@ def reported_ledger(report: SentReport) -> Ledger | None:
         delivered=report.delivered,
         throttled=report.throttled,
         expired=report.expired,
+        waiting=report.waiting,
+        waiting_since=now - report.waited if 0 < report.waited < _LARGEST else None,
         in_flight=report.in_flight,
         dropped=report.dropped,
         unknown=report.unknown,
         lost_in_dds=report.lost_in_dds,
         missed_while_down=report.missed_while_down,
+        unsubscribed=report.unsubscribed,
     )
 
 

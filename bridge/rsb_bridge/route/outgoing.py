@@ -5,6 +5,7 @@ Messages don't pass here: `rsb_bridge.route.sending.OutgoingPath` is their path.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -17,15 +18,17 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
-from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.verdict import LASTING, Cause
+from rsb_bridge.ros.publication_numbers import Untaken
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.blocking_rules import stages_with_link
+from rsb_bridge.route.catching_up import Backlog
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.health import Health
 from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, SendersDelay, delay_of_sender
-from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.ledger import OUTAGE, RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.resolving import Resolver
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.reason import Reason
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.blocking_rules import Rules
@@ -51,7 +55,6 @@ if TYPE_CHECKING:
 
 _NO_TYPE = frozenset({Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT})
 _LIMITED = "they are limited to the messages sent"
-_CATCHES_UP = 10.0  # s after the link is back in which what waited goes out, and is not taken for late. A round figure
 _NODES_START_IN = 10.0
 """s from an opening for which a topic without a publisher only waits: nodes that start with the bridge are up by then.
 A round figure: nothing was measured; with a tenth of it, each boot of a robot would begin with faults."""
@@ -60,7 +63,10 @@ A round figure: nothing was measured; with a tenth of it, each boot of a robot w
 class OutgoingRoute(TopicRoute[SendingChannel]):
     """Takes a topic's messages here and sends them to the peer.
 
-    It has more than 40 methods because 27 of them fill in hooks of `TopicRoute` and `Route`.
+    It has more than 40 methods because 28 of them fill in hooks of `TopicRoute` and `Route`.
+
+    Attributes:
+        backlog: what waits for a link that is away.
     """
 
     peer_report = ReceivedReport
@@ -75,9 +81,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
         self._described: Describe | None = None
         self._loop_filter = LoopFilter(self)
-        self._path = OutgoingPath(self, self._ledger, self._loop_filter)
+        self.backlog = Backlog()
+        self._path = OutgoingPath(self, self._ledger, self._loop_filter, self.backlog)
         self._subscription = TopicSubscription(self, self._path, self._loop_filter, self._look_who_is_present)
-        self._back_at = float("-inf")  # s, when the link was away last
+        self._unwanted = True  # since the last subscription, messages were not to cross for a while
         self._resolver = Resolver(context, proposal, self.judge_again)
         self.health = Health()
         self.delays = SendersDelay()
@@ -118,6 +125,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
         if not self.life.accepted or self.pausing.paused:
             self._subscription.unsubscribe()
+            self._unwanted = self._unwanted or self.pausing.paused
             self._ledger.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
             return
         self._path.resume()
@@ -131,7 +139,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             return
         self.notices.set_loop(self._loop_filter.loop(self.topic))
         if self.notices.loop:
-            self._subscription.unsubscribe()
+            self._leave_out()
             return
         described = self._resolve()
         if described is None:
@@ -162,7 +170,12 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if crossing.flows:
             self._subscribe()
         elif crossing.is_held_back:
-            self._subscription.unsubscribe()
+            self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Subscribe to nothing, as messages are not to cross."""
+        self._subscription.unsubscribe()
+        self._unwanted = True
 
     def _describe(self, described: Describe) -> None:
         self._described = described
@@ -200,11 +213,11 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if self._subscription.spec is None or self._subscription.active:
             return
         try:
-            self._subscription.subscribe()
+            self._subscription.subscribe(missed=not self._unwanted)
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
             return
-        self._ledger.missed.subscribed(self.context.now(), self._ledger.offered)
+        self._unwanted = False
         self.silence.rearm(self.context.now())
         self.judge_again()
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
@@ -232,7 +245,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Drop the waiting messages, here and at the peer."""
-        self._subscription.unsubscribe()
+        self._leave_out()
         self._ledger.lose("disarmed", self._loop_filter.forget())
         self._ledger.drop("disarmed", self._path.clear())
         self._ledger.disarmed()
@@ -247,10 +260,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def close(self, reason: str) -> None:
         """End the opening. Waiting messages are lost; messages in flight are settled with the next opening."""
-        # Asked before the subscription ends. What must be armed should not cross meanwhile, and so is not missed.
-        if self.endpoints and self._subscription.receives and not self.arming.required:
-            self._ledger.missed.lost(self.context.now())
         self._end_subscription()
+        self._unwanted = self._unwanted or self.arming.required
+        self.backlog.end()
         self._described = None
         self._kept_there = ()
         self._ledger.lose("link lost", self._loop_filter.forget())
@@ -260,14 +272,19 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._report, self.audience = None, NOBODY
         super().close(reason)
 
+    def refuse(self, code: EventCode, reason: Reason) -> None:
+        super().refuse(code, reason)
+        self._unwanted = self._unwanted or bool(self.reopening.refused)
+
     # --- messages
 
     def _signs(self) -> Signs:
         subscription = self._subscription
-        return *super()._signs(), self._report, self._resolver.unresolved, subscription.failure, subscription.lost
+        lost = subscription.numbers.counts[Untaken.LOST]
+        return *super()._signs(), self._report, self._resolver.unresolved, subscription.failure, lost
 
     def _next_change(self, now: float, crossing: Crossing) -> float:
-        if self._ledger.missed.since is not None:
+        if self.backlog.exists and self.peer.linked:
             return now
         return min(super()._next_change(now, crossing), self.health.next_change(now))
 
@@ -289,11 +306,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         usual = None if self.is_latched else self.meter.usual_rate
         last = self.silence.watch.quiet_since
         self.health.judge(self, ledger, now, usual_rate=usual, quiet_since=last, flows=flows, awaited=awaited)
-        missed = self._ledger.missed
-        if missed.since is not None:
-            missed.estimate(now, self._ledger.offered, published=self._is_published)
-        elif flows:
-            missed.rate = self.limit.lowered(usual or self.spec.expected_rate)
+        if self.backlog.exists and self.peer.linked:
+            self.backlog.judge(ledger, now)
         super()._measure(now, crossing, learns=learns)
 
     def _follow(self, now: float, crossing: Crossing) -> None:
@@ -310,22 +324,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
             self.request_reopen(EventCode.ROUTE_CLOCK_SET, "this side's clock was set, and publishers' stamps seem old")
 
-    @property
-    def _is_published(self) -> bool:
-        """Whether somebody publishes the topic, and neither side has paused or refused it."""
-        if self.pausing.paused or self.reopening.refused:
-            return False
-        own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
-        return bool(own or self.ends.publishers(self.topic))
-
-    def back(self) -> None:
-        super().back()
-        self._back_at = self.context.now()
+    def away(self) -> None:
+        super().away()
+        self.backlog.begin(self._ledger.dropped[OUTAGE])
 
     def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
         unreported = self.delays.unreported(self._ledger.sent_now, self._ledger.reported_now, now)
-        # What waited for the link is not late.
-        if not flows or not self.peer.linked or now - self._back_at < _CATCHES_UP:
+        if not flows or self.backlog.exists:  # what waited for the link is not late
             self.lateness.reset()
             return
         if self.lossy:  # unreported datagrams may be lost, unless pings by a stream are held up, too
@@ -347,6 +352,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def flush(self) -> None:
         self._path.flush()
+
+    def away_text(self) -> str:
+        if self.peer.away_since is None or not self.life.accepted:
+            return super().away_text()
+        dropped = self._ledger.dropped[OUTAGE] - self.backlog.dropped_before
+        older = f", {dropped:,} older ones dropped" if dropped else ""
+        return f"waiting {LASTING}, {self.ledger().waiting:,} kept{older}"
 
     # --- the ledger
 
@@ -378,7 +390,14 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def ledger(self) -> Ledger:
         """Return the ledger, by the peer's last report."""
-        return self._ledger.ledger(self._subscription.lost)
+        ledger, context = self._ledger.ledger(self._subscription.numbers.counts), self.context
+        if ledger.waiting and (waited := self._path.waits(context.now())):
+            return replace(ledger, waiting_since=context.wall_of(context.clock.steady() - waited))
+        return ledger
+
+    def receiver_left(self) -> None:
+        """Take the peer's last report for final: it has said goodbye."""
+        self._ledger.receiver_left()
 
     def news(self) -> SentReport | None:
         """Return the report to send to the peer now, or None if nothing has changed."""
@@ -389,11 +408,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             delivered=ledger.delivered,
             throttled=ledger.throttled,
             expired=ledger.expired,
+            waiting=ledger.waiting,
             in_flight=ledger.in_flight,
             dropped=ledger.dropped,
             unknown=ledger.unknown,
             lost_in_dds=ledger.lost_in_dds,
             missed_while_down=ledger.missed_while_down,
+            unsubscribed=ledger.unsubscribed,
             publishers=len(self.endpoints),
             publisher_qos=self._resolver.publisher_qos,
             subscribed=self._subscription.receives,
@@ -403,8 +424,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if report == self._last_report:
             return None
         self._last_report = report
-        verdict = lasting(report.verdict, self.verdict(), self.context.now())
-        return msgspec.structs.replace(report, verdict=verdict)
+        now = self.context.now()
+        # With these, each report would differ from the one before.
+        verdict, waited = lasting(report.verdict, self.verdict(), now), self._path.waits(now)
+        return msgspec.structs.replace(report, verdict=verdict, waited=waited)
 
     @property
     def present_type(self) -> TypeVersion:
@@ -529,7 +552,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     @property
     def owing(self) -> bool:
-        return self.ledger().in_flight > 0
+        return self.ledger().open > 0
 
     @property
     def breaking(self) -> str:

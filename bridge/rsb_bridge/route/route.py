@@ -20,6 +20,7 @@ from rsb_bridge.model.reason import NO_REASON, Reason
 from rsb_bridge.model.session import HIGHEST, weight_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, State
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.verdict import LASTING
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import LossyPath, judge
@@ -534,6 +535,12 @@ class Route:
         return True
 
     # --- how it is
+
+    def away_text(self) -> str:
+        """Return what becomes of it while it has no link, for an operator, perhaps with `LASTING`."""
+        if self.peer.away_since is not None and self.life.accepted:
+            return f"waiting {LASTING} for the link"
+        return self.peer.down_reason or "the link is down"
 
     def trouble(self) -> Verdict | None:
         """Return the verdict on its channel if nothing gets through it now, or None."""

@@ -15,7 +15,7 @@ from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
-from rsb_bridge.route.ledger import CAUSES
+from rsb_bridge.route.ledger import CAUSES, OUTAGE
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
 from rsb_bridge.route.route import route_weight
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.scheduler import SendingChannel
     from rsb_bridge.ros.ros_interface import RawMessage
+    from rsb_bridge.route.catching_up import Backlog
     from rsb_bridge.route.gates import Sieve
     from rsb_bridge.route.history_depth import Histories, Sample
     from rsb_bridge.route.ledger import RouteLedger
@@ -209,11 +210,12 @@ class Outbox:
         leaving: asked of messages right before the channel gets them.
     """
 
-    def __init__(self, route: TopicRoute[SendingChannel], ledger: RouteLedger) -> None:
+    def __init__(self, route: TopicRoute[SendingChannel], ledger: RouteLedger, backlog: Backlog) -> None:
         self.leaving: Sieve[Message] | None = None
         self._route = route
         self._automatic = route.proposal.qos is None
         self._ledger = ledger
+        self._backlog = backlog
         self.largest = route.transport.largest_message
         self._queue = SendQueue(route.peer.budget.waiting)
         self._overload = Overload()
@@ -238,7 +240,11 @@ class Outbox:
         self._trim(now, publisher)
 
     def _trim(self, now: float, publisher: bytes = b"") -> None:
-        if dropped := self._queue.trim(self._limits, now, publisher):
+        if not (dropped := self._queue.trim(self._limits, now, publisher)):
+            return
+        if self._backlog.exists:
+            self._ledger.drop(OUTAGE, dropped)
+        else:
             self._ledger.drop("queue full", dropped)
             self._overload.dropped(now)
 
@@ -331,7 +337,9 @@ class OutgoingPath:
         gates: all that are on.
     """
 
-    def __init__(self, route: TopicRoute[SendingChannel], ledger: RouteLedger, loop_filter: LoopFilter) -> None:
+    def __init__(
+        self, route: TopicRoute[SendingChannel], ledger: RouteLedger, loop_filter: LoopFilter, backlog: Backlog
+    ) -> None:
         self.histories: Histories | None = None
         self._context = context = route.context
         self._route = route
@@ -340,7 +348,7 @@ class OutgoingPath:
         self._throttle = Throttle(route.limit.rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, route.pausing)
         self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
-        self._outbox = Outbox(route, ledger)
+        self._outbox = Outbox(route, ledger, backlog)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
         compose_when_switched(route, self.compose)
 

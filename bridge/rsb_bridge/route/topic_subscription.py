@@ -14,6 +14,7 @@ from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.model.qos import auto_depth, parts_of_lease
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
+from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
 from rsb_bridge.ros.ros_interface import BATCH, RosError
 from rsb_bridge.route.history_depth import Histories
 from rsb_bridge.route.lease import Marker
@@ -51,6 +52,7 @@ class TopicSubscription:
     Attributes:
         spec: the present opening's topic, with the QoS that publishers offer or an operator wants; or None before.
         histories: of a latched topic's publishers, or None for a volatile topic.
+        numbers: over all openings.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class TopicSubscription:
     ) -> None:
         self.spec: TopicSpec | None = None
         self.histories: Histories | None = None
+        self.numbers = PublicationNumbers(route.context.loop.time)
         self._liveliness: _Liveliness | None = None
         self._context = context = route.context
         self._route = route
@@ -75,7 +78,7 @@ class TopicSubscription:
         self._subscription: LastingSubscription | None = None
         self._depth = 0
         self._bounds: dict[bytes, Bounds] = {}  # of the depths of a latched topic's publishers
-        self._lost_before = self._lost_seen = 0
+        self._lost_seen = 0
         self._unmatched_ticks = 0
 
     # --- the subscription
@@ -93,7 +96,7 @@ class TopicSubscription:
         self.spec, self._automatic, self._expected_rate = spec, automatic, expected_rate
         # A new one: what is still queued for the former one is of an earlier opening, and so are the losses until now.
         self._receiver = _Receiver(self._path.offer)
-        self._lost_seen = self.lost
+        self._lost_seen = self._lost
         if spec.qos.latched:
             kept = LATCHED_DEPTH if spec.qos.history == "keep_all" else max(1, spec.qos.depth)
             self.histories = Histories(
@@ -107,14 +110,18 @@ class TopicSubscription:
                 bounds=self._bounds,
             )
 
-    def subscribe(self) -> None:
+    def subscribe(self, *, missed: bool) -> None:
         """Begin to take messages.
+
+        Args:
+            missed: whether those published since the last subscription should have been taken.
 
         Raises:
             RosError: the topic cannot be subscribed to.
         """
         assert self.spec is not None
         self._type.begin(self.spec.type_name, self.spec.type_hash)
+        self.numbers.gap = Untaken.MISSED if missed else Untaken.UNSUBSCRIBED
         self._subscription = LastingSubscription(self._context.loop, self._subscribe, self._changed)
         if self.spec.qos.liveliness_lease_duration:
             self._liveliness = _Liveliness(self._route, self.spec, self._subscription, self._loop_filter, self._found)
@@ -125,7 +132,6 @@ class TopicSubscription:
             self._liveliness.close()
             self._liveliness = None
         if self._subscription is not None:
-            self._lost_before += self._subscription.lost
             self._subscription.close()
             self._subscription = None
         self._type.end()
@@ -162,9 +168,8 @@ class TopicSubscription:
         return self._subscription.failure if self._subscription is not None else ""
 
     @property
-    def lost(self) -> int:
-        """Messages that DDS lost before they could be taken, over all openings."""
-        return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
+    def _lost(self) -> int:
+        return self.numbers.counts[Untaken.LOST]
 
     @property
     def is_unmatched(self) -> bool:
@@ -181,9 +186,9 @@ class TopicSubscription:
         if self._subscription is None:
             return
         self._unmatched_ticks = 0 if self._subscription.matched else self._unmatched_ticks + 1
-        if self.lost == self._lost_seen:
+        if self._lost == self._lost_seen:
             return
-        self._lost_seen = self.lost
+        self._lost_seen = self._lost
         before, depth = self._depth, self._qos().depth
         # Only then: a new subscription of a volatile topic misses what is published until DDS has matched it.
         if depth >= 2 * before:
@@ -204,9 +209,11 @@ class TopicSubscription:
     def _subscribe(self, on_failure: OnFailure | None) -> Subscription:
         if self.histories is not None:
             self.histories.resubscribed()
-        return self._subscribe_for(self._receiver, on_failure)
+        return self._subscribe_for(self._receiver, on_failure, self.numbers)
 
-    def _subscribe_for(self, receiver: _Receiver, on_failure: OnFailure | None) -> Subscription:
+    def _subscribe_for(
+        self, receiver: _Receiver, on_failure: OnFailure | None, numbers: PublicationNumbers | None = None
+    ) -> Subscription:
         assert self.spec is not None
         spec = self.spec._replace(qos=self._qos())
         self._depth = spec.qos.depth
@@ -221,7 +228,7 @@ class TopicSubscription:
 
             sink = put_marked
         # What this node publishes for the same peer is left out.
-        return self._route.ends.subscribe(spec, sink, self._route.peer.name, on_failure)
+        return self._route.ends.subscribe(spec, sink, self._route.peer.name, on_failure, numbers)
 
     def _changed(self) -> None:
         self._route.wake()

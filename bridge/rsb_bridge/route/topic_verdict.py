@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.blocking_rules import Rules
+    from rsb_bridge.route.catching_up import Backlog
     from rsb_bridge.route.combined_verdict import CombinedVerdict
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.health import Health
@@ -96,6 +97,7 @@ class SendingTopic(JudgedTopic, Protocol):
     qos: Qos | None
     meter: RateMeter
     health: Health
+    backlog: Backlog
 
     @property
     def subscribe_failed(self) -> str: ...
@@ -395,6 +397,11 @@ def _steady_figure(rate: float) -> str:
     return f"{rate:#.3g}".rstrip(".")
 
 
+def _catching_up(half: SendingTopic, _: Crossing) -> Verdict | None:
+    left = half.backlog.left if half.backlog.exists else 0
+    return Verdict(State.OK, Cause.CATCHING_UP, f"catching up, {left:,} left") if left else None
+
+
 def _unsent(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     """Judge a topic that no message has come of, or whose publisher has left while no message was due."""
     if not crossing.flows:
@@ -510,6 +517,7 @@ OF_SENDER: Rules[SendingTopic] = (
     _expired,
     _late,
     _slow,
+    _catching_up,
     _unsent,
 )
 OF_RECEIVER: Rules[ReceivingTopic] = (_nothing_comes, _expired, _late, _clocks, _subscribers, _unreceived)

@@ -40,7 +40,7 @@ _LOSSLESS_TICKS, _RECOVERED_TICKS = 2, 4
 # ones would be absent in one case of 20 (e^-3).
 _EXPECTED_LOSSES = 3.0
 # Causes of drops that are meant, or that the link's own state explains.
-_NO_LOSS = frozenset({"already published", "link lost", "would loop", "expired", "disarmed"})
+_NO_LOSS = frozenset({"already published", "link lost", "outage", "would loop", "expired", "disarmed"})
 
 
 class SlowWatch:

@@ -74,18 +74,21 @@ class VerdictRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The sender's ledger of a route: offered = delivered + throttled + expired + dropped + unknown + in flight."""
+    """The sender's ledger of a route (`rsb_bridge.model.snapshot.Ledger`)."""
 
     route: RouteId
     offered: int = 0  # messages taken from ROS since the route was made, as for all counts here
     delivered: int = 0  # published by the receiver, according to its last report
     throttled: int = 0  # left out because of `Propose.max_rate`
     expired: int = 0  # datagram messages that the receiver gave up incomplete
+    waiting: int = 0
+    waited: float = 0.0  # s, the age of the oldest message in the queue, or 0 without any
     in_flight: int = 0
     dropped: Causes = {}  # by cause; msgspec makes a new one for each message
     unknown: int = 0  # sent to a process that ended before it reported whether they arrived
-    lost_in_dds: int = 0  # lost before the bridge could take them
-    missed_while_down: int = 0  # published while the route was down, estimated; not part of `offered`
+    lost_in_dds: int = 0  # lost before the subscribed bridge could take them
+    missed_while_down: int = 0  # published while the route was closed
+    unsubscribed: int = 0  # published while the topic was not to cross
     publishers: int = 0
     publisher_qos: Qos | None = None  # their combined offer, or None without publishers
     subscribed: bool = False  # whether the sender takes messages from ROS

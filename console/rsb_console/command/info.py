@@ -100,7 +100,7 @@ def _lines(
     yield f"Rate: {_rate(route, figures, now)}"
     yield f"Bytes: {formats.byte_rate(route.bytes_per_second)}, {formats.byte_count(route.bytes_total)} in all"
     yield from _latency(route)
-    yield from _ledger(route)
+    yield from _ledger(route, now)
     if missing := [stage for stage in route.stages if not stage.done]:
         detail = f": {missing[0].detail}" if missing[0].detail else ""
         yield f"Waits for: {missing[0].name}{detail}"
@@ -173,7 +173,7 @@ def _latency(route: RouteSnapshot) -> Iterator[str]:
         yield f"Latency: p50 {p50}, p99 {p99}{error}, one way, from bridge to bridge"
 
 
-def _ledger(route: RouteSnapshot) -> Iterator[str]:
+def _ledger(route: RouteSnapshot, now: float) -> Iterator[str]:
     if (calls := route.calls) is not None:
         refused = sum(calls.refused.values())
         yield (
@@ -188,12 +188,16 @@ def _ledger(route: RouteSnapshot) -> Iterator[str]:
         yield (
             f"Ledger: {ledger.offered} offered = {ledger.delivered} delivered + {ledger.throttled} throttled"
             f" + {ledger.dropped_total} dropped + {ledger.expired} expired + {ledger.unknown} unknown"
-            f" + {ledger.in_flight} in flight"
+            f" + {ledger.waiting} waiting + {ledger.in_flight} in flight"
         )
+        if ledger.waiting_since is not None:
+            yield f"  {ledger.waiting} waiting, the oldest for {formats.age_since(ledger.waiting_since, now)}"
         if ledger.unknown:
             yield f"  {ledger.unknown} unknown: sent to a bridge that ended before it reported whether they arrived"
         if ledger.missed_while_down:
-            yield f"  about {ledger.missed_while_down} more were published while the topic was down (an estimate)"
+            yield f"  {ledger.missed_while_down} more were published while the topic was closed"
+        if ledger.unsubscribed:
+            yield f"  {ledger.unsubscribed} more were published before the bridge subscribed, or while it was not to"
         if ledger.lost_in_dds:
             yield f"  {ledger.lost_in_dds} more were lost in DDS before the bridge could take them"
         dropped = ledger.dropped

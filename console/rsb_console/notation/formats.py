@@ -157,6 +157,14 @@ def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
     return f"retry {link.attempts + 1} {f'in {math.ceil(seconds)} s' if seconds else 'now'}"
 
 
+def waits(link: LinkSnapshot, now: float) -> str:
+    """Format how long topics and calls still wait for a link that is away, or return an empty string."""
+    if link.session_ends is None:
+        return ""
+    # Cut to whole seconds, as in `age_since`.
+    return f"topics and calls wait {max(0, math.floor(link.session_ends) - math.floor(now))} s more"
+
+
 def counted(count: int, what: str) -> str:
     """Format a count of things: ``1 topic``, ``8 topics``."""
     return f"{thousands(count)} {plural(count, what)}"

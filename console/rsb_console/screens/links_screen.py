@@ -101,19 +101,21 @@ class LinkDetail(FixedLines):
     def __init__(self) -> None:
         super().__init__(id="link-detail")
         self._link: LinkSnapshot | None = None
+        self._now = 0.0
         self._server = False
 
-    def show(self, link: LinkSnapshot | None, *, server: bool) -> None:
-        self._link, self._server = link, server
-        self.put([] if link is None else list(_detail(link, self.size.width, server=server)))
+    def show(self, link: LinkSnapshot | None, now: float, *, server: bool) -> None:
+        self._link, self._now, self._server = link, now, server
+        self.put([] if link is None else list(_detail(link, now, self.size.width, server=server)))
 
     def on_resize(self) -> None:
-        self.show(self._link, server=self._server)
+        self.show(self._link, self._now, server=self._server)
 
 
-def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
+def _detail(link: LinkSnapshot, now: float, width: int, *, server: bool) -> Iterator[Line]:
     if link.state is not State.OK or link.warning:
-        fault = "; ".join(filter(None, (link_fault(link, server=server), formats.next_attempt(link))))
+        parts = link_fault(link, server=server), formats.next_attempt(link), formats.waits(link, now)
+        fault = "; ".join(filter(None, parts))
         for number, line in enumerate(textwrap.wrap(fault, max(20, width - LABEL))):
             yield (_label("" if number else "why"), (line, "stale" if link.warning else link.state.value))
     if link.acknowledged is not None:
@@ -172,7 +174,7 @@ class LinkScreen(ModalScreen[None]):
             if self.is_active:
                 self.dismiss()
             return
-        self.detail.show(link, server=now.role == "server")
+        self.detail.show(link, now.time, server=now.role == "server")
         # Patterns stand with their links; and if there are several, the table names the peer of each topic.
         routes = tuple(route for route in now.routes if route.link == self._name)
         self.topics.show(replace(now, routes=routes, links=(link,)))
@@ -217,7 +219,7 @@ class LinksScreen(ModalScreen[None]):
         self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
-        self.detail.show(self.table.selected, server=self._is_server)
+        self.detail.show(self.table.selected, self.console.snapshot().time, server=self._is_server)
 
     def action_open(self) -> None:
         if self.table.selected is not None:

@@ -24,8 +24,8 @@ _ROUTE = (
     "latency_p50", "latency_p99", "age", "cause", "reason",
 )  # fmt: skip
 _COUNTS = (
-    "offered", "delivered", "throttled", "expired", "in_flight", "dropped_total", "unknown", "lost_in_dds",
-    "missed_while_down",
+    "offered", "delivered", "throttled", "expired", "waiting", "in_flight", "dropped_total", "unknown", "lost_in_dds",
+    "missed_while_down", "unsubscribed",
     "asked", "answered", "refused", "lost", "late", "node_p50", "node_p99", "way_p50", "way_p99", "last_failure",
 )  # fmt: skip
 

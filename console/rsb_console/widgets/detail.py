@@ -200,18 +200,21 @@ def _topic(page: _Page, route: RouteSnapshot, peer: str, now: float) -> None:
     page.add()
     ledger, limit = route.ledger, route.max_rate
     # The share leaves out messages dropped on purpose, and those that may have arrived.
-    due = ledger.offered - ledger.throttled - ledger.unknown - ledger.in_flight
+    due = ledger.offered - ledger.throttled - ledger.unknown - ledger.open
+    waited = "" if ledger.waiting_since is None else f"  oldest {formats.age_since(ledger.waiting_since, now)}"
     rows = [
         ("offered", ledger.offered, "", ""),
         ("delivered", ledger.delivered, "", _share(ledger.delivered, due)),
         ("throttled", ledger.throttled, "", f"  limit {limit:g} Hz" if limit else ""),
         ("expired", ledger.expired, "stale", f"  limit {route.max_age:g} s" if route.max_age else ""),
+        *([("waiting", ledger.waiting, "", waited)] if ledger.waiting else []),
         ("in flight", ledger.in_flight, "", ""),
         ("dropped", ledger.dropped_total, "down", ""),
         *((f"  {cause}", count, "down", "") for cause, count in ledger.dropped.items() if count),
         *([("unknown", ledger.unknown, "stale", "  the other side died")] if ledger.unknown else []),
         ("lost in DDS", ledger.lost_in_dds, "stale", ""),
-        *([("missed while down", ledger.missed_while_down, "stale", "  estimate")] if ledger.missed_while_down else []),
+        *([("missed while down", ledger.missed_while_down, "stale", "")] if ledger.missed_while_down else []),
+        *([("not subscribed", ledger.unsubscribed, "", "  before, or paused")] if ledger.unsubscribed else []),
     ]
     page.ledger("Ledger", rows)
     page.add()

@@ -170,7 +170,8 @@ def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
     for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name)):
         if link.acknowledged is not None:
             continue
-        cause = link_fault(link, server=snapshot.role == "server")
+        parts = link_fault(link, server=snapshot.role == "server"), formats.waits(link, snapshot.time)
+        cause = "; ".join(filter(None, parts))
         if link.state is State.OK and link.warning:
             yield Fault("!", State.SLOW.value, "", link.name, cause, of_link=True)
         elif link.state is not State.OK and not (single and link.state is State.WAITING):

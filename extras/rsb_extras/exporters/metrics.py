@@ -36,7 +36,7 @@ OTHER = "other"
 DROPPED = frozenset(
     {
         "already published", "disarmed", "expands too much", "incomplete", "latched full", "link lost",
-        "lost on the way", "malformed", "paused", "publish failed", "queue full", "slow subscriber",
+        "lost on the way", "malformed", "outage", "paused", "publish failed", "queue full", "slow subscriber",
         "too complex", "too large", "unknown source", "would loop",
     }
 )  # fmt: skip

@@ -45,7 +45,8 @@ _ROUTE_FIGURES = (
 )
 _TOPIC_FIGURES = (
     *_ROUTE_FIGURES,
-    *figures(Of.MESSAGES, "offered", "delivered", "throttled", "expired", "dropped", "unknown", "missed_while_down"),
+    *figures(Of.MESSAGES, "offered", "delivered", "throttled", "expired", "dropped", "unknown", "waiting"),
+    *figures(Of.MESSAGES, "missed_while_down"),
 )
 _CALL_FIGURES = (*_ROUTE_FIGURES, *figures(Of.CALLS, "asked", "answered", "expired", "lost", "refused"))
 

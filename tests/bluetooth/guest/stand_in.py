@@ -125,7 +125,7 @@ class StandIn(NoRos):
         return HASH if type_name == TYPE else None
 
     def subscribe(
-        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None
+        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None, numbers: object = None
     ) -> _Subscription:
         self._sinks[spec.topic] = sink
         return _Subscription(self._sinks, spec.topic)
@@ -156,7 +156,7 @@ class StandIn(NoRos):
 
 
 class _Subscription:
-    lost, liveliness = 0, Liveliness(alive=1)
+    liveliness = Liveliness(alive=1)
     matched = 1
 
     def __init__(self, sinks: dict[str, Sink], topic: str) -> None:

@@ -1,0 +1,32 @@
+"""What waited for a link, until it is settled."""
+
+from __future__ import annotations
+
+from rsb_bridge.model.snapshot import Ledger
+from rsb_bridge.route.catching_up import Backlog
+
+
+def judged(*seconds: tuple[int, int, int]) -> list[int]:
+    """Return what is left each second, or -1 once nothing is; given are offered, waiting and in flight."""
+    backlog = Backlog()
+    backlog.begin(0)
+    left = []
+    for now, (offered, waiting, in_flight) in enumerate(seconds):
+        if backlog.exists:
+            backlog.judge(Ledger(offered, waiting=waiting, in_flight=in_flight), float(now))
+        left.append(backlog.left if backlog.exists else -1)
+    return left
+
+
+def test_backlog_ends_once_all_behind_it_is_reported() -> None:
+    assert judged((600, 590, 10), (610, 100, 500), (620, 0, 300), (630, 0, 20)) == [600, 600, 290, -1]
+
+
+def test_nothing_that_waited_is_no_backlog() -> None:
+    assert judged((600, 0, 0)) == [-1]
+
+
+def test_link_that_carries_less_than_is_published_never_catches_up() -> None:
+    left = judged(*[(600 + 10 * now, 500 + now % 3, 100) for now in range(14)])
+    assert left[9] > 0
+    assert left[10:] == [-1] * 4
