@@ -301,7 +301,7 @@ def settled(engine: Engine, topic: str, offered: int, within: float = 180.0) -> 
 
     def done() -> Ledger | None:
         ledger = route(engine, topic).ledger
-        return ledger if ledger.offered + ledger.lost_in_dds == offered and not ledger.in_flight else None
+        return ledger if ledger.offered + ledger.lost_in_dds == offered and not ledger.open else None
 
     try:
         return eventually(done, within)
@@ -312,7 +312,7 @@ def settled(engine: Engine, topic: str, offered: int, within: float = 180.0) -> 
 def balance(ledger: Ledger) -> int:
     """Return the sum of a ledger's parts."""
     settled = ledger.delivered + ledger.throttled + ledger.dropped_total + ledger.expired
-    return settled + ledger.unknown + ledger.in_flight
+    return settled + ledger.unknown + ledger.open
 
 
 def happened(engine: Engine, code: StrEnum, about: str | Wording = "", **parameters: object) -> Event | None:
