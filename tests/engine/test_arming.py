@@ -102,7 +102,7 @@ def test_nothing_crosses_until_it_is_armed_nor_after(
         for side in (server, client):
             eventually(lambda side=side, count=number + 1: disarmings(side) == count)
     holds(lambda: not {"before", "while it is disarmed"} & set(motors.texts(1000)), 0.5)
-    ledger = eventually(lambda: ledger if not (ledger := route(server, "/cmd").ledger).in_flight else None)
+    ledger = eventually(lambda: ledger if not (ledger := route(server, "/cmd").ledger).open else None)
     assert balance(ledger) == ledger.offered
 
 
@@ -148,7 +148,7 @@ def test_messages_before_disarming_reach_no_robot_later(
     consoles.arm(server)
     publish_until_heard(joystick, "new", motors)
     assert set(motors.texts(1000)[crossed:]) == {"new"}
-    ledger = eventually(lambda: ledger if not (ledger := route(server, "/cmd").ledger).in_flight else None)
+    ledger = eventually(lambda: ledger if not (ledger := route(server, "/cmd").ledger).open else None)
     lost = ledger.dropped.get("disarmed", 0) + ledger.dropped.get("link lost", 0)  # a slow machine may lose the link
     assert lost + crossed == 50
     assert balance(ledger) == ledger.offered

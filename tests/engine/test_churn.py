@@ -129,13 +129,13 @@ def test_no_message_is_reordered_doubled_or_uncounted(tmp_path: Path, monkeypatc
         ends.set()
         for thread in threads:
             thread.join(_WITHIN)
-        eventually(lambda: not any(route.ledger.in_flight for route in client.snapshot().routes), _WITHIN)
+        eventually(lambda: not any(route.ledger.open for route in client.snapshot().routes), _WITHIN)
         for topic_name in _TOPICS:
             numbers = [int.from_bytes(payload[:8], "little") for payload in there.taken[topic_name]]
             assert numbers == sorted(set(numbers)), topic_name
         for route in client.snapshot().routes:
             ledger = route.ledger
-            parts = ledger.delivered + ledger.throttled + ledger.expired + ledger.in_flight + ledger.dropped_total
+            parts = ledger.delivered + ledger.throttled + ledger.expired + ledger.open + ledger.dropped_total
             assert ledger.offered == parts, ledger
         assert not [event for each in (server, client) for event in each.events() if "internal error" in event.text]
     finally:

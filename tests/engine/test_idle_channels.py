@@ -42,7 +42,7 @@ def test_idle_latched_topic_is_not_down_after_outage(bridge: Bridge, robot: Doma
     listener = pc.listener("/map", qos=LATCHED)
     server, client = bridge.both(Topic("/map", "transmit"))
     out.publish(text("map"))
-    eventually(lambda: listener.payloads and route(client, "/map").ledger.in_flight == 0)
+    eventually(lambda: listener.payloads and route(client, "/map").ledger.open == 0)
     for _ in range(2):
         lose_channel(client)
     holds(lambda: never_down(server, client), 3)

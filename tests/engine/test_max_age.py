@@ -120,7 +120,7 @@ def test_network_that_held_everything_yields_nothing_old(
     def agreed() -> Ledger | None:
         """The ledger once both sides and the listener have counted the same."""
         ledger, there = (route(each, "/cmd").ledger for each in both)
-        same = ledger == there and not ledger.in_flight and ledger.delivered == len(heard.payloads)
+        same = ledger == there and not ledger.open and ledger.delivered == len(heard.payloads)
         return ledger if same else None
 
     ledger = eventually(agreed)

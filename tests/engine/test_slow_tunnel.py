@@ -117,7 +117,7 @@ def test_nothing_is_dropped_on_a_fast_link(bridge: Bridge, robot: Domain, pc: Do
 
 
 def _is_settled(ledger: Ledger, published: int) -> bool:
-    return ledger.offered + ledger.lost_in_dds >= published and not ledger.in_flight
+    return ledger.offered + ledger.lost_in_dds >= published and not ledger.open
 
 
 def test_calls_through_a_full_tunnel(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -39,7 +39,7 @@ COMMAND = Path(sys.executable).with_name("rsb-console")
 _STOPS_WITHIN = 20.0
 _MEMORY = 256 << 20
 """Bytes: queues are bounded on any network (a program that bridges nothing has 65 MiB)."""
-_LEDGER_FIELDS = ("offered", "delivered", "throttled", "expired", "in_flight", "dropped", "unknown", "lost_in_dds")
+_LEDGER_FIELDS = ("offered", "delivered", "throttled", "expired", "waiting", "in_flight", "dropped", "unknown", "lost_in_dds")
 
 
 class Program:
@@ -200,7 +200,7 @@ class Bridge:
 
         def done() -> bool:
             return all(
-                not ledger.in_flight and ledger.delivered == len(self._heard_once(topic, since))
+                not ledger.open and ledger.delivered == len(self._heard_once(topic, since))
                 for topic in topics
                 for ledger in (self.client.ledger(topic),)
             )

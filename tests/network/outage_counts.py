@@ -72,7 +72,7 @@ class AccountCounts(NamedTuple):
 
     Attributes:
         published: counted outside.
-        accounted: the account's sum: offered, and what was not taken.
+        accounted: the account's sum: offered for the first time, and what was not taken.
         heard: different messages, counted outside.
         delivered: the account's.
         dropped: by cause, with the rest of the account that is not delivered and not 0.
@@ -146,12 +146,12 @@ def count_account(record: Record, name: str) -> AccountCounts | None:
     if not record.accounts:
         return None
     row: dict[str, Any] = record.accounts[name]
-    figure = {field: int(row.get(field) or 0) for field in (*_PARTS, "offered", *_UNTAKEN)}
+    figure = {field: int(row.get(field) or 0) for field in (*_PARTS, "offered", "again", *_UNTAKEN)}
     dropped: dict[str, int] = row.get("dropped") or {}
     others = {field: figure[field] for field in (*_PARTS[1:], *_UNTAKEN) if figure[field]}
     return AccountCounts(
         published=len(record.made[name]),
-        accounted=figure["offered"] + sum(figure[field] for field in _UNTAKEN),
+        accounted=figure["offered"] - figure["again"] + sum(figure[field] for field in _UNTAKEN),
         heard=len({number for number, _, _ in record.heard[name]}),
         delivered=figure["delivered"],
         dropped=dropped | others,

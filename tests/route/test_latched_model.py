@@ -247,7 +247,7 @@ class Route:
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         assert self.subscription.histories is not None
-        self.offered += self.subscription.histories.receive(batch)
+        self.offered += self.subscription.histories.receive(batch).new
 
     def emit(self, samples: Sequence[Sample]) -> None:
         for header, message, _ in samples:

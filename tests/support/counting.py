@@ -60,7 +60,7 @@ class Count(NamedTuple):
         return ended
 
     def __str__(self) -> str:
-        names = ("offered", "delivered", "expired", "dropped", "unknown", "in_flight", "lost_in_dds")
+        names = ("offered", "delivered", "expired", "dropped", "unknown", "waiting", "in_flight", "lost_in_dds")
         figures = {name: self.ledger[name] for name in (*names, "missed_while_down")}
         return f"{self.published} published, {self.never_taken} never taken, {self.received} received; {figures}"
 
@@ -171,8 +171,8 @@ class CountedBridge:
             nonlocal last, since
             heard, topic = self.listener.ask(), self.client.topic()
             assert topic is not None
-            now = (heard, topic["offered"], topic["delivered"], topic["dropped"], topic["in_flight"])
-            if now != last or topic["in_flight"]:
+            now = (heard, topic["offered"], topic["delivered"], topic["dropped"], topic["waiting"], topic["in_flight"])
+            if now != last or topic["waiting"] or topic["in_flight"]:
                 last, since = now, time.monotonic()
             return (heard, topic) if time.monotonic() - since > _QUIET else None
 

@@ -43,6 +43,20 @@ Bounds: TypeAlias = tuple[int, int]
 """The least and the most messages that a publisher may keep."""
 
 
+class Taken(NamedTuple):
+    """What messages that a latched topic's subscription brought are to the ledger.
+
+    Attributes:
+        new: how many the peer does not have, and were not taken before in its opening.
+        again: of these, how many were taken in an earlier opening.
+        known: how many were never taken in this route, as the peer has them from an earlier process of this side.
+    """
+
+    new: int
+    again: int
+    known: int
+
+
 class Sample(NamedTuple):
     """A message of a latched topic."""
 
@@ -98,6 +112,7 @@ class Histories:
         depth: int,
         lifespan: float,
         known: Mapping[bytes, int],
+        taken: dict[bytes, int],
         bounds: Mapping[bytes, Bounds],
     ) -> None:
         """Begin without publishers.
@@ -109,6 +124,7 @@ class Histories:
             depth: history depth that an operator has set for all publishers, or 0 to find it out.
             lifespan: s after which publishers on either side forget a message, or 0 for never.
             known: the newest number that the peer has, by publisher.
+            taken: the newest number that was taken in the route's openings, by publisher; it is kept up here.
             bounds: of depths, from an earlier opening, by publisher: a DDS publisher's depth never changes.
         """
         self._loop = loop
@@ -118,6 +134,7 @@ class Histories:
         self._depth = min(depth, LATCHED_DEPTH)
         self._lifespan = lifespan
         self._known = dict(known)
+        self._taken = taken
         self._bounds_before = {} if depth else dict(bounds)
         self._publishers: dict[bytes, _Publisher] = {}
         self._probe: _Probe | None = None
@@ -134,23 +151,26 @@ class Histories:
 
     # --- messages
 
-    def receive(self, batch: Sequence[RawMessage]) -> int:
-        """Take messages from ROS, oldest first; return how many the peer does not have, and were not taken before."""
+    def receive(self, batch: Sequence[RawMessage]) -> Taken:
+        """Take messages from ROS, oldest first."""
         now = self._loop.time()
-        new, samples = 0, list[Sample]()
+        new, again, known, samples = 0, 0, 0, list[Sample]()
         for message in batch:
             publisher = self._seen(message, now)
+            is_first = note_taken(self._taken, message)
             # DDS hands over the whole history to each new subscription. The peer has this message, or will get it.
             if message.number and message.number <= publisher.taken:
+                known += is_first
                 continue
             new += 1
+            again += not is_first
             publisher.taken = max(publisher.taken, message.number)
             replayed = not publisher.settled
             if not message.number:  # it gets one here, so that a message that overtakes it on the way stays the newest
                 publisher.taken += 1
             # The first one is never held: its publisher keeps at least one.
-            known = publisher.released or publisher.bounded or publisher.exact or self._depth or self._lifespan
-            if message.number > 1 and not known:
+            goes_on = publisher.released or publisher.bounded or publisher.exact or self._depth or self._lifespan
+            if message.number > 1 and not goes_on:
                 publisher.held.append((message, replayed))
                 publisher.held_size += len(message.payload)
             else:
@@ -159,7 +179,7 @@ class Histories:
         if samples:
             self._emit(samples)
         self._work()
-        return new
+        return Taken(new, again, known)
 
     def resubscribed(self) -> None:
         """Expect all histories again, because the subscription was reopened."""
@@ -174,6 +194,8 @@ class Histories:
         if self._bounds_before:
             here = {publisher_id(gid) for gid in present}
             self._bounds_before = {gid: each for gid, each in self._bounds_before.items() if gid in here}
+        for gid in [gid for gid in self._taken if gid not in present and gid not in self._publishers]:
+            del self._taken[gid]
         for gid, publisher in tuple(self._publishers.items()):
             if gid in present:
                 publisher.gone_since = None
@@ -382,6 +404,13 @@ class _Probe:
         ):
             self.is_complete = True
             self.until = min(self.until, now + _PROBE_SETTLES_AFTER)
+
+
+def note_taken(taken: dict[bytes, int], message: RawMessage) -> bool:
+    """Note a message in the newest numbers that a route has taken, and return whether it is the first time."""
+    before = taken.get(message.gid, 0)
+    taken[message.gid] = max(before, message.number)
+    return message.number > before or not message.number
 
 
 def _sample(message: RawMessage, number: int, depth: int, *, replayed: bool) -> Sample:

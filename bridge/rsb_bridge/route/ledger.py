@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import Ledger
+from rsb_bridge.ros.publication_numbers import Untaken
 from rsb_bridge.route.age import EXPIRED
 
 if TYPE_CHECKING:
@@ -141,6 +142,8 @@ class RouteLedger:
         throttled: left out for the route's highest rate.
         expired: dropped here, because they were too old.
         unknown: sent to a process that ended before it reported whether they arrived.
+        again: of `offered`, a latched topic's messages that were offered in an earlier opening, too.
+        known_there: a latched topic's messages that were not offered: the peer has them from an earlier process.
     """
 
     def __init__(self) -> None:
@@ -148,7 +151,7 @@ class RouteLedger:
         self.offered = 0
         self.throttled = 0
         self.dropped: Counter[str] = Counter()
-        self.unknown = 0
+        self.unknown = self.again = self.known_there = 0
         self.expired = 0
         self._delivered = 0
         self._opening = _Opening()
@@ -309,7 +312,10 @@ class RouteLedger:
             in_flight=in_flight,
             dropped=dropped if len(dropped) <= _MOST_CAUSES else dict(_folded(Counter(dropped))),
             unknown=self.unknown,
-            **untaken,
+            lost_in_dds=untaken.get(Untaken.LOST, 0),
+            missed_while_down=untaken.get(Untaken.MISSED, 0),
+            unsubscribed=untaken.get(Untaken.UNSUBSCRIBED, 0) + self.known_there,
+            again=self.again,
         )
 
 
@@ -317,7 +323,7 @@ def reported_ledger(report: SentReport, now: float) -> Ledger | None:
     """Return the ledger that a sender reports at `now` (s since the epoch), or None if its figures are impossible."""
     known = (report.delivered, report.throttled, report.expired, *report.dropped.values())
     parts = (*known, report.unknown, report.waiting, report.in_flight)
-    figures = (*parts, report.lost_in_dds, report.missed_while_down, report.unsubscribed)
+    figures = (*parts, report.lost_in_dds, report.missed_while_down, report.unsubscribed, report.again)
     if sum(parts) != report.offered or not all(0 <= figure <= _LARGEST for figure in figures):
         return None
     return Ledger(
@@ -333,6 +339,7 @@ def reported_ledger(report: SentReport, now: float) -> Ledger | None:
         lost_in_dds=report.lost_in_dds,
         missed_while_down=report.missed_while_down,
         unsubscribed=report.unsubscribed,
+        again=report.again,
     )
 
 

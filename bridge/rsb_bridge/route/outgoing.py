@@ -415,6 +415,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             lost_in_dds=ledger.lost_in_dds,
             missed_while_down=ledger.missed_while_down,
             unsubscribed=ledger.unsubscribed,
+            again=ledger.again,
             publishers=len(self.endpoints),
             publisher_qos=self._resolver.publisher_qos,
             subscribed=self._subscription.receives,

@@ -395,7 +395,10 @@ class OutgoingPath:
     def receive(self, batch: Sequence[RawMessage]) -> None:
         """Receive messages that do not loop, oldest first."""
         if self.histories is not None:
-            self._receive_latched(self.histories.receive(batch), ())
+            taken, ledger = self.histories.receive(batch), self._ledger
+            ledger.offered += taken.new
+            ledger.again += taken.again
+            ledger.known_there += taken.known
             return
         if not batch:
             return
@@ -452,14 +455,9 @@ class OutgoingPath:
     # --- of a latched topic
 
     def emit(self, samples: Sequence[Sample]) -> None:
-        """Take messages of a latched topic whose histories are known by now."""
-        self._receive_latched(0, samples)
-
-    def _receive_latched(self, new: int, samples: Sequence[Sample]) -> None:
-        """Take messages of a latched topic. `new` have just come; others have waited in the histories."""
+        """Take messages of a latched topic whose histories are known by now: they just came, or waited for these."""
         if self._route.peek_slot.wanted and samples:
             self._show(samples[-1].message)
-        self._ledger.offered += new
         admitted, left_out = self._latest_later.admit(samples)
         self._ledger.throttled += left_out
         self._route.traffic.offered += len(admitted)

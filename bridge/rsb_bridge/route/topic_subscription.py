@@ -16,7 +16,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
 from rsb_bridge.ros.ros_interface import BATCH, RosError
-from rsb_bridge.route.history_depth import Histories
+from rsb_bridge.route.history_depth import Histories, note_taken
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer import TypeUse
 
@@ -77,6 +77,7 @@ class TopicSubscription:
         self._receiver = _Receiver(path.offer)
         self._subscription: LastingSubscription | None = None
         self._depth = 0
+        self._taken: dict[bytes, int] = {}  # the newest numbers of a latched topic's publishers
         self._bounds: dict[bytes, Bounds] = {}  # of the depths of a latched topic's publishers
         self._lost_seen = 0
         self._unmatched_ticks = 0
@@ -107,6 +108,7 @@ class TopicSubscription:
                 depth=0 if automatic else kept,
                 lifespan=spec.qos.lifespan,
                 known=known,
+                taken=self._taken,
                 bounds=self._bounds,
             )
 
@@ -142,10 +144,16 @@ class TopicSubscription:
         self._receiver.offer = self._path.too_late  # they may be older than what arms the next opening
         held = 0
         if self.histories is not None:
+            self._receiver.offer = self._latched_too_late
             self._bounds = self.histories.bounds()
             held = self.histories.close()
         self.spec = self.histories = None
         return held
+
+    def _latched_too_late(self, batch: Sequence[RawMessage]) -> None:
+        for message in batch:  # the next opening's subscription brings them again
+            note_taken(self._taken, message)
+        self._path.too_late(batch)
 
     @property
     def active(self) -> bool:

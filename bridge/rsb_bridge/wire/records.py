@@ -88,7 +88,8 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     unknown: int = 0  # sent to a process that ended before it reported whether they arrived
     lost_in_dds: int = 0  # lost before the subscribed bridge could take them
     missed_while_down: int = 0  # published while the route was closed
-    unsubscribed: int = 0  # published while the topic was not to cross
+    unsubscribed: int = 0  # published before this side subscribed first, or while the topic was not to cross
+    again: int = 0  # of `offered`, messages of a latched topic that were offered before
     publishers: int = 0
     publisher_qos: Qos | None = None  # their combined offer, or None without publishers
     subscribed: bool = False  # whether the sender takes messages from ROS
