@@ -53,12 +53,23 @@ def test_reset_loses_and_doubles_nothing(bed: OutageBed) -> None:
             assert account.delivered == account.heard, (flow, account)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("side", ["server", "client"])
+def test_account_of_what_a_kill_costs_is_whole(bed: OutageBed, side: str) -> None:
+    record = bed.record(FAULTS[side])
+    for flow in FLOWS:
+        account = count_account(record, flow.name)
+        assert account is not None
+        assert (account.unbalanced, account.accounted) == (0, account.published), (flow, account)
+
+
 def _assert_once_in_order_and_back(record: Record) -> None:
     assert record.steady
     for flow in FLOWS:
         counts, account = count_topic(record, flow.name, flow.rate), count_account(record, flow.name)
         assert account is not None
         assert (counts.doubled, counts.disordered, account.unbalanced) == (0, 0, 0), (flow, counts, account)
+        assert account.accounted == account.published, (flow, account)
         assert flow.kind == "best" or not counts.early, (flow, counts)
         assert counts.back is not None
         assert counts.back < _BACK_WITHIN, (flow, counts)

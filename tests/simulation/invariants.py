@@ -278,13 +278,16 @@ class Invariants:
             ledger.in_flight,
             *ledger.dropped.values(),
         )
+        untaken = ledger.lost_in_dds, ledger.missed_while_down, ledger.unsubscribed
         open_ends = ledger.unknown + ledger.open
         wrong = ""
         if min(parts) < 0:
             wrong = "a part of it is negative"
         elif sum(parts) != ledger.offered:
             wrong = f"its parts sum up to {sum(parts)}"
-        elif ledger.offered != account.offered:
+        elif sum((ledger.offered - ledger.again, *untaken)) != (all_of_them := sum(account.newest.values())):
+            wrong = f"{all_of_them} messages were published up to the newest that was taken"
+        elif not route.is_latched and ledger.offered != account.offered:
             wrong = f"{account.offered} messages were taken"
         elif ledger.delivered > account.published:
             wrong = f"{account.published} messages were published"

@@ -66,7 +66,7 @@ class Domain:
         self.taking = _TAKING
         self.installed = {STRING: hash_of(STRING)}
         self.written: dict[str, Callable[[Fields], bytes]] = {}
-        self.numbers = False
+        self.numbers = True
         self._gids = itertools.count(1)
         self._writers: defaultdict[str, list[Writer]] = defaultdict(list)
         self._readers: defaultdict[str, list[Reader]] = defaultdict(list)

@@ -42,17 +42,19 @@ class Account:
     """Counts of a route's sending half, from outside.
 
     Attributes:
-        offered: messages that it took from ROS.
+        newest: the highest number of each publisher that it took from ROS: all up to it are accounted for.
+        offered: messages that it took from ROS for the first time.
         published: how many of these the other side's engine has published.
         unreported: how many of these the sender may never learn of, because their publisher's process is gone.
         removed: how many of these the sender may hold for lost, because the receiving half was removed.
         forgotten: whether the publishing process was ever gone.
     """
 
-    __slots__ = ("forgotten", "last_offered", "offered", "published", "removed", "unreported")
+    __slots__ = ("forgotten", "last_offered", "newest", "offered", "published", "removed", "unreported")
 
     def __init__(self) -> None:
         self.offered = 0
+        self.newest: dict[bytes, int] = {}
         self.published = 0
         self.unreported = 0
         self.removed = 0
@@ -214,7 +216,10 @@ class TopicFlow(Flow):
     # --- what the bridge does, as the domains at both ends see it
 
     def took(self, account: Account, batch: Sequence[RawMessage]) -> None:
-        account.offered += len(batch)
+        for message in batch:
+            newest = account.newest.get(message.gid, 0)
+            account.offered += message.number > newest
+            account.newest[message.gid] = max(newest, message.number)
         account.last_offered = self._loop.time()
         for message in batch:
             label = label_of(message.payload)

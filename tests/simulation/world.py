@@ -31,6 +31,7 @@ from tests.simulation.sessions import (
 from tests.simulation.sockets import simulated
 from tests.simulation.topic_flow import Account, TopicFlow, label_of
 from tests.simulation.world_log import WorldLog
+from tests.support.inside import publication_numbers_of
 
 from rsb_bridge.config.keys import Key
 from rsb_bridge.model.codes import EventCode
@@ -405,8 +406,8 @@ class World:
     def _subscribed(self, run: Run, reader: Reader, origin: object) -> None:
         routes = [route for link in run.links() if link.name == origin for route in link.routes.values()]
         route = next((each for each in routes if isinstance(each, OutgoingRoute) and each.topic == reader.topic), None)
-        if route is None:
-            return
+        if route is None or reader.numbers is not publication_numbers_of(route):
+            return  # no route's, or it looks how many messages a publisher keeps
         account = self.accounts.setdefault(route, Account())
 
         def took(batch: Sequence[RawMessage]) -> None:

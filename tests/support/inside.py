@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.calls import Refused
     from rsb_bridge.ros.node import RosNode
     from rsb_bridge.ros.participant import Participant
+    from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.route.calls.calls_route import CallsRoute
     from rsb_bridge.route.calls.kept_calls import KeptAnswers
     from rsb_bridge.route.calls.paced_client import PacedClient
@@ -98,6 +99,10 @@ def socket_of(stream: Stream) -> socket.socket:
 def ledger_of(route: OutgoingRoute) -> RouteLedger:
     """Return a route's own counts, which a snapshot has up to a second later."""
     return route._ledger
+
+
+def publication_numbers_of(route: OutgoingRoute) -> PublicationNumbers:
+    return route._subscription.numbers
 
 
 def outputs_of(route: IncomingRoute) -> SourcePublishers:
