@@ -39,7 +39,17 @@ COMMAND = Path(sys.executable).with_name("rsb-console")
 _STOPS_WITHIN = 20.0
 _MEMORY = 256 << 20
 """Bytes: queues are bounded on any network (a program that bridges nothing has 65 MiB)."""
-_LEDGER_FIELDS = ("offered", "delivered", "throttled", "expired", "waiting", "in_flight", "dropped", "unknown", "lost_in_dds")
+_LEDGER_FIELDS = (
+    "offered",
+    "delivered",
+    "throttled",
+    "expired",
+    "waiting",
+    "in_flight",
+    "dropped",
+    "unknown",
+    "lost_in_dds",
+)
 
 
 class Program:
