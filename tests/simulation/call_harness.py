@@ -96,8 +96,10 @@ def answer_to(request: bytes, node: str) -> bytes:
 class CallHarness(Bed):
     """The service of a robot's session."""
 
-    def __init__(self, seed: int = 1, provider: str = "server", kind: str = "service", **spec: Any) -> None:
-        self.world = World(seed, replace(STILL, topics=(0,)))
+    def __init__(
+        self, seed: int = 1, provider: str = "server", kind: str = "service", outlive: float = 0.0, **spec: Any
+    ) -> None:
+        self.world = World(seed, replace(STILL, topics=(0,), outlive=outlive))
         (self.robot,) = self.world.robots
         self.spec = Topic("/set", "transmit" if provider == "server" else "receive", kind=kind, **spec)  # type: ignore[arg-type]
         host = self.robot.host

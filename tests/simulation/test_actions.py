@@ -180,6 +180,18 @@ async def test_a_bridge_that_is_killed_and_started_again(provider: str, end: str
     assert (goal.result, goal.arrived) == ("succeeded", 1)
 
 
+@pytest.mark.parametrize("provider", SIDES)
+@pytest.mark.bed(timeout=4.0)
+async def test_result_may_take_its_time_long_after_its_goal(provider: str, court: Court) -> None:
+    goal = await court.goal(runs=0.1)
+    await until(lambda: goal.result, 5.0)
+    await asyncio.sleep(8.0)
+    for path in court.world.network.both_ways(court.near.machine, court.far.machine):
+        path.latency = (1.5, 1.5)
+    court.action.ask_result(goal)
+    await until(lambda: court.action.answered == 2, 3.5)
+
+
 @pytest.mark.bed(provider="client", timeout=2.0)
 async def test_server_that_does_not_answer_leaves_nothing_behind(court: Court) -> None:
     for _ in range(5):

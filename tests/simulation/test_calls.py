@@ -176,6 +176,28 @@ async def test_a_link_that_is_cut(provider: str, harness: CallHarness) -> None:
     assert (far.asked, far.answered, far.lost) == (11, 1, 10)
 
 
+@pytest.mark.parametrize("provider", ["server", "client"])
+@pytest.mark.bed(timeout=12.0, outlive=60.0)
+async def test_answer_waits_for_a_link_that_is_away(provider: str, harness: CallHarness) -> None:
+    """Neither side gives the call up meanwhile, and afterwards it has the time that was left."""
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    for _ in range(3):
+        client.ask()
+    await until(lambda: len(server.asked) == 3, 1.0)
+    with harness.world.trouble("cut", harness.robot):
+        harness.world.network.cut(harness.near.machine, harness.far.machine)
+        await asyncio.sleep(20.0)
+        server.answer_one()
+        await asyncio.sleep(20.0)
+        harness.world.network.heal(harness.near.machine, harness.far.machine)
+    await until(lambda: client.right == 1, 8.0)
+    server.answer_one()
+    await until(lambda: client.right == 2, 1.0)
+    await asyncio.sleep(12.0)
+    assert [(each.answered, each.expired, each.lost) for each in harness.counted()] == [(2, 1, 0), (2, 1, 0)]
+
+
 async def test_a_pause_gives_up_what_is_under_way(harness: CallHarness) -> None:
     server, client = await asked(harness)
     assert harness.far.run is not None

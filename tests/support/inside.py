@@ -111,7 +111,7 @@ def outputs_of(route: IncomingRoute) -> SourcePublishers:
 
 def pending_calls(route: CallsRoute) -> Any:
     """Return the table of a half's calls in flight."""
-    return route._pending  # type: ignore[attr-defined]
+    return route._pending
 
 
 def waiting_frames(route: CallsRoute) -> list[Any]:

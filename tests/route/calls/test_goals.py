@@ -19,7 +19,7 @@ class Wall:
 
 def made(*states: tuple[int, str]) -> Goals:
     """Goals of this route that their server has listed so."""
-    goals = Goals(Wall(), Wall())
+    goals = Goals(Wall())
     for number, _ in states:
         goals.asked(goal(number))
     listed(goals, *states)
@@ -36,7 +36,7 @@ def states(goals: Goals) -> dict[int, str]:
 
 def test_a_goal_from_its_request_to_its_result() -> None:
     wall = Wall()
-    goals = Goals(wall, wall)
+    goals = Goals(wall)
     seen = []
     steps = (
         lambda: goals.asked(goal(1)),
@@ -52,8 +52,7 @@ def test_a_goal_from_its_request_to_its_result() -> None:
         assert now.since == wall.time
         seen.append(now.state)
     assert seen == ["asked", "accepted", "executing", "canceling", "canceled"]
-    wall.time += 5
-    assert goals.over_for(goal(1)) == 5
+    assert goals.is_over(goal(1))
 
 
 def test_what_crosses_of_it_is_counted() -> None:
@@ -94,7 +93,7 @@ def test_departed_server_takes_knowledge_until_it_returns() -> None:
     goals = made((1, "executing"), (2, "aborted"))
     goals.server_gone()
     assert states(goals) == {1: "unknown", 2: "aborted"}
-    assert goals.over_for(goal(1)) is None
+    assert not goals.is_over(goal(1))
     listed(goals, (1, "executing"), (2, "aborted"))
     assert states(goals) == {1: "executing", 2: "aborted"}
 
@@ -135,7 +134,7 @@ STATUS = st.lists(st.tuples(NUMBERS, st.sampled_from(STATES)), max_size=4)
 
 @given(st.lists(st.one_of(NUMBERS, STATUS)))
 def test_what_is_over_stays_over(events: list[int | list[tuple[int, str]]]) -> None:
-    goals = Goals(Wall(), Wall())
+    goals = Goals(Wall())
     over: dict[int, str] = {}
     for event in events:
         if isinstance(event, int):

@@ -45,6 +45,21 @@ def held(loop: VirtualLoop) -> Held:
     return Held(loop)
 
 
+def test_limit_counts_from_when_it_is_set_first(held: Held) -> None:
+    held.begin(1, None)
+    held.begin(2, 30.0)
+    held.pass_time(20.0)
+    for number in (1, 2, 3):
+        held.calls.limit(number, 5.0)
+    held.pass_time(3.0)
+    held.calls.limit(1, 5.0)
+    held.calls.pause()
+    held.pass_time(100.0)
+    held.calls.go_on()
+    held.pass_time(20.0)
+    assert [(number, round(at, 3)) for number, at in held.expired] == [(1, 125.0), (2, 130.0)]
+
+
 def test_each_is_given_up_after_its_own_time(held: Held) -> None:
     held.begin(1, 5.0)
     held.begin(2, 2.0)

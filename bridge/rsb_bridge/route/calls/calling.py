@@ -207,7 +207,7 @@ class CallingRoute(CallsRoute):
         self._offers = OpenLanes(self, OfferedService, OfferedTopic)
         self._local_servers = LocalServers(self)
         self._served_here: list[str] = []  # nodes that serve it on this side, while none does on the other side
-        self._pending = CallerCalls(context.loop, peer.budget.asked, self._expired, self._outbox.forget)
+        self._pending: CallerCalls = CallerCalls(context.loop, peer.budget.asked, self._expired, self._outbox.forget)
         self._kept_messages: dict[int, bytes] = {}  # the last ones of latched topics, by lane
         self._rate = CallRateGate(0.0, context.now())
         compose_when_switched(self, self._compose_gates)
@@ -344,14 +344,6 @@ class CallingRoute(CallsRoute):
     def _outliving(self) -> tuple[int, ...]:
         """Return the lanes that stay open in ROS although the other side cannot be reached."""
         return ()
-
-    def away(self) -> None:
-        super().away()
-        self._pending.pause()
-
-    def back(self) -> None:
-        super().back()
-        self._pending.go_on()
 
     def close(self, reason: str) -> None:
         super().close(reason)

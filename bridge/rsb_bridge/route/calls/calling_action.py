@@ -49,7 +49,7 @@ class CallingActionRoute(CallingRoute):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self.goals = Goals(context.wall, context.now)
+        self.goals = Goals(context.wall)
         self.waiting = KeptCalls(self.call_timeout)
         self._interrupted_at = 0.0  # s
 
@@ -193,7 +193,7 @@ class CallingActionRoute(CallingRoute):
             self.failures.say("a call about a goal waited too long for the action to be reached again")
             for call in expired:
                 self._lose_goal(call)
-        self._give_up_results()
+        self._limit_results()
         if self._reach and self.waiting:
             self._send_waiting()
         elif self._reach and self._offers.services.keys() - self._reach - self._owed():
@@ -210,16 +210,13 @@ class CallingActionRoute(CallingRoute):
         lasts = self.context.now() < self._interrupted_at + INTERRUPTION
         return not self.peer.linked and bool(self.goals.running()) and lasts
 
-    def _give_up_results(self) -> None:
-        """Expire requests for the results of goals that have been over for as long as other calls may take."""
+    def _limit_results(self) -> None:
+        """Give requests for the results of goals that are over as long as other calls."""
         for number, call in self._pending.items():
             if call.kept is None or call.lane != GET_RESULT:
                 continue
-            goal = goal_of(call.kept.payload)
-            over_for = self.goals.over_for(goal) if goal is not None else None
-            if over_for is not None and over_for > self.call_timeout:
-                self._pending.end(number)
-                self._expired(number, call)
+            if (goal := goal_of(call.kept.payload)) is not None and self.goals.is_over(goal):
+                self._pending.limit(number, self.call_timeout)
 
     # --- snapshot
 

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
+    from rsb_bridge.route.calls.pending_calls import PendingCalls
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
@@ -218,6 +219,7 @@ class CallsRoute(Route):
     duplex: ClassVar[bool] = True
     channel: StreamDuplex | None
     came = False
+    _pending: PendingCalls[Any]
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
@@ -324,6 +326,14 @@ class CallsRoute(Route):
         return self.types.messages
 
     # --- opening and closing
+
+    def away(self) -> None:
+        super().away()
+        self._pending.pause()
+
+    def back(self) -> None:
+        super().back()
+        self._pending.go_on()
 
     def open(self, route_id: int) -> None:
         super().open(route_id)

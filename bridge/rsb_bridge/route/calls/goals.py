@@ -135,7 +135,6 @@ def statuses_of(payload: bytes) -> list[GoalStatus] | None:
 class _Goal:
     state: str
     since: float  # s since the epoch
-    changed_at: float  # s
     feedbacks: int = 0
     crossed: bool = False  # sent by this route's callers, not by others of its server
     listed: bool = False  # by its server's last status message
@@ -146,9 +145,8 @@ class _Goal:
 class Goals:
     """The newest goals of an action, including goals of the server's other callers."""
 
-    def __init__(self, wall: Callable[[], float], now: Callable[[], float]) -> None:
+    def __init__(self, wall: Callable[[], float]) -> None:
         self._wall = wall
-        self._now = now
         self._goals: dict[bytes, _Goal] = {}
 
     def response(self, lane: int, goal: bytes, payload: bytes) -> None:
@@ -221,10 +219,9 @@ class Goals:
                 known.gone = True
                 self._change(goal, UNKNOWN)
 
-    def over_for(self, goal: bytes) -> float | None:
-        """Return the seconds since a goal finished, or None if it may still run."""
-        known = self._goals.get(goal)
-        return self._now() - known.changed_at if known is not None and known.state in OVER else None
+    def is_over(self, goal: bytes) -> bool:
+        """Return whether a goal is known to have finished."""
+        return goal in self._goals and self._goals[goal].state in OVER
 
     def running(self) -> list[bytes]:
         """Return the accepted goals of this route's callers that may still run."""
@@ -263,12 +260,12 @@ class Goals:
         if len(self._goals) >= MOST_GOALS:
             oldest = next((each for each, known in self._goals.items() if known.state in OVER), next(iter(self._goals)))
             del self._goals[oldest]
-        self._goals[goal] = _Goal(state, self._wall(), self._now())
+        self._goals[goal] = _Goal(state, self._wall())
 
     def _change(self, goal: bytes, state: str) -> None:
         known = self._goals.get(goal)
         if known is not None and known.state != state:
-            known.state, known.since, known.changed_at = state, self._wall(), self._now()
+            known.state, known.since = state, self._wall()
 
     @staticmethod
     def _follows(old: str, new: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
@@ -25,11 +25,13 @@ class PendingCall:
         lane: its place among the route's members.
         size: bytes that it holds of the link's budget.
         asked_at: when it came, in s.
+        expires: whether it has a timeout.
     """
 
     lane: int
     size: int
     asked_at: float
+    expires: bool = field(default=False, kw_only=True)
 
 
 C = TypeVar("C", bound=PendingCall)
@@ -79,17 +81,24 @@ class PendingCalls(Generic[C]):
         return list(self._calls.items())
 
     def add(self, number: int, call: C, timeout: float | None) -> None:
-        """Add a call that expires after `timeout` s, or never if that is None."""
+        """Add a call that expires after `timeout` s, or if that is None, not before it is limited."""
         self._calls[number] = call
         if timeout is not None:
-            # Else ended calls stay until their timeout. At twice the number, a pass over all costs each call little.
-            if len(self._deadlines) > 2 * len(self._calls) + _ROOM:
-                self._deadlines = [each for each in self._deadlines if each[1] in self._calls]
-                heapq.heapify(self._deadlines)
-            due = (self._loop.time() if self._paused_at is None else self._paused_at) + timeout
-            heapq.heappush(self._deadlines, (due, number))
-            if due < self._looks_at and self._paused_at is None:
-                self._look_at(due)
+            self.limit(number, timeout)
+
+    def limit(self, number: int, timeout: float) -> None:
+        """Let a call expire after `timeout` s, unless it has ended or expires anyway."""
+        if (call := self._calls.get(number)) is None or call.expires:
+            return
+        call.expires = True
+        # Else ended calls stay until their timeout. At twice the number, a pass over all costs each call little.
+        if len(self._deadlines) > 2 * len(self._calls) + _ROOM:
+            self._deadlines = [each for each in self._deadlines if each[1] in self._calls]
+            heapq.heapify(self._deadlines)
+        due = (self._loop.time() if self._paused_at is None else self._paused_at) + timeout
+        heapq.heappush(self._deadlines, (due, number))
+        if due < self._looks_at and self._paused_at is None:
+            self._look_at(due)
 
     def end(self, number: int) -> C | None:
         """Remove a call and return it, or None if it has ended or never began."""

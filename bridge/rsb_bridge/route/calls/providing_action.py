@@ -55,7 +55,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self.goals = Goals(context.wall, context.now)
+        self.goals = Goals(context.wall)
         self.answers = KeptAnswers()
         self.interrupted_at: float | None = None
         self._status = b""  # the server's last one
@@ -274,10 +274,8 @@ class ProvidingActionRoute(ProvidingRoute):
                 self.answers.clients_closed()
             else:
                 self._close_clients()
-        # A goal may be over for as long as other calls may take; the other side has given its result up by then.
+        # Once a goal is over, a request for its result may take as long as other calls.
         for goal, calls in self.answers.awaited().items():
-            over_for = self.goals.over_for(goal)
-            for number in calls if over_for is not None and over_for > self.call_timeout else ():
-                if (pending := self._pending.end(number)) is not None:
-                    self._expired(number, pending)
+            for number in calls if self.goals.is_over(goal) else ():
+                self._pending.limit(number, self.call_timeout)
         super().tick()
