@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support import replaced
 from tests.support.held import held_by
-from tests.support.inside import kept_answers, numbers_of, pending_calls, timer_of, waiting_frames
+from tests.support.inside import kept_results, numbers_of, pending_calls, timer_of, waiting_frames
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls.calling import CallingRoute
@@ -191,8 +191,8 @@ def left_of_ended_calls(route: CallsRoute) -> list[str]:
     ]
     if isinstance(route, ProvidingRoute):
         found += [f"number {number}" for number, call in numbers_of(route).items() if call not in calls]
-        kept = kept_answers(route.answers).items() if isinstance(route, ProvidingActionRoute) else ()
-        found += [f"{each} of {what}" for what, one in kept for each in one.calls if each not in calls]
+        kept = kept_results(route.results).items() if isinstance(route, ProvidingActionRoute) else ()
+        found += [f"{each} of {goal.hex()}" for goal, one in kept for each in one.calls if each not in calls]
     if not len(calls) and timer_of(calls) is not None and not held_by(calls):
         found.append("a timer")
     return found
@@ -209,7 +209,7 @@ def left_at_rest(route: CallsRoute) -> list[str]:
     if isinstance(route, CallingActionRoute):
         tables |= {"waiting calls": len(route.waiting), "running goals": len(route.goals.running())}
     if isinstance(route, ProvidingActionRoute):
-        tables |= {"kept answers": len(kept_answers(route.answers)), "numbers": len(numbers_of(route.answers))}
+        tables |= {"kept results": len(kept_results(route.results)), "numbers": len(numbers_of(route.results))}
         tables |= {"running goals": len(route.goals.running())}
     budget = route.peer.budget
     tables |= {"held of the budget": max((budget.asked if isinstance(route, CallingRoute) else budget.provided).held)}

@@ -19,7 +19,7 @@ from rsb_bridge.channel.data_stream import StreamReceiver
 from rsb_bridge.model.limits import KEPT_DEPTH
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.calls.goals import MOST_GOALS
-from rsb_bridge.route.calls.kept_calls import MOST_KEPT
+from rsb_bridge.route.calls.kept_calls import MOST_RESULTS
 from rsb_bridge.route.incoming import IncomingRoute
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ _ITEMS, _ITEMS_EACH = 100, 20
 """In one table: so many, and so many more for each route and each link."""
 _BOUNDED = {
     ".goals._goals": MOST_GOALS,
-    ".answers._kept": MOST_KEPT,
+    ".results._kept": MOST_RESULTS,
+    ".undecided": MOST_RESULTS,
     ".sinks[]._waiting": KEPT_DEPTH,
     ".sinks[]._free": KEPT_DEPTH,
 }

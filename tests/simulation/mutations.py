@@ -34,11 +34,11 @@ from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
-from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
-from rsb_bridge.route.calls import kept_calls
+from rsb_bridge.model.calls import CANCEL_GOAL, SEND_GOAL
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calling_action import CallingActionRoute
-from rsb_bridge.route.calls.kept_calls import AnswerAction, KeptAnswers, KeptCalls
+from rsb_bridge.route.calls.calls_ledger import CallFailures
+from rsb_bridge.route.calls.kept_calls import KeptCalls, KeptResults
 from rsb_bridge.route.calls.pending_calls import PendingCalls
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.incoming import IncomingRoute
@@ -144,15 +144,17 @@ def _end_for_nothing(self: Any, number: int) -> Any:
     return self._calls.pop(number, None)
 
 
-def _ask_again_anyway(self: Any, question: Any, call: int, *, again: bool) -> Any:
-    """Replace `KeptAnswers.decide` by a form that passes repeated requests to the server."""
-    return AnswerAction.ASK if again and question.lane == SEND_GOAL else _take(self, question, call, again=again)
+def _release_goals(self: Any) -> Any:
+    """Replace `KeptCalls.release` by a form that has goals sent again, too."""
+    goals = self.of(SEND_GOAL)
+    for call in goals:
+        self.end(call)
+    return [*_release(self), *goals]
 
 
-def _answer_oldest(self: Any, lane: int, number: int, *rest: Any, **linked: Any) -> Any:
-    """Replace `KeptAnswers.answered` by a form that answers the oldest request for a result."""
-    oldest = next((each for kind, each in self._by_number if kind == lane == GET_RESULT), number)
-    return _answered(self, lane, oldest, *rest, **linked)
+def _answer_oldest(self: Any, number: int, *rest: Any) -> Any:
+    """Replace `KeptResults.answered` by a form that answers the oldest request for a result."""
+    return _answered(self, next(iter(self._by_number), number), *rest)
 
 
 def _keep_no_cancel(self: Any, call: Any, now: float) -> Any:
@@ -160,15 +162,19 @@ def _keep_no_cancel(self: Any, call: Any, now: float) -> Any:
     return call.lane != CANCEL_GOAL and _keep(self, call, now)
 
 
+def _cancels_last(self: Any) -> Any:
+    return _release(self)[::-1]
+
+
 def _forget_all(self: Any, _: float) -> None:
-    """Replace `KeptAnswers.interrupted` by a form that forgets the server's answers."""
-    for question in [each for each, kept in self._kept.items() if kept.answer is not None]:
-        self._forget(question)
+    """Replace `KeptResults.expire` by a form that forgets the server's answers at once."""
+    for goal in [each for each, kept in self._kept.items() if kept.answer is not None]:
+        self._forget(goal)
 
 
-_answered = KeptAnswers.answered
-_take = KeptAnswers.decide
+_answered = KeptResults.answered
 _keep = KeptCalls.keep
+_release = KeptCalls.release
 _end = PendingCalls.end
 _open_resumed = DataReader.open_resumed
 _settle = RouteLedger.settle
@@ -285,23 +291,23 @@ MUTATIONS = (
     Mutation("a service is still offered when the link is down",
              ((CallingRoute, "_withdraw", nothing),), "without a link|and the link is down", CALLS, 1, 1.0),
     Mutation("a goal in flight is sent to the server again",
-             ((KeptAnswers, "decide", _ask_again_anyway),),
+             ((KeptCalls, "release", _release_goals),),
              "came to the server 2 times", replace(ACTIONS, faults=20.0), 19, 0.1),
     Mutation("a result goes to the first caller",
-             ((KeptAnswers, "answered", _answer_oldest),), "got the result of another goal", ACTIONS, 1, 1.0),
+             ((KeptResults, "answered", _answer_oldest),), "got the result of another goal", ACTIONS, 1, 1.0),
     Mutation("who waits for a result is given up when the link drops",
              ((CallingActionRoute, "_keep", nothing),), "waits for its result", _GOALS, 1, 0.05, cancelled_while_cut),
     Mutation("what a server answered is not kept when the link drops",
-             ((KeptAnswers, "interrupted", _forget_all),),
+             ((KeptResults, "expire", _forget_all),),
              "is unknown, and nothing explains that", _GOALS, 1, 0.05, cancelled_while_cut),
     Mutation("cancels that were asked while the link was down go last",
-             ((kept_calls, "_FIRST", (SEND_GOAL, GET_RESULT, CANCEL_GOAL)),),
+             ((KeptCalls, "release", _cancels_last),),
              "comes after other calls", _GOALS, 1, 0.05, cancelled_while_cut),
     Mutation("cancels that were asked while the link was down are not delivered",
              ((KeptCalls, "keep", _keep_no_cancel),), "is to be cancelled", _GOALS, 1, 0.05, cancelled_while_cut),
-    Mutation("a call that waited for the action to be reached again is not counted when it is given up",
-             ((CallingActionRoute, "_give_up_waiting", nothing),),
-             "calls in flight, and has", replace(ACTIONS, faults=20.0), 3, 0.2),
+    Mutation("calls that are lost are not counted",
+             ((CallFailures, "lost", nothing),),
+             "calls (are )?in flight, and", replace(ACTIONS, faults=20.0), 3, 0.2),
     Mutation("what is sent again comes again",
              ((DataReader, "open_resumed", _remember_nothing),), "came out twice", _OUTLIVES, 1, 0.5),
     Mutation("what was on a lost stream is not sent again",
@@ -316,7 +322,7 @@ MUTATIONS = (
              ((OrderedReader, "_has", _never),), "came out twice", _OUTLIVES, 3, 0.2),
     Mutation("messages overtake a lost one",
              ((OrderedReader, "_whole", _at_once),), "came out", _OUTLIVES, 3, 0.2),
-    Mutation("a call that waits for a goal's answer is not forgotten with its opening",
-             ((KeptAnswers, "is_over", nothing),), "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1),
+    Mutation("a call that waits for a result is not forgotten with its opening",
+             ((KeptResults, "is_over", nothing),), "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1),
 )
 # fmt: on

@@ -146,8 +146,8 @@ async def test_calls_that_wait_expire_on_both_sides(harness: CallHarness) -> Non
 
 
 @pytest.mark.bed(kind="action")
-async def test_more_goals_run_than_answers_are_kept(harness: CallHarness, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.ANSWERS_KEPT.set(monkeypatch, 8)
+async def test_more_goals_run_than_results_are_kept(harness: CallHarness, monkeypatch: pytest.MonkeyPatch) -> None:
+    constants.RESULTS_KEPT.set(monkeypatch, 8)
     servers, client = _action(harness), _client_of(harness, GET_RESULT)
     await harness.ready(client)
     for number in range(1, 21):
@@ -171,6 +171,7 @@ async def test_cancel_without_room_after_outage_is_repeated(harness: CallHarness
         await until(lambda: near.peer.connections > connections and near.offered, 30.0)
         await asyncio.sleep(2.0)
         assert len(servers[CANCEL_GOAL].asked) == 1
+    await until(lambda: len(servers[CANCEL_GOAL].asked) == 2, 5.0)
     servers[CANCEL_GOAL].answer()
     await until(lambda: client.answers, 5.0)
 
@@ -201,7 +202,7 @@ async def test_refusal_on_other_lane_keeps_counts(harness: CallHarness) -> None:
     assert far.channel is not None
     far.channel.send([(CallFrame(What.REFUSED, GET_RESULT, 1, 0, b"provider gone").pack(), 0, 0)])
     await until(lambda: near.id != first and near.offered, 15.0)
-    await until(lambda: harness.counted()[0].in_flight == 1, 5.0)
+    await until(lambda: len(servers[CANCEL_GOAL].asked) == 2, 5.0)
     servers[CANCEL_GOAL].answer()
     await until(lambda: client.answers, 5.0)
     assert harness.counted()[0].in_flight == 0

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.participant import Participant
     from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.route.calls.calls_route import CallsRoute
-    from rsb_bridge.route.calls.kept_calls import KeptAnswers
+    from rsb_bridge.route.calls.kept_calls import KeptResult, KeptResults
     from rsb_bridge.route.calls.paced_client import PacedClient
     from rsb_bridge.route.calls.pending_calls import PendingCalls
     from rsb_bridge.route.calls.providing import ProvidingRoute
@@ -123,11 +123,11 @@ def timer_of(calls: PendingCalls[Any]) -> asyncio.TimerHandle | None:
     return calls._timer
 
 
-def kept_answers(answers: KeptAnswers) -> dict[Any, Any]:
-    return answers._kept
+def kept_results(results: KeptResults) -> dict[bytes, KeptResult]:
+    return results._kept
 
 
-def numbers_of(thing: ProvidingRoute | KeptAnswers) -> dict[Any, Any]:
+def numbers_of(thing: ProvidingRoute | KeptResults) -> dict[Any, Any]:
     """Return the entries by the number of a call."""
     return thing._by_number
 

@@ -20,7 +20,6 @@ FRAMES = [
     CallFrame(What.ANSWER, 5, 2**64 - 1, MOST_TOOK, b"\0\1\0\0response"),
     CallFrame(What.REFUSED, 255, 7, 0, b"calls under way"),
     CallFrame(What.MESSAGE, 4, 0, 0, b""),
-    CallFrame(What.AGAIN, 2, 8, 0, b"\0\1\0\0request"),
 ]
 
 

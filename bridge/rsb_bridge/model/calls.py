@@ -105,7 +105,7 @@ class CallsSnapshot:
     expired: int = 0  # calls given up after the timeout
     refused: dict[str, int] = field(default_factory=dict)
     """Calls not carried, by cause: ``calls under way``, ``bytes under way``, ``calls a second``, ``paused``,
-    ``disarmed``, ``provider gone``, ``too large``, ``not sent``, ``not arrived``, ``other``."""
+    ``disarmed``, ``provider gone``, ``too large``, ``not sent``, ``other``."""
     lost: int = 0  # pending calls given up because the link or the provider went away
     in_flight: int = 0
     waiting: int = 0  # pending calls that wait on the providing side until their node has read earlier ones
@@ -165,8 +165,6 @@ class Refused(StrEnum):
     """The request or the response, or the link's calls together, have too many strings and sequences to check."""
     NOT_SENT = "not sent"
     """The middleware refused the request."""
-    NOT_ARRIVED = "not arrived"
-    """The link broke before the goal arrived; the goal is not started late."""
     TOO_OLD = "too old"
     """The request was older than `max_age` before delivery; the call reached no node."""
     LOST = "lost"

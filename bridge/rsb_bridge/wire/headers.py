@@ -84,8 +84,6 @@ class What(IntEnum):
     """The providing side will not answer a call; the content says why, in UTF-8."""
     MESSAGE = 4
     """A message of a lane that is a topic, from the providing side."""
-    AGAIN = 5
-    """A request that an earlier opening of the route left unanswered, of an action, whose goals have ids."""
 
 
 _CALL_KINDS = {int(each): each for each in What}  # `What(kind)` would be two more functions for each frame

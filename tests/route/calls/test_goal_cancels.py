@@ -16,7 +16,6 @@ from rsb_bridge.model.demands import Demands, sources_of_names
 from rsb_bridge.model.session import ArmedName
 from rsb_bridge.ros.ros_interface import Response, RosError
 from rsb_bridge.route.arming import Disarmed
-from rsb_bridge.route.calls.kept_calls import CallIdentity
 from rsb_bridge.route.calls.paced_client import PacedClient
 
 if TYPE_CHECKING:
@@ -63,7 +62,7 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingA
             call_with(Client(), route, lane)
         for number in (1, 3):
             route.goals.asked(goal(number))
-            route.answers.asked(CallIdentity(SEND_GOAL, goal(number)), number, frozenset())
+            route.undecided[number] = goal(number)
         route.arming.arm_for_peer("anna", context.now())
         accept(route, 1)
         route.goals.message(STATUS, statuses((goal(1), "executing"), (goal(2), "executing")))

@@ -20,7 +20,7 @@ from rsb_bridge.route.calls import goals
 ORDERS = pytest.mark.parametrize("order", "<>")
 READERS = (
     goals.goal_of,
-    goals.cancel_of,
+    goals.cancelled_by,
     goals.accepted_by,
     goals.state_of,
     goals.statuses_of,
@@ -36,20 +36,10 @@ def test_the_goal_of_a_request(order: str) -> None:
 
 @ORDERS
 def test_what_a_cancel_is_about(order: str) -> None:
-    one, upto, everything = (
-        goals.cancel_of(each)
-        for each in (
-            cancel_request(goal(7), order=order),
-            cancel_request(goal(7), 1700000000, order=order),
-            cancel_request(order=order),
-        )
-    )
-    assert one is not None
-    assert upto is not None
-    assert everything is not None
-    assert (one.goal, upto.goal, everything.goal) == (goal(7), None, None)
-    assert len({one.request, upto.request, everything.request}) == 3
-    assert goals.cancel_of(cancel_request(goal(7), order=order)[:-1]) is None
+    assert goals.cancelled_by(cancel_request(goal(7), order=order)) == goal(7)
+    assert goals.cancelled_by(cancel_request(goal(7), 1700000000, order=order)) is None
+    assert goals.cancelled_by(cancel_request(order=order)) is None
+    assert goals.cancelled_by(cancel_request(goal(7), order=order)[:-1]) is None
 
 
 @ORDERS
@@ -65,9 +55,10 @@ def test_answers(order: str) -> None:
 @given(known=st.dictionaries(IDS, st.sampled_from(sorted(STATES)), max_size=5))
 def test_statuses(order: str, known: dict[bytes, str]) -> None:
     message = statuses(*known.items(), order=order)
-    assert goals.statuses_of(message) == list(known.items())
+    found = [(*each, (1700000000, 5)) for each in known.items()]
+    assert goals.statuses_of(message) == found
     padded = message + bytes(3)  # DDS pads payloads between processes
-    assert goals.statuses_of(padded) == list(known.items())
+    assert goals.statuses_of(padded) == found
     if known:
         assert goals.statuses_of(message[:-1]) is None
 
@@ -75,7 +66,7 @@ def test_statuses(order: str, known: dict[bytes, str]) -> None:
 def test_a_state_of_a_later_ros_is_unknown() -> None:
     message = bytearray(statuses((goal(1), "aborted")))
     message[-1] = 99
-    assert goals.statuses_of(bytes(message)) == [(goal(1), "unknown")]
+    assert goals.statuses_of(bytes(message)) == [(goal(1), "unknown", (1700000000, 5))]
 
 
 def test_a_count_is_not_believed() -> None:
@@ -95,12 +86,13 @@ def test_as_rclpy_writes_them() -> None:
     pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
     from action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
     from action_msgs.srv import CancelGoal
-    from rclpy.serialization import serialize_message
+    from rclpy.serialization import deserialize_message, serialize_message
     from test_msgs.action import Fibonacci
     from unique_identifier_msgs.msg import UUID
 
     goal_id = UUID(uuid=list(goal(7)))
     info = GoalInfo(goal_id=goal_id)
+    info.stamp.sec, info.stamp.nanosec = stamp = -1, 4_000_000_000
     impl = Fibonacci.Impl
     for message in (
         impl.SendGoalService.Request(goal_id=goal_id),
@@ -108,10 +100,11 @@ def test_as_rclpy_writes_them() -> None:
         impl.FeedbackMessage(goal_id=goal_id),
     ):
         assert goals.goal_of(serialize_message(message)) == goal(7)
-    cancel = goals.cancel_of(serialize_message(CancelGoal.Request(goal_info=info)))
-    assert cancel is not None
-    assert cancel.goal == goal(7)
+    assert goals.cancelled_by(serialize_message(CancelGoal.Request(goal_info=GoalInfo(goal_id=goal_id)))) == goal(7)
     assert goals.accepted_by(serialize_message(impl.SendGoalService.Response(accepted=True))) is True
     assert goals.state_of(serialize_message(impl.GetResultService.Response(status=4))) == "succeeded"
     array = GoalStatusArray(status_list=[GoalStatus(goal_info=info, status=each) for each in (2, 6)])
-    assert goals.statuses_of(serialize_message(array)) == [(goal(7), "executing"), (goal(7), "aborted")]
+    found = [(goal(7), state, stamp) for state in ("executing", "aborted")]
+    assert goals.statuses_of(serialize_message(array)) == found
+    accepts = impl.SendGoalService.Response(accepted=True, stamp=info.stamp)
+    assert deserialize_message(goals.acceptance_of(stamp), impl.SendGoalService.Response) == accepts

@@ -13,19 +13,15 @@ TIMEOUT = 30.0
 _callers = itertools.count()
 
 
-def call(lane: int, payload: bytes, asked: float = 0.0, *, again: bool = True) -> KeptCall:
-    return KeptCall(lane, str(next(_callers)).encode(), payload, asked, again)
+def call(lane: int, payload: bytes, asked: float = 0.0) -> KeptCall:
+    return KeptCall(lane, str(next(_callers)).encode(), payload, asked)
 
 
 def result_of(number: int) -> KeptCall:
     return call(GET_RESULT, goal_request(goal(number)))
 
 
-def test_unsent_goal_does_not_begin_late() -> None:
-    assert not KeptCalls(TIMEOUT).keep(call(SEND_GOAL, goal_request(goal(1)), again=False), 0.0)
-
-
-def test_unrepeatable_questions_are_not_kept() -> None:
+def test_unrepeatable_requests_are_not_kept() -> None:
     kept = KeptCalls(TIMEOUT)
     for lane in (SEND_GOAL, GET_RESULT):
         assert not kept.keep(call(lane, b"malformed"), 0.0)
@@ -64,7 +60,20 @@ def test_their_number_is_bounded() -> None:
 def test_their_bytes_are_bounded() -> None:
     kept = KeptCalls(TIMEOUT)
     large = MOST_BYTES // 2 + 1
-    assert kept.keep(call(SEND_GOAL, goal_request(goal(1), fields=bytes(large))), 0.0)
-    assert not kept.keep(call(SEND_GOAL, goal_request(goal(2), fields=bytes(large))), 0.0)
+    assert kept.keep(call(GET_RESULT, goal_request(goal(1), fields=bytes(large))), 0.0)
+    assert not kept.keep(call(GET_RESULT, goal_request(goal(2), fields=bytes(large))), 0.0)
     kept.release()
-    assert kept.keep(call(SEND_GOAL, goal_request(goal(2), fields=bytes(large))), 0.0)
+    assert kept.keep(call(GET_RESULT, goal_request(goal(2), fields=bytes(large))), 0.0)
+
+
+def test_cancels_are_sent_first_and_goals_never() -> None:
+    kept = KeptCalls(TIMEOUT)
+    sent = call(SEND_GOAL, goal_request(goal(1)), asked=-20.0)
+    assert kept.keep(sent, 0.0)
+    calls = [result_of(1), call(CANCEL_GOAL, cancel_request(goal(1))), result_of(2), call(CANCEL_GOAL, b"malformed")]
+    for each in calls:
+        assert kept.keep(each, 0.0)
+    assert kept.release() == [calls[1], calls[3], calls[0], calls[2]]
+    assert kept.release() == []
+    assert kept.expire(29.0) == []
+    assert kept.expire(30.0) == [sent]

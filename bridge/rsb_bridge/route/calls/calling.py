@@ -397,12 +397,12 @@ class CallingRoute(CallsRoute):
             self._asked_for(len(request.payload))
         self.failures.lost(len(requests), "it is no longer offered")
 
-    def _begin(self, call: CallerCall, payload: bytes, lease: int = 0, stamp: int = 0, what: What = What.CALL) -> None:
+    def _begin(self, call: CallerCall, payload: bytes, lease: int = 0, stamp: int = 0) -> None:
         """Send a call that has its place in the budget."""
         # `_asked_for` notes this, too, but not of a call that is sent again in a new opening.
         self.came = True
         number = self._pending.begin(call, self.timeout_of(call.lane))
-        self._outbox.put(CallFrame(what, call.lane, number, 0, payload, lease, stamp))
+        self._outbox.put(CallFrame(What.CALL, call.lane, number, 0, payload, lease, stamp))
 
     def leaves(self, frame: CallFrame) -> bool:
         check = self._leaving[self.members[frame.lane].limited]

@@ -12,12 +12,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.by_hand import END_NONE, more_careful_end
-from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS, Refused
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
-from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
+from rsb_bridge.route.calls.goals import Goals, acceptance_of, goal_of, rejection_of
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
-from rsb_bridge.wire.headers import CallFrame, What, frame_size
+from rsb_bridge.wire.headers import CallFrame, frame_size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -77,7 +77,7 @@ class CallingActionRoute(CallingRoute):
 
     def _owed(self) -> set[int]:
         owed = super()._owed()
-        return owed | {SEND_GOAL} if self.waiting.requests(SEND_GOAL) else owed
+        return owed | {SEND_GOAL} if self.waiting.of(SEND_GOAL) else owed
 
     def _withdraw(self) -> None:
         if self._reach:
@@ -91,8 +91,7 @@ class CallingActionRoute(CallingRoute):
 
     def destroy(self) -> None:
         super().destroy()
-        for call in self.waiting.release():
-            self._give_up_waiting(call, "the route was removed")
+        self.failures.lost(len(self.waiting), "the route was removed")
 
     # --- calls and answers
 
@@ -104,9 +103,9 @@ class CallingActionRoute(CallingRoute):
         now = self.context.now()
         for request in requests:
             self._asked_for(len(request.payload))
-            call = KeptCall(service.lane, request.caller, request.payload, now, again=False)
-            if not self.waiting.keep(call, now):
-                self._give_up_waiting(call)
+            call = KeptCall(service.lane, request.caller, request.payload, now)
+            if service.lane == SEND_GOAL or not self.waiting.keep(call, now):
+                self.failures.lost(1, _UNREACHABLE)
 
     def _refuse_request(self, service: OfferedService, request: Request, why: Refused) -> None:
         super()._refuse_request(service, request, why)
@@ -114,7 +113,7 @@ class CallingActionRoute(CallingRoute):
             self._reject(service.server, request.caller, request.payload)
 
     def _remember(self, call: CallerCall, payload: bytes) -> None:
-        call.kept = KeptCall(call.lane, call.caller, payload, call.asked_at, again=False, instance=self.peer.instance)
+        call.kept = KeptCall(call.lane, call.caller, payload, call.asked_at)
         if call.lane == SEND_GOAL and (goal := goal_of(payload)) is not None:
             self.goals.asked(goal)
 
@@ -128,55 +127,51 @@ class CallingActionRoute(CallingRoute):
         if call.lane in _OUTLIVING and why in _FOR_NOW and self._keep(call):
             return
         super()._end_refused(call, why)
-        if (kept := call.kept) is None or call.lane != SEND_GOAL:
-            return
-        # Else the goal may run, even if only the second attempt was refused.
-        if why is Refused.NOT_ARRIVED or (why is not Refused.LOST and not kept.again):
-            self._reject(call.server, call.caller, kept.payload)
+        if call.kept is not None and call.lane == SEND_GOAL and why is not Refused.LOST:  # else the goal may run
+            self._reject(call.server, call.caller, call.kept.payload)
 
     def _unanswered(self, call: CallerCall, reason: str) -> None:
         super()._unanswered(call, reason)
-        if call.kept is not None:
-            self._lose_goal(call.kept)
-
-    def _lose_goal(self, call: KeptCall) -> None:
-        """Note, of a call that was given up, that a goal may have been accepted."""
-        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
-            self.goals.unanswered(goal)
+        if call.kept is not None and call.lane == SEND_GOAL and (goal := goal_of(call.kept.payload)) is not None:
+            self.goals.unanswered(goal)  # it may have been accepted
 
     def _take_message(self, frame: CallFrame) -> None:
         self.goals.message(frame.lane, frame.content)
         super()._take_message(frame)
+        if frame.lane == STATUS:
+            self._tell_accepted()
 
     # --- calls that wait
 
     def _keep(self, call: CallerCall) -> bool:
-        return call.kept is not None and self.waiting.keep(call.kept._replace(again=True), self.context.now())
+        return call.kept is not None and self.waiting.keep(call.kept, self.context.now())
+
+    def _tell_accepted(self) -> None:
+        """Answer the callers of goals whose answer was lost, and that the server lists."""
+        service = self._offers.services.get(SEND_GOAL)
+        for call in self.waiting.of(SEND_GOAL) if service is not None else ():
+            goal = goal_of(call.payload)
+            if service is not None and goal is not None and (stamp := self.goals.accepted_at(goal)) is not None:
+                self.waiting.end(call)
+                service.server.answer(call.caller, acceptance_of(stamp))
+                self._answered(0)
 
     def _send_waiting(self) -> None:
         """Send all calls that wait, cancels first."""
-        now, instance = self.context.now(), self.peer.instance
+        self._tell_accepted()
+        now = self.context.now()
         for kept in self.waiting.release():
-            size = frame_size(kept.payload)
-            if kept.lane == SEND_GOAL and kept.instance != instance:
-                self._give_up_waiting(kept)  # only the process that it was sent to knows whether it arrived
-            elif (service := self._offers.services.get(kept.lane)) is None:
-                if not self.waiting.keep(kept, now):
-                    self._give_up_waiting(kept)
-            elif (why := self.peer.budget.asked.take(size, now)) is None:
-                sent = kept._replace(instance=instance)
-                call = CallerCall(kept.lane, size, kept.asked, service.server, kept.caller, sent)
-                what = What.AGAIN if kept.again else What.CALL
-                self._begin(call, kept.payload, what=what)
+            size, service = frame_size(kept.payload), self._offers.services.get(kept.lane)
+            why = self.peer.budget.asked.take(size, now) if service is not None else None
+            if service is not None and why is None:
+                call = CallerCall(kept.lane, size, kept.asked, service.server, kept.caller, kept)
+                self._begin(call, kept.payload)
             elif not self.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
-                self.failures.refused(why)
-                self._lose_goal(kept)
+                if why is not None:
+                    self.failures.refused(why)
+                else:
+                    self.failures.lost(1, _UNREACHABLE)
         self.flush()
-
-    def _give_up_waiting(self, call: KeptCall, why: str = _UNREACHABLE) -> None:
-        """Give up a call that waited, or cannot wait."""
-        self.failures.lost(1, why)
-        self._lose_goal(call)
 
     def _reject(self, server: ServiceServer | ManualCall, caller: bytes, request: bytes) -> None:
         """Answer that a goal is not accepted: it did not begin, and will not."""
@@ -192,7 +187,8 @@ class CallingActionRoute(CallingRoute):
             self.calls.expired += len(expired)
             self.failures.say("a call about a goal waited too long for the action to be reached again")
             for call in expired:
-                self._lose_goal(call)
+                if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
+                    self.goals.unanswered(goal)
         self._limit_results()
         if self._reach and self.waiting:
             self._send_waiting()
@@ -222,6 +218,6 @@ class CallingActionRoute(CallingRoute):
 
     def snapshot(self) -> RouteSnapshot:
         kept = [call.kept for _, call in self._pending.items() if call.kept is not None and call.lane == GET_RESULT]
-        requests = [*(each.payload for each in kept), *self.waiting.requests(GET_RESULT)]
+        requests = [each.payload for each in (*kept, *self.waiting.of(GET_RESULT))]
         awaited = {goal for request in requests if (goal := goal_of(request)) is not None}
         return replace(super().snapshot(), goals=self.goals.snapshot(awaited))

@@ -35,7 +35,6 @@ REMEDIES = {
     Refused.MALFORMED: "the request or the response is malformed: the log names the field",
     Refused.TOO_COMPLEX: "the link's calls have more strings and sequences than are checked: send less",
     Refused.NOT_SENT: "the middleware refused the request; the log of the providing side says why",
-    Refused.NOT_ARRIVED: "the link dropped before the goal arrived, so it was not started: send it again",
     Refused.TOO_OLD: "the request was older than max_age: find what delays it, and ask again",
     Refused.LOST: "its server was lost before it answered, and may have acted on the call",
     Refused.OTHER: "the other side gives a reason that this version does not know: update this side",

@@ -64,7 +64,7 @@ if TYPE_CHECKING:
 _NO_LEDGER = Ledger()
 _FRAMES_AT_ONCE = 32
 """Frames of one batch. A round figure: long ones are bounded by `batch_bytes`."""
-_OF_CALLS = (What.CALL, What.AGAIN, What.ANSWER)
+_OF_CALLS = (What.CALL, What.ANSWER)
 _APART = 0.05
 """s that messages are kept apart at most: a node that takes nothing for ten times as long loses some. At a load average
 of 20, some of 50 were lost in 3 of 4 runs with 4 ms, and in one run of the whole suite with 20 ms."""
@@ -204,6 +204,8 @@ class Spacing:
 
 class CallsRoute(Route):
     """One half of the route of a service, an action or a node's parameters.
+
+    It has more than 40 methods because what the halves do differently has a method here, too.
 
     Attributes:
         members: the services and topics that it consists of.

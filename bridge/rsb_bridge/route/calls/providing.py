@@ -111,13 +111,9 @@ class ProvidingRoute(CallsRoute):
 
     It has more than 40 methods because calls come from the peer and answers from ROS, and either may end before a call
     does.
-
-    Attributes:
-        come_as: the kinds of frames that are calls.
     """
 
     outgoing: ClassVar[bool] = False
-    come_as: ClassVar[tuple[What, ...]] = (What.CALL,)
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
@@ -277,7 +273,7 @@ class ProvidingRoute(CallsRoute):
     # --- calls, from the channel to ROS
 
     def _receive(self, frame: CallFrame, *, readable: bool = True) -> None:
-        if frame.what not in self.come_as:
+        if frame.what is not What.CALL:
             raise from_wrong_side(frame)
         if frame.call <= self._highest:
             raise ProtocolError(f"call {frame.call} after call {self._highest}")
@@ -303,7 +299,7 @@ class ProvidingRoute(CallsRoute):
 
     def _refusal(self, frame: CallFrame) -> Refused | None:
         """Return the reason why a call is not made, or take its place in the link's budget and return None."""
-        limited = self._is_limited(frame)
+        limited = self.members[frame.lane].limited
         arriving, leaving = self._arriving[limited], self._leaving[limited]
         if arriving is not None and (why := arriving(frame, self.context.now())) is not None:
             return why
@@ -314,17 +310,13 @@ class ProvidingRoute(CallsRoute):
             return why
         return None if leaving is None else leaving(frame, self.context.now())
 
-    def _is_limited(self, frame: CallFrame) -> bool:
-        """Return whether arming, pauses and limits apply to a call."""
-        return self.members[frame.lane].limited
-
     def _is_answered(self, frame: CallFrame) -> bool:
         """Return whether a call needs no server."""
         return False
 
     def _call(self, frame: CallFrame, call: PeersCall) -> None:
         """Call the node, unless something has come in between while the call waited for its turn."""
-        arriving = self._arriving[self._is_limited(frame)] if call.waits else None
+        arriving = self._arriving[self.members[frame.lane].limited] if call.waits else None
         call.waits = False
         if arriving is not None and (why := arriving(frame, self.context.now())) is not None:
             self._give_up(frame.call, why)
