@@ -212,6 +212,8 @@ def test_server_answering_last_moment_is_not_called_again(
 class Control:
     """A control connection of which only the end matters."""
 
+    is_fault = False
+
     def __init__(self, link: Link) -> None:
         self._link = link
 

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import shlex
 import socket
+from math import inf
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -55,7 +56,8 @@ _KEY_CHANGED = "the client has another key now"
 
 # s between attempts, before jitter.
 _FIRST_DELAY = 0.5  # before the first further attempt: a round figure
-_FIRST_DELAY_AWAY = 0.1  # the same while the server waits with the session: the path may be back at once
+_FIRST_DELAY_AWAY = 0.1  # the same while the server waits with the session; the first attempt comes at once
+_LASTING = 1.0  # s of a connection that has not failed: one that ends sooner, again and again, must not come at once
 _LONGEST_DELAY_UNREACHED = 1.0  # once the server is back, the link must be up within 3 s, with handshake and discovery
 # While the server refuses: its answer seldom changes soon. A round figure, on which servers rely: they forget a client
 # that has not tried for longer (`refused_clients.FORGOTTEN_AFTER`).
@@ -68,9 +70,6 @@ _JITTER = 0.5
 # has lost it (`server_link._SILENT`).
 _NAME_MAY_BE_FREED = 5
 
-# s without a byte (pings come every second) after which a connection is closed whose source address this machine no
-# longer has: the client calls again after 2 s, and not only after the 6 s of a silent link.
-_MOVED_AND_QUIET = 1.5
 _ROUNDS = 3  # times that data streams are opened if others are lost meanwhile: a round figure
 _UDP_RETRIED_AFTER = 1.0  # s until a socket for datagrams is tried again: its topics wait as long. A round figure
 _DUPLICATES_LOGGED_EVERY = 60.0  # s between lines about one more client of this one's name: a round figure
@@ -214,11 +213,15 @@ class ClientLink(Link):
         session = context.session
         super().__init__(context, session.name, is_client=True, encrypted=key is not None)
         self.host, self.port = session.server_ip, session.server_port
+        self._hosts = (session.server_ip,)
         self._hello = hello
         self.key = key
         self._suite = suite
-        self._ended = asyncio.Event()
-        self._retry = asyncio.Event()
+        self._changed = asyncio.Event()
+        self._call_at = inf  # time of the next attempt
+        self._attempt: asyncio.Timeout | None = None
+        self._attempted_from: list[str] = []
+        self._connected_at = -inf
         self._retry_after = 0.0
         self._stays_down = False
         self._news: NetworkNews | None = None
@@ -252,62 +255,96 @@ class ClientLink(Link):
     async def run(self) -> None:
         """Connect and reconnect for ever. First close the connection of an earlier run."""
         self.fail()
+        self._call_in(0.0)
         self._news = self.transport.network_news(self.hurry)
         with contextlib.nullcontext() if self._news is None else contextlib.closing(self._news):
             while True:
-                self._retry.clear()
-                self._ended.clear()
-                began = self.context.now()
-                if not self._stays_down:
-                    self._retry_after = 0.0
-                    await self._call()
-                await self._pause(self.context.now() - began)
+                await self._until_due()
+                await self._call()
+
+    async def _until_due(self) -> None:
+        """Wait for the time of the next attempt, which may change meanwhile."""
+        while (wait := self._call_at - self.context.now()) > 0:
+            self._changed.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(None if wait == inf else wait):
+                    await self._changed.wait()
+
+    def _call_in(self, seconds: float) -> None:
+        """Begin the next attempt so much later, or with `inf` not before another event."""
+        self._call_at = self.context.now() + seconds
+        self.status.retry_at = None if self.linked or seconds == inf else self._call_at
+        self._changed.set()
 
     def retry(self) -> None:
         """Connect now instead of after the delay, and propose refused routes again."""
         self._stays_down = False
-        if not self.linked:  # else the first attempt after the link's next loss would come without a delay
-            self._retry.set()
+        if not self.linked:
+            self._call_in(0.0)
         self.table.retry()
 
     def hurry(self) -> None:
         """Look for the server now: this machine's devices, addresses or routes have changed.
 
-        May be called for each piece of news, on the loop; it does nothing while an operator has the link stay down.
+        Without a connection, an attempt begins, in place of one from an address that has changed. A connection has the
+        time of a round trip to show that it still carries; then another one is tried beside it.
         """
-        if self._stays_down:
-            return
-        if self.control is not None:
-            stream = self.control.stream
-            if self.transport.source_address(stream.address) in ("", stream.own_address):
-                return
-            self.control.abort("this machine's address towards the server has changed")
-        self._retry.set()
+        if self._attempt is not None:
+            if self._sources() != self._attempted_from:
+                self._attempt.reschedule(self.context.loop.time())
+        elif self.linked:
+            self.send(self.keepalive.ping(self.handled))
+            self.keepalive.hurry()
+        elif not self._stays_down and self.status.cause is not LinkCause.SHUT_DOWN:
+            self._call_in(0.0)
+
+    def _sources(self) -> list[str]:
+        """Return the addresses from which new connections leave."""
+        return [self.transport.source_address(host) for host in self._hosts]
+
+    def doubts(self) -> None:
+        if self._attempt is None and self._call_at == inf:
+            self._call_in(0.0)
 
     async def _call(self) -> None:
-        """Try once to connect; return after a failure, or after the end of the link."""
-        key = self.key
-        if not self.status.attempts:
+        """Try once to connect, beside the present connection if there is one."""
+        self._call_at, self._retry_after, key, connections = inf, 0.0, self.key, self.connections
+        began = self.context.now()
+        if self.linked:
+            self.send(self.keepalive.ping(self.handled))  # if it is answered first, the connection stays
+        elif not self.status.attempts:
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.peer_at}", link_status=True)
         else:
-            self.status.retry_at = self.context.now()  # consoles show 0 s as a running attempt
-        failure = await self._connect(key)
+            self.status.retry_at = began  # consoles show 0 s as a running attempt
+        self._attempted_from = self._sources()
+        failure: Failure | None = None
+        try:
+            async with asyncio.timeout(None) as self._attempt:
+                failure = await self._connect(key)
+        except TimeoutError:  # `hurry` or `tick` has ended it
+            pass
+        finally:
+            self._attempt = None
         if failure is not None:
-            self._failed(failure)
-            return
-        self._longest = _LONGEST_DELAY_UNREACHED
-        self._backoff.reset()
-        self._returning.reset()
-        if self._stays_down:  # an operator did so during the handshake
+            self._failed(failure, self.context.now() - began)
+        elif self.connections == connections:  # it was ended, or was not needed any more
+            if not self.linked and not self._stays_down and self._call_at == inf:
+                self._call_in(0.0)
+        elif self._stays_down:  # an operator did so during the handshake
             self.end("shut down", retry_after=None)
         elif key is not self.key:  # changed during the handshake
             self.end(_KEY_CHANGED, retry_after=0.0)
-        await self._ended.wait()
+
+    def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
+        self._source = stream.own_address
+        control = super().up(stream, connection, event)
+        self._connected_at = self.context.now()
+        self._call_in(inf)
+        return control
 
     async def _connect(self, key: Key | None) -> Failure | None:
         """Connect to the server, or to the announced one that proves the key. Return the failure, if any."""
-        secret = key.secret if key else None
-
+        secret, began = key.secret if key else None, self.context.now()
         hello = self._hello
         if self.session is not None:
             hello = msgspec.structs.replace(hello, session=self.session.id, handled=self.handled)
@@ -315,22 +352,43 @@ class ClientLink(Link):
         def begin(suite: CipherSuite | None) -> ClientConnection:
             return ClientConnection(hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
 
+        def is_needed() -> bool:
+            """Whether nothing has come on the present connection since the attempt began."""
+            is_alive = self.linked and self.keepalive.carried_since(began)
+            session = (b"", 0) if self.session is None else (self.session.id, self.session.handled)
+            return not is_alive and session == (hello.session, hello.handled)
+
         if key is not None:  # without a key nothing proves a server: the transport connects to the only one, or refuses
             try:
                 hosts = await self.transport.servers()
             except OSError as error:
                 return _not_connected(self.address, error)
             if hosts is not None:
-                return await self._find(hosts, begin)
+                return await self._find(hosts, begin, is_needed)
         connection, host = begin(None), self.transport.host(self.context.session)
 
         def linked(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
             assert isinstance(event, Established)
-            self.up(stream, connection, event).receive(more)
+            if not is_needed():
+                stream.abort("not needed")
+                return
+            stream.write(connection.data_to_send())
+            self._take(stream, connection, event, more)
 
         return await self.open(self.transport, host, self.port, connection, linked)
 
-    async def _find(self, hosts: list[str], begin: Callable[[CipherSuite | None], ClientConnection]) -> Failure | None:
+    def _take(self, stream: Stream, connection: ClientConnection, event: Established, more: list[Event]) -> None:
+        """Link over a new connection. If the server has begun anew, so does this side."""
+        if self.control is not None and isinstance(event.peer, Welcome) and not event.peer.session:
+            self.control.abort("the server has begun a new session")
+        self.up(stream, connection, event).receive(more)
+
+    async def _find(
+        self,
+        hosts: list[str],
+        begin: Callable[[CipherSuite | None], ClientConnection],
+        is_needed: Callable[[], bool],
+    ) -> Failure | None:
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
         proven, failures, unproven = await find_servers(self._trials, self.transport, hosts, begin)
         if proven:  # else the failure counts them
@@ -341,8 +399,11 @@ class ClientLink(Link):
         accepting = [each for each in proven if each.refusal is None]
         if len(accepting) == 1:
             server = accepting[0]
-            established, more = server.confirm()
-            self.up(server.stream, server.connection, established).receive(more)
+            if is_needed():
+                established, more = server.confirm()
+                self._take(server.stream, server.connection, established, more)
+            else:
+                server.give_up()
             return None
         # Several have the key, and nothing tells which of them is meant (PROTOCOL.md, 12).
         for each in accepting:
@@ -404,16 +465,18 @@ class ClientLink(Link):
             attempt.end()
         return None if failure is None else self._with_remedy(failure)
 
-    def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
-        self._source = stream.own_address
-        return super().up(stream, connection, event)
-
     def _with_device(self, reason: str) -> str:
         """Return why the server is not reached, with what is wrong with the device that led there, if that is known."""
         wrong = self._news.why_silent(self._source) if self._news is not None and self._source else ""
         return f"{reason}; {wrong}" if wrong else reason
 
-    def _failed(self, failure: Failure) -> None:
+    def _failed(self, failure: Failure, took: float) -> None:
+        """Log a failed attempt, which took so long (s), and plan the next one."""
+        if self.linked:
+            self.log(Level.DEBUG, EventCode.LINK_UNREACHABLE, f"no other connection: {failure.reason}")
+            if self.keepalive.in_doubt:
+                self._call_in(self._delay(took))
+            return
         if not failure.refused:
             failure = failure._replace(reason=self._with_device(failure.reason))
         self.status.attempts += 1
@@ -432,23 +495,19 @@ class ClientLink(Link):
         peer = "the server" if reason.startswith(f"{self.address} ") else self.peer_at
         level = Level.DEBUG if repeated else Level.WARNING if expected else Level.ERROR
         self.log(level, code, f"no link with {peer}: {reason}; trying again", link_status=True)
+        if self._call_at == inf:  # else an operator has asked for the next one
+            self._call_in(self._delay(took))
 
-    async def _pause(self, took: float) -> None:
-        """Wait until the next attempt is due, or an operator asks for one; the last one took so long (s)."""
-        delay: float | None = None
-        if not self._stays_down:
-            if self.status.cause is LinkCause.SHUT_DOWN:
-                delay = self._asking.next()
-            elif self._away is not None:  # an attempt that nobody answered was a pause, too
-                delay = self._returning.next()
-                delay = max(min(delay, _FIRST_DELAY_AWAY), delay - took)
-            else:
-                delay = max(self._backoff.next(self._longest), self._retry_after)
-            self.status.retry_at = self.context.now() + delay
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(delay):
-                await self._retry.wait()
-        self.status.retry_at = None
+    def _delay(self, took: float = 0.0) -> float:
+        """Return the time (s) until the next attempt; the last one took so long."""
+        if self._stays_down:
+            return inf
+        if self.status.cause is LinkCause.SHUT_DOWN:
+            return self._asking.next()
+        if self.session is not None:  # an attempt that nobody answered was a pause, too
+            delay = self._returning.next()
+            return max(min(delay, _FIRST_DELAY_AWAY), delay - took)
+        return max(self._backoff.next(self._longest), self._retry_after)
 
     def _on_duplicate(self, message: Duplicate) -> None:
         now = self.context.now()
@@ -462,7 +521,13 @@ class ClientLink(Link):
 
     def lost(self, reason: str, code: EventCode) -> None:
         super().lost(self._with_device(reason) if code is EventCode.LINK_LOST else reason, code)
-        self._ended.set()
+        self._longest = _LONGEST_DELAY_UNREACHED
+        self._backoff.reset()
+        if self.is_away and self.context.now() - self._connected_at > _LASTING:
+            self._returning.reset()
+            self._call_in(0.0)
+        else:
+            self._call_in(self._delay())
 
     def _on_shutdown(self, message: Shutdown) -> None:
         control = self.channels.control
@@ -476,7 +541,7 @@ class ClientLink(Link):
         """Use another key from now on: a link that is up connects again."""
         self.key, self.encrypted = key, key is not None
         self.end(_KEY_CHANGED, retry_after=0.0)
-        self._retry.set()
+        self._call_in(0.0)
 
     @property
     def shut_down(self) -> bool:
@@ -486,7 +551,7 @@ class ClientLink(Link):
     def stay_down(self, reason: str) -> None:
         """End the link, or the attempts at it, on purpose; then wait for `retry`."""
         self._stays_down = True
-        self._retry.set()
+        self._call_in(inf)
         self.end(reason, retry_after=None)
         # After the link's end, which sets a reason of its own.
         command = f"rsb-console retry {shlex.quote(self.name)}"
@@ -496,14 +561,8 @@ class ClientLink(Link):
         super().tick()
         if self.fault.unproven:  # those whose announcements are gone; one of the rest is the linked server
             self.fault.unproven = min(self.fault.unproven, max(0, self.transport.announced_servers - 1))
-        if self.control is None or self.keepalive.quiet < _MOVED_AND_QUIET:
-            return
-        stream = self.control.stream
-        now_from = self.transport.source_address(stream.address)
-        if now_from not in ("", stream.own_address):
-            self.control.abort(
-                f"this machine's address towards {self.host} changed: {stream.own_address} to {now_from}"
-            )
+        if self._attempt is not None and self.linked and not self.keepalive.in_doubt:
+            self._attempt.reschedule(self.context.loop.time())
 
     # --- routes
 

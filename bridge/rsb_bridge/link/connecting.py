@@ -84,7 +84,8 @@ class ConnectAttempt(StreamHandler):
         stream = self._stream
         assert stream is not None
         events = self._connection.receive_data(data)
-        stream.write(self._connection.data_to_send())
+        if not events or not isinstance(events[0], Established):  # which its receiver confirms, or does not
+            stream.write(self._connection.data_to_send())
         if not events:
             return
         match events[0]:
