@@ -19,6 +19,7 @@ from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks, in_slices
+from rsb_bridge.transport.network_news import device_of
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.messages import Ping, Pong, Propose, Receipts
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -121,6 +122,7 @@ class BaseLink(ABC):
         self.peer: Hello | Welcome | None = None  # before the first connection
         self.instance = ""  # process of the peer
         self.connections = 0
+        self.via = ""  # device of this machine that carries the last connection, or empty if it is unknown
         self.linked_at = 0.0
         self.status = LinkStatus(context.clock.steady())
         self.bridges: tuple[str, ...] = ()
@@ -283,6 +285,7 @@ class BaseLink(ABC):
             raise
         self.peer, self.instance = event.peer, event.peer.instance
         self.connections += 1
+        self.via = device_of(stream.own_address) if self.transport.ip_ports else ""
         before, self.keepalive = self.keepalive, Keepalive(self, stream)
         if again is not None:  # the same process, with the same clocks
             self.keepalive.clock, self.keepalive.stamps = before.clock, before.stamps

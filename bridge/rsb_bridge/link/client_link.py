@@ -26,6 +26,7 @@ from rsb_bridge.link.connecting import (
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, REMEDY, server_refusal
+from rsb_bridge.link.server_ways import ServerWays, first_of
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode, Reason
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.session import Identity
+    from rsb_bridge.model.snapshot import WaySnapshot
     from rsb_bridge.transport.network_news import NetworkNews
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
     from rsb_bridge.wire.connection import ServerConnection
@@ -70,6 +72,8 @@ _JITTER = 0.5
 # has lost it (`server_link._SILENT`).
 _NAME_MAY_BE_FREED = 5
 
+# s after which a move to a better way begins: a session moves on while messages that count, such as reports, are few.
+_REPORTS_FIRST = 0.1
 _ROUNDS = 3  # times that data streams are opened if others are lost meanwhile: a round figure
 _UDP_RETRIED_AFTER = 1.0  # s until a socket for datagrams is tried again: its topics wait as long. A round figure
 _DUPLICATES_LOGGED_EVERY = 60.0  # s between lines about one more client of this one's name: a round figure
@@ -212,8 +216,9 @@ class ClientLink(Link):
     def __init__(self, context: Context, hello: Hello, key: Key | None, suite: CipherSuite) -> None:
         session = context.session
         super().__init__(context, session.name, is_client=True, encrypted=key is not None)
-        self.host, self.port = session.server_ip, session.server_port
-        self._hosts = (session.server_ip,)
+        self.port = session.server_port
+        self.ways = ServerWays(self, session.hosts)
+        self._moves_to: str | None = None  # a better way, while the present one carries
         self._hello = hello
         self.key = key
         self._suite = suite
@@ -237,7 +242,7 @@ class ClientLink(Link):
 
     @property
     def address(self) -> str:
-        return self.transport.format_address((self.host, self.port))
+        return self.transport.format_address((self.ways.hosts[self.ways.used], self.port))
 
     @property
     def fingerprints(self) -> tuple[str, str]:
@@ -286,28 +291,31 @@ class ClientLink(Link):
     def hurry(self) -> None:
         """Look for the server now: this machine's devices, addresses or routes have changed.
 
-        Without a connection, an attempt begins, in place of one from an address that has changed. A connection has the
-        time of a round trip to show that it still carries; then another one is tried beside it.
+        Without a connection, an attempt begins, and it replaces one from an address that has changed. A connection has
+        two round trips to show that it still carries; then the client tries a second one.
         """
+        self.ways.changed()
         if self._attempt is not None:
             if self._sources() != self._attempted_from:
                 self._attempt.reschedule(self.context.loop.time())
         elif self.linked:
             self.send(self.keepalive.ping(self.handled))
             self.keepalive.hurry()
+            if self._news is not None and self._news.why_silent(self._source):
+                self._call_in(0.0)
         elif not self._stays_down and self.status.cause is not LinkCause.SHUT_DOWN:
             self._call_in(0.0)
 
     def _sources(self) -> list[str]:
         """Return the addresses from which new connections leave."""
-        return [self.transport.source_address(host) for host in self._hosts]
+        return [self.transport.source_address(host) for host in self.ways.hosts]
 
     def doubts(self) -> None:
         if self._attempt is None and self._call_at == inf:
             self._call_in(0.0)
 
     async def _call(self) -> None:
-        """Try once to connect, beside the present connection if there is one."""
+        """Try once to connect; the present connection, if there is one, stays meanwhile."""
         self._call_at, self._retry_after, key, connections = inf, 0.0, self.key, self.connections
         began = self.context.now()
         if self.linked:
@@ -324,8 +332,10 @@ class ClientLink(Link):
         except TimeoutError:  # `hurry` or `tick` has ended it
             pass
         finally:
-            self._attempt = None
+            self._attempt, moved_to, self._moves_to = None, self._moves_to, None
         if failure is not None:
+            if moved_to is not None:
+                self.ways.failed(moved_to)
             self._failed(failure, self.context.now() - began)
         elif self.connections == connections:  # it was ended, or was not needed any more
             if not self.linked and not self._stays_down and self._call_at == inf:
@@ -353,8 +363,8 @@ class ClientLink(Link):
             return ClientConnection(hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
 
         def is_needed() -> bool:
-            """Whether nothing has come on the present connection since the attempt began."""
-            is_alive = self.linked and self.keepalive.carried_since(began)
+            """Whether nothing has come on the present connection since the attempt began, or another way is better."""
+            is_alive = self.linked and self._moves_to is None and self.keepalive.carried_since(began)
             session = (b"", 0) if self.session is None else (self.session.id, self.session.handled)
             return not is_alive and session == (hello.session, hello.handled)
 
@@ -365,20 +375,28 @@ class ClientLink(Link):
                 return _not_connected(self.address, error)
             if hosts is not None:
                 return await self._find(hosts, begin, is_needed)
-        connection, host = begin(None), self.transport.host(self.context.session)
 
-        def linked(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
-            assert isinstance(event, Established)
-            if not is_needed():
-                stream.abort("not needed")
-                return
-            stream.write(connection.data_to_send())
-            self._take(stream, connection, event, more)
+        async def connect(host: str) -> Failure | None:
+            connection = begin(None)
 
-        return await self.open(self.transport, host, self.port, connection, linked)
+            def linked(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+                assert isinstance(event, Established)
+                if not is_needed():
+                    stream.abort("not needed")
+                    return
+                self.ways.take(host)
+                self._take(stream, connection, event, more)
+
+            return await self.open(self.transport, host, self.port, connection, linked)
+
+        return await first_of(self.ways.next_hosts() if self._moves_to is None else (self._moves_to,), connect)
 
     def _take(self, stream: Stream, connection: ClientConnection, event: Established, more: list[Event]) -> None:
-        """Link over a new connection. If the server has begun anew, so does this side."""
+        """Link over a new connection, with a new session if the server has begun one.
+
+        The first message takes the confirmation along, after this side has left the connection before: the server takes
+        all that was armed for disarmed then.
+        """
         if self.control is not None and isinstance(event.peer, Welcome) and not event.peer.session:
             self.control.abort("the server has begun a new session")
         self.up(stream, connection, event).receive(more)
@@ -561,8 +579,17 @@ class ClientLink(Link):
         super().tick()
         if self.fault.unproven:  # those whose announcements are gone; one of the rest is the linked server
             self.fault.unproven = min(self.fault.unproven, max(0, self.transport.announced_servers - 1))
-        if self._attempt is not None and self.linked and not self.keepalive.in_doubt:
+        if not self.linked:
+            return
+        if self._attempt is None:
+            self._moves_to = self.ways.tick()
+            if self._moves_to is not None:
+                self._call_in(_REPORTS_FIRST)
+        elif self._moves_to is None and not self.keepalive.in_doubt:
             self._attempt.reschedule(self.context.loop.time())
+
+    def way_snapshots(self) -> tuple[WaySnapshot, ...]:
+        return self.ways.snapshots()
 
     # --- routes
 

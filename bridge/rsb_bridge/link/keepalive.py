@@ -123,7 +123,7 @@ class Keepalive:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether nothing has come for so long that the connection may be dead: another one may be tried beside it."""
+        """Whether nothing has come for so long that the connection may be dead, and a client may try a second one."""
         return self._context.now() >= self._doubtful_at
 
     @property

@@ -1,4 +1,4 @@
-"""What outlives the connections of a link: its channels, and the control messages that the peer has not handled.
+"""The part of a link that outlives its connections: channels, and control messages that the peer has not handled.
 
 Two processes that have linked share a session (PROTOCOL.md, 1.7). When a connection breaks, the link is away: routes,
 their ids, endpoints and queues stay, and control messages wait. The next connection goes on where both sides were: each

@@ -276,6 +276,16 @@ class PatternSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
+class WaySnapshot:
+    """One of a client's ways to its server."""
+
+    host: str  # as the session lists it
+    device: str  # of this machine, that leads there, or empty if it is unknown
+    is_used: bool
+    is_ready: bool  # whether it answered when it was last tried; one in use is not tried
+
+
+@dataclass(frozen=True, slots=True)
 class LinkSnapshot:
     """One peer."""
 
@@ -309,6 +319,8 @@ class LinkSnapshot:
     full_in: Fullness | None = None  # the rates to here, as the peer reports them, or None if the link is not full
     loss_out: float | None = None  # share of the packets from here that is lost, 0 to 1, or None without a figure
     loss_in: float | None = None  # the same to here, as the peer reports it
+    via: str = ""  # this machine's network device that carries it, or empty if it is unknown
+    ways: tuple[WaySnapshot, ...] = ()  # of a client with several, the preferred one first
     warning_since: float | None = None
     """s since the epoch, when `warning` or its cause began, or None without a warning."""
     acknowledged: Acknowledgement | None = None
