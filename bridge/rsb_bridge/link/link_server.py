@@ -359,9 +359,9 @@ class _InboundStream(PendingConnection, StreamHandler):
         link = self._server.links.get(peer.name)
         if link is not None and code is RefusalCode.NAME_TAKEN:
             link.duplicate_tried(self._stream.host, peer.host)
-        elif link is not None:
+        elif link is not None and code is RefusalCode.SHUT_DOWN:
             link.asked(self._stream)
-        self._log(_CODES[code], message, link=self.name)
+        self._log(_CODES.get(code, EventCode.LINK_REJECTED), message, link=self.name)
         self._stream.close(message)
 
     def _attach(self, event: Attach) -> None:
