@@ -193,7 +193,7 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from range_problems(session)
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
-    if session.outlive not in OUTLIVE:
+    if session.outlive is not None and session.outlive not in OUTLIVE:
         yield Problem("outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE(value=session.outlive, range=OUTLIVE))
     profiles = [("profile", session.profile)]
     profiles += [(join(join("clients", at), "profile"), each.profile) for at, each in enumerate(session.listed_clients)]

@@ -375,7 +375,7 @@ class BaseLink(ABC):
         self.status.down(cause, reason)
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.clock.steady()
-        session, seconds = self.session, self.context.session.outlive
+        session, seconds = self.session, self._outlives
         is_broken = channels.control.is_fault or code is not EventCode.LINK_LOST
         if session is None or session.is_over or is_broken or not seconds:
             self.end_session()
@@ -387,8 +387,14 @@ class BaseLink(ABC):
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
 
+    @property
+    def _outlives(self) -> float:
+        """Seconds that the session outlives its connection."""
+        own = self.context.session.outlive
+        return self.profile.outlive if own is None else own
+
     def _expire(self) -> None:
-        text = f"the link was away for {self.context.session.outlive:g} s: what waited for it is dropped"
+        text = f"the link was away for {self._outlives:g} s: what waited for it is dropped"
         self.log(Level.WARNING, EventCode.LINK_CLOSED, text, link_status=True)
         self.end_session()
 

@@ -258,8 +258,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     stale_after: float = 15.0  # s without a message until a topic is stale (thesis: 15), or 0 for never
     late_after: float = 1.0  # s that messages may take until their topic is late, or 0 for no limit
     stale_warnings: int = 5  # how many times to warn of it (thesis: 5)
-    outlive: float = 60.0
-    """s that topics and calls wait for a link whose connection is lost, or 0 if they do not."""
+    outlive: float | None = None
+    """s that topics and calls wait for a link whose connection is lost, 0 if they do not, or None for the profile's."""
     check_messages: bool = True  # whether what peers send is checked against its type before ROS gets it
     shutdown_topic: str | None = "/shutdown"
     """The text "shutdown" (``std_msgs/String``) on it closes the sockets on both sides; or None."""
