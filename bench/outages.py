@@ -135,7 +135,7 @@ def _measured(transport: str, name: str, before: float) -> Outcome:
     try:
         with (
             tempfile.TemporaryDirectory(prefix="rsb-outages-") as folder,
-            OutageBed(Path(folder), transport, translated=fault.translated) as bed,
+            OutageBed(Path(folder), transport, translated=fault.translated, two_ways=fault.two_ways) as bed,
         ):
             record = bed.record(fault, before)
     except NoHostError as error:

@@ -190,7 +190,7 @@ def test_disarming_ends_once_nothing_is_published(what: str, both_armed: tuple[E
     key = route(server, "/cmd").key
     (link,) = inside(server).role.links()
     half, lease = link.routes[key], link.table.arming.lease.state
-    relay.stall()
+    relay.stall(new=True)
     began = time.monotonic()  # first: this thread may stand still before it looks
     may_be_published = lease.left
     (server.pause(key, True) if what == "pause" else server.remove_topic(key)).result(30)

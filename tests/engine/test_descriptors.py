@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
     from tests.support.program import Programs
 
-    from rsb_bridge.link.client_link import ClientChannels
+    from rsb_bridge.link.client_channels import ClientChannels
     from rsb_bridge.transport.transport import StreamTransport
 
 TOPICS = 100

@@ -14,6 +14,7 @@ from tests.support.inside import inside
 from tests.support.steady import Steady
 from tests.support.waiting import eventually
 
+from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.wire.messages import Hello
 
 OUTLIVES = 60.0
 
@@ -175,3 +177,21 @@ def test_topics_of_a_link_that_is_away_share_a_limit(bridge: Bridge, relay: Rela
     delivered = sum(len(each.payloads) - came[topic] for topic, each in there.items())
     assert delivered in (9, 10, 11)
     assert sum(route(client, topic).ledger.dropped["outage"] for topic in topics) == 40 - delivered
+
+
+def test_client_is_refused_and_back_if_its_session_has_moved_on(
+    bridge: Bridge, relay: Relay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The server has handled more from the connection before, after its answer on the new one."""
+    server, client = bridge.both(Topic("/up", "transmit"), outlive=OUTLIVES)
+    eventually(lambda: linked(client) and linked(server))
+    may_go_on, answers = LinkSession.may_go_on, [False, True]
+
+    def has_moved_on_once(session: LinkSession, hello: Hello) -> bool:
+        return answers.pop() if answers else may_go_on(session, hello)
+
+    monkeypatch.setattr(LinkSession, "may_go_on", has_moved_on_once)
+    relay.cut()
+    eventually(lambda: happened(server, EventCode.LINK_REJECTED, "moved on"))
+    eventually(lambda: happened(client, EventCode.LINK_UP, "goes on") and linked(client) and linked(server))
+    assert not answers

@@ -212,6 +212,8 @@ def test_server_answering_last_moment_is_not_called_again(
 class Control:
     """A control connection of which only the end matters."""
 
+    is_fault = False
+
     def __init__(self, link: Link) -> None:
         self._link = link
 
@@ -255,3 +257,21 @@ async def test_restart_waits_for_present_topics(
         route.life.handle(event)
     await restarting
     assert steps[-1] == "1 of 1 topics and services accepted"
+
+
+@pytest.mark.parametrize(
+    ("fields", "seconds"),
+    [({}, 60), ({"profile": "lte"}, 300), ({"profile": "lte", "outlive": 10.0}, 10), ({"outlive": 0.0}, 0)],
+    ids=str,
+)
+def test_session_waits_as_its_profile_says(
+    loop: VirtualLoop, make_context: Callable[..., Context], fields: dict[str, Any], seconds: float
+) -> None:
+    link: Link = ClientRole(make_context(**fields), {"robot1": ()}).links()[0]
+    pretend_linked(link, Control(link))
+    link.lost("the cable is out", EventCode.LINK_LOST)
+    for _ in range(int(seconds)):
+        assert link.is_away
+        loop.run_until_complete(asyncio.sleep(1.0))
+    loop.run_until_complete(asyncio.sleep(0.1))
+    assert not link.is_away

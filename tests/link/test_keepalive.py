@@ -40,11 +40,16 @@ class Link:
     def __init__(self, context: Context, *carriers: Any, patience: float | None = None) -> None:
         self.context = context
         self.profile = LinkProfile(patience=patience)
+        self.is_client = True
+        self.doubted: list[float] = []
         self.ended: list[float] = []
         self._carriers = carriers
 
     def carriers(self) -> tuple[Any, ...]:
         return self._carriers
+
+    def doubts(self) -> None:
+        self.doubted.append(self.context.loop.time())
 
     def silent(self) -> None:
         self.ended.append(self.context.loop.time())
@@ -101,6 +106,44 @@ def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, context: Contex
     keepalive.stop()
     wait(loop, 60.0)
     assert link.ended == []
+
+
+@pytest.mark.parametrize(
+    ("rtt", "patience", "after"), [(None, None, 1.25), (0.5, None, 2.0), (3.0, None, None), (0.01, 15.0, 3.25)]
+)
+def test_connection_is_doubted_after_a_missed_ping(
+    rtt: float | None, patience: float | None, after: float | None, loop: VirtualLoop, context: Context
+) -> None:
+    """A slow path is not doubted before it is given up."""
+    control: Any = Carrier(loop)
+    link = Link(context, control, patience=patience)
+    keepalive = Keepalive(link, control)
+    keepalive.stamps.rtt = rtt
+    for _ in range(100):
+        wait(loop, 1.05)
+        control.receive(1)
+    assert not link.doubted
+    last = loop.time()
+    wait(loop, 4.9)
+    assert link.doubted[:1] == ([] if after is None else [pytest.approx(last + after)])
+    assert keepalive.in_doubt is (after is not None)
+    control.receive(1)
+    assert not keepalive.in_doubt
+
+
+def test_changed_network_is_doubted_unless_a_ping_is_answered(loop: VirtualLoop, context: Context) -> None:
+    control: Any = Carrier(loop)
+    link = Link(context, control)
+    keepalive = Keepalive(link, control)
+    wait(loop, 0.5)
+    keepalive.hurry()
+    wait(loop, 0.05)
+    control.receive(1)
+    wait(loop, 0.5)
+    assert not link.doubted
+    keepalive.hurry()
+    wait(loop, 0.11)
+    assert len(link.doubted) == 1
 
 
 @pytest.mark.parametrize("late", [0.0, 0.25, 2.4])

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+from unittest.mock import MagicMock
+
+import msgspec
 import pytest
 from tests.support.wording import pattern
 
 from rsb_bridge.link.link_session import MOST_KEPT, LinkSession
-from rsb_bridge.wire.messages import Lease, Neighbours, Ping, Receipts, Settled
+from rsb_bridge.wire.messages import Hello, Lease, Neighbours, Ping, Receipts, Settled
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
+
+if TYPE_CHECKING:
+    from rsb_bridge.wire.messages import ControlMessageBase
 
 
 def sent(session: LinkSession, count: int) -> list[Settled]:
@@ -17,40 +25,72 @@ def sent(session: LinkSession, count: int) -> list[Settled]:
     return messages
 
 
+def session_of() -> LinkSession:
+    """Return a session whose channels only note what is proposed again."""
+    return LinkSession(bytes(8), "there", MagicMock())
+
+
+def again(session: LinkSession, count: int) -> tuple[ControlMessageBase, ...]:
+    """Return what a peer lacks that has handled so many messages."""
+    event: Any = SimpleNamespace(peer=SimpleNamespace(handled=count), keys=None)
+    session.acknowledge(count)
+    return tuple(session.back(MagicMock(), event))
+
+
 def test_what_the_peer_has_not_handled_is_sent_again() -> None:
-    session = LinkSession(bytes(8))
+    session = session_of()
     messages = sent(session, 5)
     session.acknowledge(2)
-    assert session.again(3) == tuple(messages[3:])
+    assert again(session, 3) == tuple(messages[3:])
     session.sends(more := Neighbours(bridges=()))
-    assert session.again(3) == (*messages[3:], more)
-    assert session.again(6) == ()
+    assert again(session, 3) == (*messages[3:], more)
+    assert again(session, 6) == ()
 
 
 def test_what_belongs_to_a_connection_does_not_count() -> None:
-    session = LinkSession(bytes(8))
+    session = session_of()
     for message in (Ping(1, 2), Receipts(), Lease(1)):
         session.sends(message)
         session.handles(type(message))
     session.handles(Neighbours)
-    assert (session.again(0), session.handled) == ((), 1)
+    assert (again(session, 0), session.handled) == ((), 1)
 
 
 @pytest.mark.parametrize("count", [1, 5])
 def test_peer_that_has_handled_what_cannot_be_is_found(count: int) -> None:
-    session = LinkSession(bytes(8))
+    session = session_of()
     sent(session, 4)
     session.acknowledge(2)
-    assert session.lacks(count) is None
+    assert not session.could_have_handled(count)
     with pytest.raises(ProtocolError, match=pattern(Broken.HANDLED_WRONG)):
         session.acknowledge(count)
-    assert session.lacks(4) == 0
-    assert session.lacks(2) == 2
+    assert session.could_have_handled(4)
+    assert session.could_have_handled(2)
 
 
-def test_it_is_full_at_its_limit() -> None:
-    session = LinkSession(bytes(8))
+@pytest.mark.parametrize(
+    ("hello", "goes_on"),
+    [
+        ({}, True),
+        ({"instance": "another"}, False),
+        ({"session": b"another."}, False),
+        ({"session": b""}, False),
+        ({"handled": 5}, False),
+    ],
+    ids=str,
+)
+def test_only_its_process_goes_on(hello: dict[str, Any], goes_on: bool) -> None:
+    session = session_of()
+    sent(session, 4)
+    client = Hello("1", "robot1", "there", 0, session=bytes(8), handled=4)
+    assert session.may_go_on(msgspec.structs.replace(client, **hello)) is goes_on
+
+
+def test_it_is_over_beyond_its_limit() -> None:
+    session = session_of()
     sent(session, MOST_KEPT)
-    assert not session.full
+    assert not session.is_over
     session.sends(Settled(1))
-    assert session.full
+    assert session.is_over
+    session.acknowledge(MOST_KEPT)
+    assert not session.could_have_handled(MOST_KEPT)

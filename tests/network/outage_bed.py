@@ -30,6 +30,7 @@ NEAR, FAR = 80, 81
 _ROBOT, _NEW_ROBOT, _AT_ROBOT = "10.99.1.2", "10.99.1.3", "10.99.1.1"
 _ELSEWHERE, _AT_ELSEWHERE = "10.99.3.2", "10.99.3.1"
 _OUTSIDE, _PC = "10.99.2.2", "10.99.2.1"
+_OTHER_PC = "10.99.4.1"  # the same machine, to which a robot with two ways gets over its second device
 FLOWS = (
     Flow("/up/reliable", "reliable", 10),
     Flow("/up/whole", "whole", 10),
@@ -51,7 +52,7 @@ _STEADY, _FRESH = 5.0, 1.0
 """Traffic is steady once the newest message of each topic has been younger than the second for the first, in s."""
 _WATCHED_AFTER, _WATCHED_AFTER_KILL = 8.0, 24.0
 """s after a fault's end in which its effects may still come: a link without a byte is given up after 5 s, and DDS knows
-after 20 s that a killed process has gone."""
+after 20 s that a killed process has gone. A link moves back to a better way after 10 s."""
 _BACK_WITHIN = 90.0
 _DRAINS, _ACCOUNT_WITHIN = 3.0, 15.0
 _IN_FLIGHT = 0.1
@@ -62,7 +63,8 @@ class Fault(NamedTuple):
     """Something that happens to the path.
 
     Attributes:
-        kind: ``cut``, ``reset``, ``address``, ``roam``, ``rebind``, or the side that is killed: ``server``, ``client``.
+        kind: ``cut``, ``way``, ``reset``, ``address``, ``roam``, ``rebind``, or the side that is killed: ``server``,
+            ``client``.
         seconds: how long it lasts, or 0 if it is a moment.
         translated: whether the router translates addresses.
         plain: whether nodes without a bridge have it, too.
@@ -73,6 +75,11 @@ class Fault(NamedTuple):
     seconds: float = 0.0
     translated: bool = False
     plain: bool = False
+
+    @property
+    def two_ways(self) -> bool:
+        """Whether the robot has two ways to the server."""
+        return self.kind == "way"
 
     @property
     def ends_connections(self) -> bool:
@@ -88,6 +95,7 @@ FAULTS = {
     "forget-3": Fault("link down 3 s, the NAT forgets", "cut", 3, translated=True),
     "address": Fault("the robot's address changes", "address", plain=True),
     "roam": Fault("the robot roams to another network", "roam", plain=True),
+    "way": Fault("the better of two ways down 20 s", "way", 20),
     "rebind": Fault("the NAT rebinds", "rebind", translated=True),
     "server": Fault("server killed and started at once", "server"),
     "client": Fault("client killed and started at once", "client"),
@@ -129,15 +137,23 @@ class OutageBed:
     """The machines with all that runs on them, which end with the context.
 
     Attributes:
+        programs: the two sides, by their names.
         transport: ``tcp``, ``udp`` or ``zenoh``, or ``plain``: no bridge, and all nodes in one domain.
     """
 
     def __init__(
-        self, folder: Path, transport: str, *, translated: bool = False, flows: Sequence[Flow] = FLOWS
+        self,
+        folder: Path,
+        transport: str,
+        *,
+        translated: bool = False,
+        two_ways: bool = False,
+        flows: Sequence[Flow] = FLOWS,
     ) -> None:
         self._folder, self.transport, self._translated, self._flows = folder, transport, translated, flows
+        self._two_ways = two_ways
         self._stack = ExitStack()
-        self._programs: dict[str, Program] = {}
+        self.programs: dict[str, Program] = {}
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -146,7 +162,7 @@ class OutageBed:
             if self.transport != PLAIN:
                 self._write_sessions()
                 for name, host in (("server", self._pc), ("client", self._robot)):
-                    self._programs[name] = Program(host, self._folder / f"{name}.yaml")
+                    self.programs[name] = Program(host, self._folder / f"{name}.yaml")
                 stack.callback(self._end_programs)
             self._start_traffic()
             self._stack = stack.pop_all()
@@ -156,11 +172,11 @@ class OutageBed:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if kind is not None:  # programs that an exception leaves in any state end with their hosts
-            self._programs.clear()
+            self.programs.clear()
         self._stack.__exit__(kind, error, trace)
 
     def _end_programs(self) -> None:
-        for each in self._programs.values():  # as they are now: a killed one has a successor
+        for each in self.programs.values():  # as they are now: a killed one has a successor
             each.close()
 
     def _host(self, name: str) -> Host:
@@ -184,6 +200,12 @@ class OutageBed:
                 self._router.nft(f"add rule ip nat out oif eth1 meta l4proto {protocol} masquerade to :40000-40999")
         else:
             self._pc.route(_OUTSIDE)
+        if self._two_ways:
+            self._pc.address("eth0", f"{_OTHER_PC}/32")
+            self._router.run("ip", "route", "add", _OTHER_PC, "via", _PC)
+            self._robot.address("eth1", f"{_ELSEWHERE}/24")
+            self._robot.run("ip", "link", "set", "eth1", "up")
+            self._robot.run("ip", "route", "add", _OTHER_PC, "via", _AT_ELSEWHERE)
 
     def _write_sessions(self) -> None:
         write_key(self._folder / "robot1.key")
@@ -202,6 +224,8 @@ class OutageBed:
         if self.transport == "zenoh":
             listens = {"server_ip": "zenoh", "zenoh": {"listen": [f"tcp/0.0.0.0:{PORT}"]}}
             connects = {"server_ip": "zenoh", "zenoh": {"connect": [f"tcp/{_PC}:{PORT}"]}}
+        if self._two_ways:
+            connects["server_ip"] = [_PC, _OTHER_PC]
         common = {"name": "robot1", "key_file": "robot1.key"}
         server = {"role": "server", "domain_id": FAR, **listens}
         client = {"role": "client", "domain_id": NEAR, **connects, "topics": topics}
@@ -232,9 +256,9 @@ class OutageBed:
             "every node has found the others",
         )
         for side, flows in (("server", up), ("client", down)):
-            if side in self._programs:
+            if side in self.programs:
                 for flow in flows:
-                    self._programs[side].sees_subscriber(flow.name)
+                    self.programs[side].sees_subscriber(flow.name)
 
     def record(self, fault: Fault, before: float = STEADY_BEFORE) -> Record:
         """Cause a fault after `before` s of steady traffic, and wait until traffic is steady again.
@@ -256,7 +280,8 @@ class OutageBed:
         assert bool(connections) == (self.transport != PLAIN), connections
         record = Record(*self._cause(fault))
         record.steady = self._is_steady(
-            record.ended, _WATCHED_AFTER_KILL if fault.kind in self._programs else _WATCHED_AFTER
+            record.ended,
+            _WATCHED_AFTER_KILL if fault.two_ways or fault.kind in self.programs else _WATCHED_AFTER,
         )
         if fault.ends_connections:
             assert not connections & self._far_ends(), f"connections have survived: {fault.words}"
@@ -268,7 +293,7 @@ class OutageBed:
         time.sleep(_DRAINS)
         for each in self._talkers:
             record.made |= each.tell("made")
-        if self._programs:
+        if self.programs:
             record.accounts = self._accounts()
         for each in self._listeners:
             record.heard |= each.tell("heard")
@@ -296,6 +321,10 @@ class OutageBed:
             case "cut":  # without a word, as out of a radio's reach
                 lose = "chain inet fault every { type filter hook prerouting priority -500; policy drop; }"
                 self._router.nft(f"add table inet fault; add {lose}")
+            case "way":
+                lose = "chain inet fault every { type filter hook prerouting priority -500; }"
+                rules = (f"add rule inet fault every ip {end} {_ROBOT} drop" for end in ("saddr", "daddr"))
+                self._router.nft("; ".join(("add table inet fault", f"add {lose}", *rules)))
             case "reset" if fault.seconds:
                 reset = "chain inet fault every { type filter hook forward priority 0; }"
                 rule = "rule inet fault every meta l4proto tcp reject with tcp reset"
@@ -311,8 +340,8 @@ class OutageBed:
             case "rebind":
                 self._forget()
             case "server" | "client" as side:
-                self._programs[side].kill()
-                self._programs[side] = self._programs[side].again()
+                self.programs[side].kill()
+                self.programs[side] = self.programs[side].again()
             case _:
                 raise ValueError(fault.kind)
         if not fault.seconds:
@@ -361,7 +390,7 @@ class OutageBed:
 
     def _accounts(self) -> dict[str, dict[str, Any]]:
         """Return the ledgers of the sending sides, once nothing is in flight or some time has passed."""
-        senders = {each.name: self._programs["server" if each.to_robot else "client"] for each in self._flows}
+        senders = {each.name: self.programs["server" if each.to_robot else "client"] for each in self._flows}
         asked, deadline = time.time(), time.monotonic() + _ACCOUNT_WITHIN
         while True:
             rows = {name: program.route(name) for name, program in senders.items()}

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.network.outage_bed import FAULTS, FLOWS, OutageBed, Record
 from tests.network.outage_counts import AccountCounts, CallCounts, count_account, count_calls, count_topic
 from tests.network.traffic import WRONG
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,6 +21,7 @@ if TYPE_CHECKING:
 
 _BACK_WITHIN = 10.0
 """s; on a quiet machine it takes 0.7 (bench/README.md)."""
+_MOVED_WITHIN = 4.0  # s; on a quiet machine it takes 1.4, and a link is given up after 5
 _S = 10**9
 
 
@@ -61,6 +66,23 @@ def test_account_of_what_a_kill_costs_is_whole(bed: OutageBed, side: str) -> Non
         account = count_account(record, flow.name)
         assert account is not None
         assert (account.unbalanced, account.accounted) == (0, account.published), (flow, account)
+
+
+def test_link_moves_between_two_ways(network: Network, tmp_path: Path) -> None:
+    """Nothing reliable is lost, no link is lost, and both sides show the way."""
+    with OutageBed(tmp_path, "tcp", two_ways=True) as bed:
+        client, server = bed.programs["client"], bed.programs["server"]
+        eventually(lambda: [way["ready"] for way in client.link().get("ways", ())] == [False, True], what="both ways")
+        record = bed.record(FAULTS["way"]._replace(seconds=5.0))
+        for program, shown in ((client, ["eth0", "eth1", "eth0"]), (server, ["eth0"])):
+            ways = [link["via"] for link in program.links_since(0.0) if link["via"]]
+            assert [way for way, _ in groupby(ways)] == shown
+            assert not program.happened(EventCode.LINK_LOST)
+    _assert_once_in_order_and_back(record)
+    for flow in FLOWS:
+        counts = count_topic(record, flow.name, flow.rate)
+        assert flow.kind == "best" or not counts.lost, (flow, counts)
+        assert counts.silence < _MOVED_WITHIN, (flow, counts)
 
 
 def _assert_once_in_order_and_back(record: Record) -> None:

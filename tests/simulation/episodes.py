@@ -7,7 +7,8 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from tests.simulation.action_server import Plan
-from tests.simulation.faults import reset
+from tests.simulation.faults import move, reset
+from tests.simulation.streams import StreamTransport
 from tests.support import constants
 
 from rsb_bridge.link.graph_watch import FOR_ROUTES
@@ -247,6 +248,23 @@ async def connections_reset(world: World) -> None:
     while True:
         await asyncio.sleep(random.uniform(5.0, 30.0))
         await reset(world, random.choice(world.robots), random)
+
+
+async def connections_forgotten(world: World) -> None:
+    """What is between drops what comes on the connections of a robot, which moves now and then, without a word."""
+    random = world.random("forgotten connections")
+    while True:
+        await asyncio.sleep(random.uniform(5.0, 30.0))
+        robot = random.choice(world.robots)
+        if random.random() < 0.3:
+            await move(world, robot, random)
+            continue
+        held = robot.host.run.process.descriptors if robot.host.run is not None else ()
+        with world.trouble("forgotten connections", robot):
+            for each in held:
+                if isinstance(each, StreamTransport):
+                    each.forgotten = True
+            await asyncio.sleep(3.0)
 
 
 @contextlib.contextmanager

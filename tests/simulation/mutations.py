@@ -193,6 +193,11 @@ def _remember_nothing(self: Any, frame: Any) -> None:
     self._known = 0
 
 
+def _anybodys(_: Any, __: Any) -> bool:
+    """Replace what a `LinkSession` asks of a process by a form that takes any for the other end of the session."""
+    return True
+
+
 def _none(_: Any) -> Iterator[Any]:
     return iter(())
 
@@ -322,6 +327,10 @@ MUTATIONS = (
              ((OrderedReader, "_has", _never),), "came out twice", _OUTLIVES, 3, 0.2),
     Mutation("messages overtake a lost one",
              ((OrderedReader, "_whole", _at_once),), "came out", _OUTLIVES, 3, 0.2),
+    Mutation("a session is resumed with another process",
+             ((LinkSession, "may_go_on", _anybodys), (LinkSession, "goes_on", _anybodys),
+              (LinkSession, "acknowledge", nothing)),
+             "nobody caught|could flow|can be linked", _OUTLIVES, 1, 0.5),
     Mutation("a call that waits for a result is not forgotten with its opening",
              ((KeptResults, "is_over", nothing),), "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1),
 )

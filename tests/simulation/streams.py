@@ -73,6 +73,7 @@ class StreamTransport(asyncio.Transport):
         self._paused = False
         self._reading = True
         self._closing = False
+        self.forgotten = False  # by a NAT on its way, which drops what comes on it
         self.gone = False  # the program has let it go, or has lost it
         self._sent_end = False
         self._begun = False
@@ -206,7 +207,7 @@ class StreamTransport(asyncio.Transport):
     def passes(self) -> bool:
         ends = (self, self.peer)
         return self.path.cut_at is None and all(
-            end.process.machine.up and end.process.machine.address == end.local[0] for end in ends
+            not end.forgotten and end.process.machine.up and end.process.machine.address == end.local[0] for end in ends
         )
 
     def _healed(self) -> None:

@@ -8,6 +8,7 @@ from unittest.mock import patch
 
 import pytest
 from tests.simulation.conditions import ACTIONS, CALLS, LIVELY, STORM
+from tests.simulation.episodes import connections_forgotten
 from tests.simulation.world import Violation, World
 from tests.support.long import long
 
@@ -24,9 +25,25 @@ _BUSY = replace(CALLS, faults=10.0, commands=60.0)
 @pytest.mark.parametrize("conditions", [LIVELY, STORM, _BUSY, ACTIONS], ids=lambda each: each.name)
 def test_nothing_stays_wrong(conditions: Conditions, seed: int) -> None:
     world = World(seed, replace(conditions, outlive=60.0, nights=0.0))
-    with patch.object(LinkSession, "again", autospec=True, side_effect=LinkSession.again) as went_on:
+    with patch.object(LinkSession, "back", autospec=True, side_effect=LinkSession.back) as went_on:
         try:
             world.play(1800)
         except Violation as violation:
             pytest.fail(str(violation), pytrace=False)
     assert went_on.called or seed not in _SEEDS, "no link went on with its session"
+
+
+@pytest.mark.parametrize("seed", [*_SEEDS, *long(*range(3, 12))])
+def test_link_moves_from_connections_that_carry_nothing(seed: int) -> None:
+    """Only the old ones: a second one beside them is up before anybody gives the link up."""
+    world = World(seed, replace(LIVELY, outlive=60.0, nights=0.0, faults=0.0, commands=0.0))
+    with (
+        patch.object(LinkSession, "back", autospec=True, side_effect=LinkSession.back) as went_on,
+        patch.object(LinkSession, "away", autospec=True, side_effect=LinkSession.away) as away,
+    ):
+        try:
+            world.play(900, connections_forgotten(world))
+        except Violation as violation:
+            pytest.fail(str(violation), pytrace=False)
+    assert went_on.call_count > 40
+    assert not away.called

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support import replaced
 
+from rsb_bridge.link.link_session import LinkSession
+
 if TYPE_CHECKING:
     import asyncio
     import socket
@@ -49,7 +51,8 @@ def _bridge_of(engine: Engine) -> Bridge | None:
 
 def pretend_linked(link: Link, control: Any) -> None:
     """Let a link have a connection of which there is only a stand-in of its control channel."""
-    link._channels = SimpleNamespace(control=control, is_silent=False, close=lambda: None)  # type: ignore[assignment]
+    channels: Any = SimpleNamespace(control=control, is_silent=False, away=lambda _: None, close=lambda: None)
+    link._channels, link.session = channels, LinkSession(bytes(8), "", channels)
 
 
 def renew_snapshot(engine: Engine) -> None:

@@ -71,6 +71,9 @@ class SessionMistake(Wording):
     ADDRESS_OF_CLIENT = "a client cannot connect to {address}: give the server's own address"
     ADDRESS_WITH_DASHES = "{address} is not an address{hint}"
     ADDRESS_INVALID = "{address} is not an IPv4 or IPv6 address, a host name, or a Bluetooth MAC"
+    ADDRESS_TWICE = "{address} is listed already"
+    ADDRESSES_OF_SERVER = "a server binds one address: give 0.0.0.0 for all of IPv4, or :: for all"
+    ADDRESSES_OF_SEVERAL_KINDS = "only IP addresses and host names may be listed together: one link has one transport"
     ZONE_MISSING = "{address} is link-local: add the interface, as in {address}%wlan0 (ip addr shows it)"
     ADAPTER_TWICE = "server_ip is a Bluetooth MAC already: leave bluetooth_address out"
     ADAPTER_INVALID = "{address} is not a Bluetooth MAC: six hexadecimal pairs, 5C:F3:70:9A:1B:2E"
@@ -190,7 +193,7 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from range_problems(session)
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
-    if session.outlive not in OUTLIVE:
+    if session.outlive is not None and session.outlive not in OUTLIVE:
         yield Problem("outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE(value=session.outlive, range=OUTLIVE))
     profiles = [("profile", session.profile)]
     profiles += [(join(join("clients", at), "profile"), each.profile) for at, each in enumerate(session.listed_clients)]
@@ -218,25 +221,38 @@ def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:
 
 
 def _address(session: Session) -> Iterator[Problem]:
-    address = session.server_ip
-    traits = transports.of_link(address)
-    if traits is TcpTraits and address in BRINGS_TRANSPORTS:
-        yield Problem("server_ip", ValueMistake.OF_FEATURE(value=address, feature=BRINGS_TRANSPORTS[address]))
-    elif session.role == "client" and address in _ANY_ADDRESS:
-        yield Problem("server_ip", SessionMistake.ADDRESS_OF_CLIENT(address=address))
-    elif is_mac(address.replace("-", ":")) and "-" in address:
-        hint = Hint.DID_YOU_MEAN(name=address.replace("-", ":"))
-        yield Problem("server_ip", SessionMistake.ADDRESS_WITH_DASHES(address=repr(address), hint=hint))
-    elif traits is TcpTraits and not (is_ip(address) or is_host(address)):
-        yield Problem("server_ip", SessionMistake.ADDRESS_INVALID(address=show(address)))
-    elif lacks_zone(address):
-        yield Problem("server_ip", SessionMistake.ZONE_MISSING(address=address))
+    for at, address in enumerate(session.hosts):
+        location = join("server_ip", at) if session.other_ips else "server_ip"
+        if problem := _host_problem(address, session):
+            yield Problem(location, problem)
+        elif address in session.hosts[:at]:
+            yield Problem(location, SessionMistake.ADDRESS_TWICE(address=address))
+    if session.other_ips:
+        if session.role == "server":
+            yield Problem("server_ip", SessionMistake.ADDRESSES_OF_SERVER())
+        elif {transports.of_link(each) for each in session.hosts} != {TcpTraits}:
+            yield Problem("server_ip", SessionMistake.ADDRESSES_OF_SEVERAL_KINDS())
     if session.bluetooth_address is None:
         return
     if session.is_bluetooth:
         yield Problem("bluetooth_address", SessionMistake.ADAPTER_TWICE())
     elif not is_mac(session.bluetooth_address):
         yield Problem("bluetooth_address", SessionMistake.ADAPTER_INVALID(address=show(session.bluetooth_address)))
+
+
+def _host_problem(address: str, session: Session) -> str:
+    """Return what is wrong with an address of the server, or an empty string."""
+    traits = transports.of_link(address)
+    if traits is TcpTraits and address in BRINGS_TRANSPORTS:
+        return ValueMistake.OF_FEATURE(value=address, feature=BRINGS_TRANSPORTS[address])
+    if session.role == "client" and address in _ANY_ADDRESS:
+        return SessionMistake.ADDRESS_OF_CLIENT(address=address)
+    if is_mac(address.replace("-", ":")) and "-" in address:
+        hint = Hint.DID_YOU_MEAN(name=address.replace("-", ":"))
+        return SessionMistake.ADDRESS_WITH_DASHES(address=repr(address), hint=hint)
+    if traits is TcpTraits and not (is_ip(address) or is_host(address)):
+        return SessionMistake.ADDRESS_INVALID(address=show(address))
+    return SessionMistake.ZONE_MISSING(address=address) if lacks_zone(address) else ""
 
 
 def is_ip(address: str) -> bool:

@@ -19,6 +19,7 @@ from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks, in_slices
+from rsb_bridge.transport.network_news import device_of
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.messages import Ping, Pong, Propose, Receipts
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -117,13 +118,12 @@ class BaseLink(ABC):
         self._peer_role = "the server" if is_client else "the client"
         self.encrypted = encrypted
         self._channels: DataChannels | None = None  # without a connection
-        self._away: DataChannels | None = None  # of a session without a connection
-        self.session: LinkSession | None = None  # None also where the link does not outlive its connections
-        self._session_ends: asyncio.TimerHandle | None = None
+        self.session: LinkSession | None = None  # while the link is up or away
         self._lost_at = 0.0
         self.peer: Hello | Welcome | None = None  # before the first connection
         self.instance = ""  # process of the peer
         self.connections = 0
+        self.via = ""  # device of this machine that carries the last connection, or empty if it is unknown
         self.linked_at = 0.0
         self.status = LinkStatus(context.clock.steady())
         self.bridges: tuple[str, ...] = ()
@@ -229,16 +229,20 @@ class BaseLink(ABC):
         return self._channels is not None
 
     @property
+    def is_away(self) -> bool:
+        """Whether its session goes on without a connection."""
+        return self.session is not None and self._channels is None
+
+    @property
     def away_since(self) -> float | None:
         """When (s) its connection was lost, if its session goes on without one, or None."""
-        return None if self._away is None else self._lost_at
+        return self._lost_at if self.is_away else None
 
     @property
     def session_ends(self) -> float | None:
         """When the session ends unless a connection comes, in s since the epoch; None if it has one, or is over."""
-        if self._session_ends is None:
-            return None
-        return self.context.wall_of(self.context.clock.steady() + self._session_ends.when() - self.context.now())
+        at = None if self.session is None else self.session.ends_at
+        return None if at is None else self.context.wall_of(self.context.clock.steady() + at - self.context.now())
 
     def carriers(self) -> set[ChannelCarrier]:
         return self._channels.carriers() if self._channels is not None else set()
@@ -256,7 +260,7 @@ class BaseLink(ABC):
 
     def open_channel(self, route: Route) -> None:
         """Open the channel of a route, or begin to; while the link is away, its next connection does."""
-        if self._away is None:
+        if not self.is_away:
             self.channels.open(route)
 
     # --- up and down
@@ -274,49 +278,63 @@ class BaseLink(ABC):
     def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
         """Begin a connection on a stream whose peer is authenticated, and return what takes its further events.
 
-        It goes on with the session if both sides do, and begins a new one otherwise.
+        It goes on with the session if both sides do, and begins a new one otherwise. While the link is up, it takes the
+        place of the present connection.
         """
-        control = ControlChannel(stream, connection, self.handlers, self.lost, self._handled)
-        peer, session, away = event.peer, self.session, self._away
-        again: Sequence[ControlMessageBase] | None = None
-        if session is not None and away is not None and (event.answer or peer).session == session.id:
-            try:
-                again = session.again(peer.handled)
-            except ProtocolError as error:
-                self.end_session()
-                control.broken(error)
-                return control
-        else:
-            self.end_session()
-        self.peer, self.instance = peer, peer.instance
+        control, moves = ControlChannel(stream, connection, self.handlers, self.lost, self._handled), self.linked
+        self.keepalive.stop()
         try:
-            if again is None or away is None:
-                self._channels = self.channels_class(self, control, event.keys)
-                self.session = LinkSession(event.keys.link_id) if self.context.session.outlive else None
-            else:
-                away.back(control, event.keys, [each.route for each in again if isinstance(each, Propose)])
-                self._channels, self._away = away, None
-                self._stop_waiting()
+            again = self._join_session(control, event)
+        except ProtocolError as error:
+            self.protocol_error(str(error))
+            self.end_session()
+            control.broken(error)
+            return control
         except BaseException:
             control.abort("internal error")  # `fail` does not know it, and its goodbye would end the next connection
             raise
+        self.peer, self.instance = event.peer, event.peer.instance
         self.connections += 1
-        self.linked_at = self.context.now()
+        self.via = device_of(stream.own_address) if self.transport.ip_ports else ""
         before, self.keepalive = self.keepalive, Keepalive(self, stream)
         if again is not None:  # the same process, with the same clocks
             self.keepalive.clock, self.keepalive.stamps = before.clock, before.stamps
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
-        self.status.up(self.context.clock.steady())
+        if not moves:
+            self.linked_at = self.context.now()
+            self.status.up(self.context.clock.steady())
         encryption = f"encrypted with {event.keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
-        linked = "linked" if again is None else "goes on"
-        text = f"{linked} with {self._peer_role} at {stream.peer}, {encryption}, rsb-console {peer.version} there"
+        linked = "linked" if again is None else "goes on over another connection" if moves else "goes on"
+        text = f"{linked} with {self._peer_role} at {stream.peer}, {encryption}, rsb-console {event.peer.version} there"
         self.log(Level.INFO, EventCode.LINK_UP, text, link_status=True)
         self.send(self.keepalive.ping(self.handled))  # the age of messages is unknown until it is answered
         if again is None:
-            self.extensions.connected(peer.features)
+            self.extensions.connected(event.peer.features)
         else:
             self._go_on(again)
         return control
+
+    def _join_session(self, control: ControlChannel, event: Established) -> Sequence[ControlMessageBase] | None:
+        """Go on with the session, and return what the peer lacks of it; or begin a new one, and return None."""
+        session, again = self.session, None
+        if session is not None and session.goes_on(event):
+            session.acknowledge(event.peer.handled)
+            if self._channels is not None:
+                self._leave()
+            again = session.back(control, event)
+        else:
+            self.end_session()
+            channels = self.channels_class(self, control, event.keys)
+            session = self.session = LinkSession(event.keys.link_id, event.peer.instance, channels)
+        self._channels = session.channels
+        return again
+
+    def _leave(self) -> None:
+        """End the connection, and nothing else: the session has another one."""
+        reason, channels, self._channels = "there is another connection", self.channels, None
+        channels.control.leave(reason)
+        self.extensions.away()
+        channels.away(reason)
 
     def _go_on(self, again: Sequence[ControlMessageBase]) -> None:
         """Send what the peer has not handled on the last connection, and let the routes go on."""
@@ -336,12 +354,9 @@ class BaseLink(ABC):
         """How many control messages of the session this side has handled."""
         return 0 if self.session is None else self.session.handled
 
-    def goes_on(self, hello: Hello) -> bool:
-        """Whether the client may go on with the session as it says: it is the same process, and nothing is missing."""
-        session = self.session
-        if session is None or hello.session != session.id or hello.instance != self.instance:
-            return False
-        return session.lacks(hello.handled) is not None
+    def doubts(self) -> None:
+        """Take note that the connection may be dead; called several times a second on a client meanwhile."""
+        return
 
     def silent(self) -> None:
         """End the connection: nothing has come for as long as the patience lasts."""
@@ -370,39 +385,36 @@ class BaseLink(ABC):
         self.status.down(cause, reason)
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.clock.steady()
-        if self.session is not None and code is EventCode.LINK_LOST and not channels.control.is_fault:
-            seconds = self.context.session.outlive
-            self._away, self._lost_at = channels, self.context.now()
-            self._session_ends = self.context.loop.call_later(seconds, self._expire)
-            self.extensions.away()
-            channels.away(reason)
-            reason = f"{reason}; its topics and calls wait for {seconds:g} s"
+        self._lost_at = self.context.now()
+        session, seconds = self.session, self._outlives
+        is_broken = channels.control.is_fault or code is not EventCode.LINK_LOST
+        if session is None or session.is_over or is_broken or not seconds:
+            self.end_session()
         else:
-            self.session = None
-            self.extensions.disconnected()
-            channels.close()
+            self.extensions.away()
+            session.away(reason, self.context.loop.call_later(seconds, self._expire))
+            reason = f"{reason}; its topics and calls wait for {seconds:g} s"
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
 
+    @property
+    def _outlives(self) -> float:
+        """Seconds that the session outlives its connection."""
+        own = self.context.session.outlive
+        return self.profile.outlive if own is None else own
+
     def _expire(self) -> None:
-        text = f"the link was away for {self.context.session.outlive:g} s: what waited for it is dropped"
+        text = f"the link was away for {self._outlives:g} s: what waited for it is dropped"
         self.log(Level.WARNING, EventCode.LINK_CLOSED, text, link_status=True)
         self.end_session()
 
     def end_session(self) -> None:
-        """End the session of a link that is away: the next connection begins with nothing."""
-        self._stop_waiting()
-        self.session = None
-        channels, self._away = self._away, None
-        if channels is not None:
+        """End the session of a link without a connection: the next connection begins with nothing."""
+        session, self.session = self.session, None
+        if session is not None:
             self.extensions.disconnected()
-            channels.close()
-
-    def _stop_waiting(self) -> None:
-        if self._session_ends is not None:
-            self._session_ends.cancel()
-            self._session_ends = None
+            session.end()
 
     def destroy(self) -> None:
         """End routes and tasks for good."""
@@ -435,11 +447,6 @@ class BaseLink(ABC):
         else:
             self.end_session()
 
-    def leave(self, reason: str) -> None:
-        """End the connection, and nothing else: the session has another one."""
-        if self.control is not None:
-            self.control.abort(reason)
-
     def fail(self) -> None:
         """End the connection after an internal error, so that both sides start from the beginning."""
         if self.control is not None:
@@ -455,18 +462,12 @@ class BaseLink(ABC):
 
     def send(self, message: ControlMessageBase) -> None:
         """Send a control message; without a connection it waits if the session goes on, and else nothing happens."""
-        if (session := self.session) is not None:
-            session.sends(message)
-            if session.full:
-                self._outgrown()
+        if self.session is not None:
+            self.session.sends(message)
         if self._channels is not None:
             self._channels.control.send(message)
-
-    def _outgrown(self) -> None:
-        """Let the session end with its connection, or at once if it has none: too much waits for the peer."""
-        if self._channels is None:
+        elif self.session is not None and self.session.is_over:
             self.end_session()
-        self.session = None
 
     def send_urgent(self, message: UrgentMessage) -> None:
         """Send a control message, and over the UDP channels besides: there it does not wait for what a stream lost."""

@@ -6,13 +6,14 @@ import asyncio
 import contextlib
 import shlex
 import socket
+from math import inf
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.config.rights import rights_of_server
+from rsb_bridge.link.client_channels import ClientChannels
 from rsb_bridge.link.connecting import (
     ConnectAttempt,
     Failure,
@@ -22,19 +23,17 @@ from rsb_bridge.link.connecting import (
     find_servers,
     unproven_servers,
 )
-from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, REMEDY, server_refusal
+from rsb_bridge.link.server_ways import ServerWays, first_of
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
-from rsb_bridge.transport import descriptors
-from rsb_bridge.transport.streams import Stream, StreamProblem, os_error_message
+from rsb_bridge.transport.streams import Stream, os_error_message
 from rsb_bridge.transport.trials import Trials
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
-from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode, StreamName
+from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode
 from rsb_bridge.wire.messages import Duplicate, Shutdown, Welcome
 
 if TYPE_CHECKING:
@@ -44,18 +43,20 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.session import Identity
+    from rsb_bridge.model.snapshot import WaySnapshot
     from rsb_bridge.transport.network_news import NetworkNews
-    from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
+    from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.connection import ServerConnection
     from rsb_bridge.wire.messages import Hello
-    from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
+    from rsb_bridge.wire.sealing import CipherSuite
 
 _HANDSHAKE_TIMEOUT = 10.0  # s for an answer, as long as a server waits for a handshake (`pending_connections`)
 _KEY_CHANGED = "the client has another key now"
 
 # s between attempts, before jitter.
 _FIRST_DELAY = 0.5  # before the first further attempt: a round figure
-_FIRST_DELAY_AWAY = 0.1  # the same while the server waits with the session: the path may be back at once
+_FIRST_DELAY_AWAY = 0.1  # the same while the server waits with the session; the first attempt comes at once
+_LASTING = 1.0  # s of a connection that has not failed: one that ends sooner, again and again, must not come at once
 _LONGEST_DELAY_UNREACHED = 1.0  # once the server is back, the link must be up within 3 s, with handshake and discovery
 # While the server refuses: its answer seldom changes soon. A round figure, on which servers rely: they forget a client
 # that has not tried for longer (`refused_clients.FORGOTTEN_AFTER`).
@@ -68,137 +69,9 @@ _JITTER = 0.5
 # has lost it (`server_link._SILENT`).
 _NAME_MAY_BE_FREED = 5
 
-# s without a byte (pings come every second) after which a connection is closed whose source address this machine no
-# longer has: the client calls again after 2 s, and not only after the 6 s of a silent link.
-_MOVED_AND_QUIET = 1.5
-_ROUNDS = 3  # times that data streams are opened if others are lost meanwhile: a round figure
-_UDP_RETRIED_AFTER = 1.0  # s until a socket for datagrams is tried again: its topics wait as long. A round figure
+# s after which a move to a better way begins: a session moves on while messages that count, such as reports, are few.
+_REPORTS_FIRST = 0.1
 _DUPLICATES_LOGGED_EVERY = 60.0  # s between lines about one more client of this one's name: a round figure
-
-
-class ClientChannels(DataChannels):
-    """The client's end of a connection, which opens the streams and sockets."""
-
-    _link: ClientLink
-
-    def __init__(self, link: ClientLink, control: ControlChannel, keys: SessionKeys) -> None:
-        super().__init__(link, control, keys)
-        self._opening: dict[tuple[str, int], asyncio.Task[None]] = {}
-        self._wanted = 0  # streams that these tasks open, and that have their descriptors yet to take
-        self._udp_retry: asyncio.TimerHandle | None = None
-
-    def close(self) -> None:
-        super().close()
-        self._give_up_opening()
-
-    def away(self, reason: str) -> None:
-        self._give_up_opening()  # first: a pair that loses its streams asks for new ones
-        super().away(reason)
-
-    def _give_up_opening(self) -> None:
-        for opening in self._opening.values():
-            opening.cancel()
-        self._opening = {}
-        if self._udp_retry is not None:
-            self._udp_retry.cancel()
-            self._udp_retry = None
-
-    def open_streams(self, transport: StreamTransport, port: int) -> None:
-        if (transport.name, port) not in self._opening:
-            self._opening[transport.name, port] = self._link.spawn(self._open_lacking(transport, port))
-
-    async def _open_lacking(self, transport: StreamTransport, port: int) -> None:
-        """Open the streams that are lacking, and let the waiting routes use them."""
-        key = transport.name, port
-        failure: Failure | None = None
-        try:
-            # A firewall that has forgotten one connection has mostly forgotten the other one, too, and that may show a
-            # little later.
-            for _ in range(_ROUNDS):
-                pair = self._pairs.get(key)
-                lacks = (True, True) if pair is None or pair.over else pair.lacks()
-                wanted = [large for large in ((True,) if transport.multiplexed else (False, True)) if lacks[large]]
-                if not wanted or (failure := await self._open_each(transport, port, wanted)) is not None:
-                    break
-        finally:
-            if self._opening.get(key) is asyncio.current_task():  # else the link was away meanwhile
-                del self._opening[key]
-        if failure is None and self.pair_of(*key) is None:
-            failure = Failure(StreamProblem.CLOSED_HERE())
-        if failure is None:
-            await self.streams_opened(*key)
-        else:
-            reason = Reason(failure.reason, EndCode.BROKE)
-            for route in self._take_awaiting(*key):
-                route.channel_lost(reason)
-            if key in self._pairs:
-                self._pairs[key].failed(reason)
-        # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
-        if key in self._pairs:
-            self._pairs[key].end_unused()
-
-    async def _open_each(self, transport: StreamTransport, port: int, wanted: list[bool]) -> Failure | None:
-        """Open the wanted streams, by whether they are for large messages. The small one comes first."""
-        # Where all topics open their first streams before any opens its second one, none may get that.
-        if descriptors.left() < self._wanted + len(wanted):
-            return Failure(descriptors.scarcity_message("client"))
-        self._wanted += len(wanted)
-        try:
-            while wanted:
-                if (failure := await self._open_stream(transport, port, large=wanted[0])) is not None:
-                    return failure
-                del wanted[0]
-                self._wanted -= 1
-        finally:
-            self._wanted -= len(wanted)
-        return None
-
-    async def _open_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
-        if descriptors.scarce():  # again: the handshake of the first stream may have taken seconds
-            return Failure(descriptors.scarcity_message("client"))
-        link = self._link
-        self._newest += 1
-        # Channel 11 is not port 11: the link's own streams are on its own transport only.
-        is_own = transport is link.transport and port == link.shared_port()
-        name = StreamName(self._newest, 0 if is_own else port, large)
-        connection = DataConnection(self.session_keys, name)
-
-        def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
-            if self.control.over:  # lost in this turn of the loop; the attempt is cancelled in the next one
-                stream.abort("the link was lost")
-            else:
-                self.attach(stream, name, transport, port, connection.leftover())
-
-        # The address that the control connection reached: the server's name may resolve to another by now.
-        host = self.control.stream.host if transport is link.transport else transport.host(link.context.session)
-        # Ranks as of topics: over some transports, small messages go ahead of large ones.
-        rank = -1 if large and not transport.multiplexed else 0
-        return await link.open(transport, host, port, connection, let_in, rank, self.session_keys.sample_secret)
-
-    def _open_udp(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
-        link, address = self._link, self.control.stream.address
-        server = (address[0], port, *address[2:])  # with flow and scope, without which no link-local one is reached
-        failure = ""
-        if descriptors.scarce():
-            failure = descriptors.scarcity_message("client")
-        else:
-            try:
-                channel = ClientUdpChannel(self, transport, server)
-            except OSError as error:
-                failure = f"UDP to {transport.format_address(server)}: {os_error_message(error)}"
-        if failure and failure != link.udp_failure:  # it is tried each second; one event is enough
-            link.log_of_peer(Level.ERROR, EventCode.LINK_UDP_BLOCKED, failure)
-        link.udp_failure = failure
-        if failure:
-            self._udp_retry = self._udp_retry or link.context.loop.call_later(_UDP_RETRIED_AFTER, self._retry_udp)
-            return None
-        self._udp[port] = channel
-        self._probe(channel)
-        return channel
-
-    def _retry_udp(self) -> None:
-        self._udp_retry = None
-        self.udp_ready()
 
 
 class ClientLink(Link):
@@ -213,12 +86,17 @@ class ClientLink(Link):
     def __init__(self, context: Context, hello: Hello, key: Key | None, suite: CipherSuite) -> None:
         session = context.session
         super().__init__(context, session.name, is_client=True, encrypted=key is not None)
-        self.host, self.port = session.server_ip, session.server_port
+        self.port = session.server_port
+        self.ways = ServerWays(self, session.hosts)
+        self._moves_to: str | None = None  # a better way, while the present one carries
         self._hello = hello
         self.key = key
         self._suite = suite
-        self._ended = asyncio.Event()
-        self._retry = asyncio.Event()
+        self._changed = asyncio.Event()
+        self._call_at = inf  # time of the next attempt
+        self._attempt: asyncio.Timeout | None = None
+        self._attempted_from: list[str] = []
+        self._connected_at = -inf
         self._retry_after = 0.0
         self._stays_down = False
         self._news: NetworkNews | None = None
@@ -234,7 +112,7 @@ class ClientLink(Link):
 
     @property
     def address(self) -> str:
-        return self.transport.format_address((self.host, self.port))
+        return self.transport.format_address((self.ways.hosts[self.ways.used], self.port))
 
     @property
     def fingerprints(self) -> tuple[str, str]:
@@ -252,62 +130,101 @@ class ClientLink(Link):
     async def run(self) -> None:
         """Connect and reconnect for ever. First close the connection of an earlier run."""
         self.fail()
+        self._call_in(0.0)
         self._news = self.transport.network_news(self.hurry)
         with contextlib.nullcontext() if self._news is None else contextlib.closing(self._news):
             while True:
-                self._retry.clear()
-                self._ended.clear()
-                began = self.context.now()
-                if not self._stays_down:
-                    self._retry_after = 0.0
-                    await self._call()
-                await self._pause(self.context.now() - began)
+                await self._until_due()
+                await self._call()
+
+    async def _until_due(self) -> None:
+        """Wait for the time of the next attempt, which may change meanwhile."""
+        while (wait := self._call_at - self.context.now()) > 0:
+            self._changed.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(None if wait == inf else wait):
+                    await self._changed.wait()
+
+    def _call_in(self, seconds: float) -> None:
+        """Begin the next attempt so much later, or with `inf` not before another event."""
+        self._call_at = self.context.now() + seconds
+        self.status.retry_at = None if self.linked or seconds == inf else self._call_at
+        self._changed.set()
 
     def retry(self) -> None:
         """Connect now instead of after the delay, and propose refused routes again."""
         self._stays_down = False
-        if not self.linked:  # else the first attempt after the link's next loss would come without a delay
-            self._retry.set()
+        if not self.linked:
+            self._call_in(0.0)
         self.table.retry()
 
     def hurry(self) -> None:
         """Look for the server now: this machine's devices, addresses or routes have changed.
 
-        May be called for each piece of news, on the loop; it does nothing while an operator has the link stay down.
+        Without a connection, an attempt begins, and it replaces one from an address that has changed. A connection has
+        two round trips to show that it still carries; then the client tries a second one.
         """
-        if self._stays_down:
-            return
-        if self.control is not None:
-            stream = self.control.stream
-            if self.transport.source_address(stream.address) in ("", stream.own_address):
-                return
-            self.control.abort("this machine's address towards the server has changed")
-        self._retry.set()
+        self.ways.changed()
+        if self._attempt is not None:
+            if self._sources() != self._attempted_from:
+                self._attempt.reschedule(self.context.loop.time())
+        elif self.linked:
+            self.send(self.keepalive.ping(self.handled))
+            self.keepalive.hurry()
+            if self._news is not None and self._news.why_silent(self._source):
+                self._call_in(0.0)
+        elif not self._stays_down and self.status.cause is not LinkCause.SHUT_DOWN:
+            self._call_in(0.0)
+
+    def _sources(self) -> list[str]:
+        """Return the addresses from which new connections leave."""
+        return [self.transport.source_address(host) for host in self.ways.hosts]
+
+    def doubts(self) -> None:
+        if self._attempt is None and self._call_at == inf:
+            self._call_in(0.0)
 
     async def _call(self) -> None:
-        """Try once to connect; return after a failure, or after the end of the link."""
-        key = self.key
-        if not self.status.attempts:
+        """Try once to connect; the present connection, if there is one, stays meanwhile."""
+        self._call_at, self._retry_after, key, connections = inf, 0.0, self.key, self.connections
+        began = self.context.now()
+        if self.linked:
+            self.send(self.keepalive.ping(self.handled))  # if it is answered first, the connection stays
+        elif not self.status.attempts:
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.peer_at}", link_status=True)
         else:
-            self.status.retry_at = self.context.now()  # consoles show 0 s as a running attempt
-        failure = await self._connect(key)
+            self.status.retry_at = began  # consoles show 0 s as a running attempt
+        self._attempted_from = self._sources()
+        failure: Failure | None = None
+        try:
+            async with asyncio.timeout(None) as self._attempt:
+                failure = await self._connect(key)
+        except TimeoutError:  # `hurry` or `tick` has ended it
+            pass
+        finally:
+            self._attempt, moved_to, self._moves_to = None, self._moves_to, None
         if failure is not None:
-            self._failed(failure)
-            return
-        self._longest = _LONGEST_DELAY_UNREACHED
-        self._backoff.reset()
-        self._returning.reset()
-        if self._stays_down:  # an operator did so during the handshake
+            if moved_to is not None:
+                self.ways.failed(moved_to)
+            self._failed(failure, self.context.now() - began)
+        elif self.connections == connections:  # it was ended, or was not needed any more
+            if not self.linked and not self._stays_down and self._call_at == inf:
+                self._call_in(0.0)
+        elif self._stays_down:  # an operator did so during the handshake
             self.end("shut down", retry_after=None)
         elif key is not self.key:  # changed during the handshake
             self.end(_KEY_CHANGED, retry_after=0.0)
-        await self._ended.wait()
+
+    def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
+        self._source = stream.own_address
+        control = super().up(stream, connection, event)
+        self._connected_at = self.context.now()
+        self._call_in(inf)
+        return control
 
     async def _connect(self, key: Key | None) -> Failure | None:
         """Connect to the server, or to the announced one that proves the key. Return the failure, if any."""
-        secret = key.secret if key else None
-
+        secret, began = key.secret if key else None, self.context.now()
         hello = self._hello
         if self.session is not None:
             hello = msgspec.structs.replace(hello, session=self.session.id, handled=self.handled)
@@ -315,22 +232,51 @@ class ClientLink(Link):
         def begin(suite: CipherSuite | None) -> ClientConnection:
             return ClientConnection(hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
 
+        def is_needed() -> bool:
+            """Whether nothing has come on the present connection since the attempt began, or another way is better."""
+            is_alive = self.linked and self._moves_to is None and self.keepalive.carried_since(began)
+            session = (b"", 0) if self.session is None else (self.session.id, self.session.handled)
+            return not is_alive and session == (hello.session, hello.handled)
+
         if key is not None:  # without a key nothing proves a server: the transport connects to the only one, or refuses
             try:
                 hosts = await self.transport.servers()
             except OSError as error:
                 return _not_connected(self.address, error)
             if hosts is not None:
-                return await self._find(hosts, begin)
-        connection, host = begin(None), self.transport.host(self.context.session)
+                return await self._find(hosts, begin, is_needed)
 
-        def linked(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
-            assert isinstance(event, Established)
-            self.up(stream, connection, event).receive(more)
+        async def connect(host: str) -> Failure | None:
+            connection = begin(None)
 
-        return await self.open(self.transport, host, self.port, connection, linked)
+            def linked(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+                assert isinstance(event, Established)
+                if not is_needed():
+                    stream.abort("not needed")
+                    return
+                self.ways.take(host)
+                self._take(stream, connection, event, more)
 
-    async def _find(self, hosts: list[str], begin: Callable[[CipherSuite | None], ClientConnection]) -> Failure | None:
+            return await self.open(self.transport, host, self.port, connection, linked)
+
+        return await first_of(self.ways.next_hosts() if self._moves_to is None else (self._moves_to,), connect)
+
+    def _take(self, stream: Stream, connection: ClientConnection, event: Established, more: list[Event]) -> None:
+        """Link over a new connection, with a new session if the server has begun one.
+
+        The first message takes the confirmation along, after this side has left the connection before: the server takes
+        all that was armed for disarmed then.
+        """
+        if self.control is not None and isinstance(event.peer, Welcome) and not event.peer.session:
+            self.control.abort("the server has begun a new session")
+        self.up(stream, connection, event).receive(more)
+
+    async def _find(
+        self,
+        hosts: list[str],
+        begin: Callable[[CipherSuite | None], ClientConnection],
+        is_needed: Callable[[], bool],
+    ) -> Failure | None:
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
         proven, failures, unproven = await find_servers(self._trials, self.transport, hosts, begin)
         if proven:  # else the failure counts them
@@ -341,8 +287,11 @@ class ClientLink(Link):
         accepting = [each for each in proven if each.refusal is None]
         if len(accepting) == 1:
             server = accepting[0]
-            established, more = server.confirm()
-            self.up(server.stream, server.connection, established).receive(more)
+            if is_needed():
+                established, more = server.confirm()
+                self._take(server.stream, server.connection, established, more)
+            else:
+                server.give_up()
             return None
         # Several have the key, and nothing tells which of them is meant (PROTOCOL.md, 12).
         for each in accepting:
@@ -404,16 +353,18 @@ class ClientLink(Link):
             attempt.end()
         return None if failure is None else self._with_remedy(failure)
 
-    def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
-        self._source = stream.own_address
-        return super().up(stream, connection, event)
-
     def _with_device(self, reason: str) -> str:
         """Return why the server is not reached, with what is wrong with the device that led there, if that is known."""
         wrong = self._news.why_silent(self._source) if self._news is not None and self._source else ""
         return f"{reason}; {wrong}" if wrong else reason
 
-    def _failed(self, failure: Failure) -> None:
+    def _failed(self, failure: Failure, took: float) -> None:
+        """Log a failed attempt, which took so long (s), and plan the next one."""
+        if self.linked:
+            self.log(Level.DEBUG, EventCode.LINK_UNREACHABLE, f"no other connection: {failure.reason}")
+            if self.keepalive.in_doubt:
+                self._call_in(self._delay(took))
+            return
         if not failure.refused:
             failure = failure._replace(reason=self._with_device(failure.reason))
         self.status.attempts += 1
@@ -432,23 +383,19 @@ class ClientLink(Link):
         peer = "the server" if reason.startswith(f"{self.address} ") else self.peer_at
         level = Level.DEBUG if repeated else Level.WARNING if expected else Level.ERROR
         self.log(level, code, f"no link with {peer}: {reason}; trying again", link_status=True)
+        if self._call_at == inf:  # else an operator has asked for the next one
+            self._call_in(self._delay(took))
 
-    async def _pause(self, took: float) -> None:
-        """Wait until the next attempt is due, or an operator asks for one; the last one took so long (s)."""
-        delay: float | None = None
-        if not self._stays_down:
-            if self.status.cause is LinkCause.SHUT_DOWN:
-                delay = self._asking.next()
-            elif self._away is not None:  # an attempt that nobody answered was a pause, too
-                delay = self._returning.next()
-                delay = max(min(delay, _FIRST_DELAY_AWAY), delay - took)
-            else:
-                delay = max(self._backoff.next(self._longest), self._retry_after)
-            self.status.retry_at = self.context.now() + delay
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(delay):
-                await self._retry.wait()
-        self.status.retry_at = None
+    def _delay(self, took: float = 0.0) -> float:
+        """Return the time (s) until the next attempt; the last one took so long."""
+        if self._stays_down:
+            return inf
+        if self.status.cause is LinkCause.SHUT_DOWN:
+            return self._asking.next()
+        if self.session is not None:  # an attempt that nobody answered was a pause, too
+            delay = self._returning.next()
+            return max(min(delay, _FIRST_DELAY_AWAY), delay - took)
+        return max(self._backoff.next(self._longest), self._retry_after)
 
     def _on_duplicate(self, message: Duplicate) -> None:
         now = self.context.now()
@@ -462,7 +409,13 @@ class ClientLink(Link):
 
     def lost(self, reason: str, code: EventCode) -> None:
         super().lost(self._with_device(reason) if code is EventCode.LINK_LOST else reason, code)
-        self._ended.set()
+        self._longest = _LONGEST_DELAY_UNREACHED
+        self._backoff.reset()
+        if self.is_away and self.context.now() - self._connected_at > _LASTING:
+            self._returning.reset()
+            self._call_in(0.0)
+        else:
+            self._call_in(self._delay())
 
     def _on_shutdown(self, message: Shutdown) -> None:
         control = self.channels.control
@@ -477,7 +430,7 @@ class ClientLink(Link):
         """Use another key from now on: a link that is up connects again."""
         self.key, self.encrypted = key, key is not None
         self.end(_KEY_CHANGED, retry_after=0.0)
-        self._retry.set()
+        self._call_in(0.0)
 
     @property
     def shut_down(self) -> bool:
@@ -487,7 +440,7 @@ class ClientLink(Link):
     def stay_down(self, reason: str) -> None:
         """End the link, or the attempts at it, on purpose; then wait for `retry`."""
         self._stays_down = True
-        self._retry.set()
+        self._call_in(inf)
         self.end(reason, retry_after=None)
         # After the link's end, which sets a reason of its own.
         command = f"rsb-console retry {shlex.quote(self.name)}"
@@ -497,14 +450,17 @@ class ClientLink(Link):
         super().tick()
         if self.fault.unproven:  # those whose announcements are gone; one of the rest is the linked server
             self.fault.unproven = min(self.fault.unproven, max(0, self.transport.announced_servers - 1))
-        if self.control is None or self.keepalive.quiet < _MOVED_AND_QUIET:
+        if not self.linked:
             return
-        stream = self.control.stream
-        now_from = self.transport.source_address(stream.address)
-        if now_from not in ("", stream.own_address):
-            self.control.abort(
-                f"this machine's address towards {self.host} changed: {stream.own_address} to {now_from}"
-            )
+        if self._attempt is None:
+            self._moves_to = self.ways.tick()
+            if self._moves_to is not None:
+                self._call_in(_REPORTS_FIRST)
+        elif self._moves_to is None and not self.keepalive.in_doubt:
+            self._attempt.reschedule(self.context.loop.time())
+
+    def way_snapshots(self) -> tuple[WaySnapshot, ...]:
+        return self.ways.snapshots()
 
     # --- routes
 

@@ -84,7 +84,8 @@ class ConnectAttempt(StreamHandler):
         stream = self._stream
         assert stream is not None
         events = self._connection.receive_data(data)
-        stream.write(self._connection.data_to_send())
+        if not events or not isinstance(events[0], Established):  # which its receiver confirms, or does not
+            stream.write(self._connection.data_to_send())
         if not events:
             return
         match events[0]:
@@ -193,10 +194,12 @@ class ProvenServer(NamedTuple):
     refusal: Failure | None  # the server's, or None if it accepts the client
 
     def confirm(self) -> tuple[Established, list[Event]]:
-        """Confirm the handshake; return its event, and what followed. The stream needs another handler at once."""
+        """Return the event of the handshake, which the first message confirms, and what followed.
+
+        The stream needs another handler at once.
+        """
         established, *more = self.events
         assert isinstance(established, Established)
-        self.stream.write(self.connection.data_to_send())
         self.stream.resume_reading()  # which delivers later
         return established, more
 

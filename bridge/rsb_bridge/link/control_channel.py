@@ -151,6 +151,11 @@ class ControlChannel(StreamHandler):
         self.stream.abort(reason)
         self._end(reason, code)
 
+    def leave(self, reason: str) -> None:
+        """End it without telling anybody: the session has another connection."""
+        self.over = True
+        self.stream.abort(reason)
+
     def received(self, data: bytes) -> None:
         self.receive(self._connection.receive_data(data))
         if self.data is None:  # else most of them may be messages, which a radio keeps slow enough

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from rsb_bridge.model.budgets import TokenBucket
@@ -22,6 +23,11 @@ ChannelCarrier: TypeAlias = "Stream | UdpChannel"  # carries bytes of a connecti
 # Round figures.
 DEAD_AFTER = 5.0  # s without a byte from the peer until the link is given up: five pings in a row went unanswered
 _ALONE = 2  # times that for the control connection alone: on a thin link, its pings wait behind data
+_DOUBTED = 0.2  # part of that until the connection is doubted: a second, in which a ping is due
+# s, or round trips, that come on top: a lost packet comes again. So a slow path is doubted late, or never.
+_MARGIN, _ROUND_TRIPS = 0.25, 2
+_DOUBTED_IN_A_HURRY = 0.1  # s, or two round trips, for the answer to a ping after this machine's network has changed
+_DOUBTED_EVERY = 0.25  # s. A round figure
 _KERNELS = 1.0  # s by which the kernel is more patient: it would end a connection without the cause `silent`
 _LONGEST_PING = 3600.0  # s; a ping that takes longer means that a clock was set
 _UNANSWERED = 600  # pings that are remembered: ten minutes' worth. Later answers do not count for the clock
@@ -32,11 +38,14 @@ class PingedLink(Protocol):
     """The members of a link (`rsb_bridge.link.base_link.BaseLink`) whose connection is kept alive."""
 
     context: Context
+    is_client: bool
 
     @property
     def profile(self) -> LinkProfile: ...
 
     def carriers(self) -> Collection[ChannelCarrier]: ...
+
+    def doubts(self) -> None: ...
 
     def silent(self) -> None: ...
 
@@ -70,6 +79,8 @@ class Keepalive:
         self._answers = TokenBucket(_ANSWERS, _ANSWERS_A_SECOND, self._began)
         self._control = control
         self._watchdog: asyncio.TimerHandle | None = None
+        self._hurried_at = -inf
+        self._alone = False  # the control connection, when it was doubted
         if control is not None:
             self._watch_silence(control)
 
@@ -110,15 +121,52 @@ class Keepalive:
         if self._watchdog is not None:
             self._watchdog.cancel()
 
-    def _watch_silence(self, control: ChannelCarrier) -> None:
+    @property
+    def in_doubt(self) -> bool:
+        """Whether nothing has come for so long that the connection may be dead, and a client may try a second one."""
+        return self._context.now() >= self._doubtful_at
+
+    @property
+    def _doubted_after(self) -> float:
+        return _DOUBTED * (DEAD_AFTER if self._patience is None else self._patience)
+
+    @property
+    def _doubtful_at(self) -> float:
+        heard, wait = self._heard, _ROUND_TRIPS * (self.stamps.rtt or 0.0)
         # What acknowledges and passes nothing on may hold the connections, while datagrams pass.
+        alone = inf if self._control is None else self._control.received_at + (_ALONE - 1) * self._doubted_after
+        doubtful_at = min(heard, alone) + self._doubted_after + max(_MARGIN, wait)
+        if heard < self._hurried_at:
+            return min(doubtful_at, self._hurried_at + max(_DOUBTED_IN_A_HURRY, wait))
+        return doubtful_at
+
+    def carried_since(self, time: float) -> bool:
+        """Whether anything has come since then; if others carried when the control connection was doubted, on that."""
+        heard = self._control.received_at if self._alone and self._control is not None else self._heard
+        return heard >= time
+
+    def hurry(self) -> None:
+        """Doubt the connection soon, unless a ping that is sent now is answered."""
+        self._hurried_at = self._context.now()
+        if self._control is not None:
+            self.stop()
+            self._watch_silence(self._control)
+
+    def _watch_silence(self, control: ChannelCarrier) -> None:
         patience = DEAD_AFTER if self._patience is None else self._patience
         # The time of the silence, not the seconds until then: these could be too few for the clock to move.
-        silent_at = min(self._heard + patience, control.received_at + _ALONE * patience)
-        if self._context.now() < silent_at:
-            self._watchdog = self._context.loop.call_at(silent_at, self._watch_silence, control)
-        else:
+        due = min(self._heard + patience, control.received_at + _ALONE * patience)
+        now = self._context.now()
+        if now >= due:
             self._link.silent()
+            return
+        if self._link.is_client:
+            doubtful_at = self._doubtful_at
+            if now >= doubtful_at:
+                self._alone = self.quiet < self._doubted_after
+                self._link.doubts()
+            due = min(due, doubtful_at if now < doubtful_at else now + _DOUBTED_EVERY)
+        self._watchdog = self._context.loop.call_at(due, self._watch_silence, control)
 
     def tick(self, handled: int) -> Ping:
         """Tell the kernel what is known of the peer, once a second, and return the ping to send, as `ping`."""

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.demands import DemandSource
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import TopicInfo
+    from rsb_bridge.model.snapshot import TopicInfo, WaySnapshot
     from rsb_bridge.model.verdict import LinkCause
     from rsb_bridge.route.route import Route
 
@@ -224,6 +224,10 @@ class Link(BaseLink):
         """Whether the link is down on purpose and waits for this side's operator."""
         return False
 
+    def way_snapshots(self) -> tuple[WaySnapshot, ...]:
+        """Return the ways to the peer, if there are several."""
+        return ()
+
     def client_names(self, topic: Topic) -> Topic:
         """Return a topic, which this side's operator may name as this side does, with the client's names."""
         return topic
@@ -298,6 +302,8 @@ class Link(BaseLink):
             capacity_in=self.fullness.receiving.capacity,
             loss_out=self.path.loss.share if linked else None,
             loss_in=self.path.into.lost,
+            via=self.via if linked else "",
+            ways=self.way_snapshots(),
             full_out=self.fullness.out,
             full_in=self.fullness.into,
             patterns=tuple(self.patterns.snapshots()),

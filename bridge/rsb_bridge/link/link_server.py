@@ -224,8 +224,8 @@ class Server:
             return msgspec.structs.replace(welcome, taken=link.name_taken())
         if link.shut_down_by is not None:
             return msgspec.structs.replace(welcome, shut_down=link.shut_down_by.refusal())
-        if link.goes_on(hello):
-            return msgspec.structs.replace(welcome, session=hello.session, handled=link.handled)
+        if link.session is not None and link.session.may_go_on(hello):
+            return msgspec.structs.replace(welcome, session=link.session.id, handled=link.handled)
         return welcome
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
@@ -235,12 +235,10 @@ class Server:
         self.refused_clients.forget(link.name)
         if link.keeps_name_from(event.peer):  # since the handshake began
             raise Refusal(RefusalCode.NAME_TAKEN, link.name_taken())
-        text = f"replaced: {link.name} at {link.address} by a newer connection from {stream.peer}"
         if event.answer is None or not event.answer.session:
+            text = f"replaced: {link.name} at {link.address} by a newer connection from {stream.peer}"
             link.end(text, retry_after=_REPLACED_PAUSE, code=EventCode.LINK_REPLACED)
-        elif link.goes_on(event.peer) and link.handled == event.answer.handled:
-            link.leave(text)
-        else:
+        elif link.session is None or not link.session.may_go_on(event.peer) or link.handled != event.answer.handled:
             raise Refusal(RefusalCode.BUSY, "its session has moved on meanwhile: try again")
         return link.accept(stream, connection, event)
 
@@ -361,9 +359,9 @@ class _InboundStream(PendingConnection, StreamHandler):
         link = self._server.links.get(peer.name)
         if link is not None and code is RefusalCode.NAME_TAKEN:
             link.duplicate_tried(self._stream.host, peer.host)
-        elif link is not None:
+        elif link is not None and code is RefusalCode.SHUT_DOWN:
             link.asked(self._stream)
-        self._log(_CODES[code], message, link=self.name)
+        self._log(_CODES.get(code, EventCode.LINK_REJECTED), message, link=self.name)
         self._stream.close(message)
 
     def _attach(self, event: Attach) -> None:

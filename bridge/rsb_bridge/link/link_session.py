@@ -1,4 +1,4 @@
-"""The control messages that one side of a link has sent and the other has not handled, across connections.
+"""The part of a link that outlives its connections: channels, and control messages that the peer has not handled.
 
 Two processes that have linked share a session (PROTOCOL.md, 1.7). When a connection breaks, the link is away: routes,
 their ids, endpoints and queues stay, and control messages wait. The next connection goes on where both sides were: each
@@ -10,13 +10,17 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.wire.messages import OF_CONNECTION
+from rsb_bridge.wire.messages import OF_CONNECTION, Propose
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Sequence
 
-    from rsb_bridge.wire.messages import ControlMessageBase
+    from rsb_bridge.link.control_channel import ControlChannel
+    from rsb_bridge.link.data_channels import DataChannels
+    from rsb_bridge.wire.events import Established
+    from rsb_bridge.wire.messages import ControlMessageBase, Hello
 
 MOST_KEPT = 16_384
 """Control messages that wait: a thousand routes are opened with some four thousand. A round figure."""
@@ -25,31 +29,82 @@ MOST_KEPT = 16_384
 class LinkSession:
     """One side's part of a session. Messages about a connection itself, such as pings, do not count.
 
+    Args:
+        session_id: names it; that of the link's first connection.
+        instance: of the peer's process.
+
     Attributes:
-        id: names it; that of the link's first connection.
+        channels: of the present connection, or of the last one while the link is away.
         handled: messages of the peer that this side has handled to their end.
-        full: whether more messages wait than may; then the session is over.
+        is_over: whether more messages waited than may: it ends with its connection.
     """
 
-    def __init__(self, session_id: bytes) -> None:
+    def __init__(self, session_id: bytes, instance: str, channels: DataChannels) -> None:
         self.id = session_id
+        self._instance = instance
+        self.channels = channels
         self.handled = 0
+        self.is_over = False
         self._acknowledged = 0
         self._waiting: deque[ControlMessageBase] = deque()
+        self._ends: asyncio.TimerHandle | None = None
+
+    # --- its connections
+
+    def may_go_on(self, hello: Hello) -> bool:
+        """Whether a client may go on with it: it is the same process, and nothing is missing."""
+        known = (hello.session, hello.instance) == (self.id, self._instance)
+        return known and self.could_have_handled(hello.handled)
+
+    def goes_on(self, event: Established) -> bool:
+        """Whether both sides go on with it on a new connection."""
+        return (event.answer or event.peer).session == self.id
+
+    def away(self, reason: str, ends: asyncio.TimerHandle) -> None:
+        """Wait for another connection until the timer ends the session."""
+        self._ends = ends
+        self.channels.away(reason)
+
+    def back(self, control: ControlChannel, event: Established) -> Sequence[ControlMessageBase]:
+        """Go on on another connection, and return what the peer lacks."""
+        self._stop_waiting()
+        again = tuple(self._waiting)
+        self.channels.back(control, event.keys, [each.route for each in again if isinstance(each, Propose)])
+        return again
+
+    def end(self) -> None:
+        self._stop_waiting()
+        self.channels.close()
 
     @property
-    def full(self) -> bool:
-        return len(self._waiting) > MOST_KEPT
+    def ends_at(self) -> float | None:
+        """When it ends unless a connection comes, in s on the loop's clock, or None while it has one."""
+        return None if self._ends is None else self._ends.when()
+
+    def _stop_waiting(self) -> None:
+        if self._ends is not None:
+            self._ends.cancel()
+            self._ends = None
+
+    # --- control messages
 
     def sends(self, message: ControlMessageBase) -> None:
         """Keep a message, which is being sent or waits for a connection, until the peer has handled it."""
-        if not isinstance(message, OF_CONNECTION):
-            self._waiting.append(message)
+        if self.is_over or isinstance(message, OF_CONNECTION):
+            return
+        self._waiting.append(message)
+        if len(self._waiting) > MOST_KEPT:
+            self.is_over = True
+            self._waiting.clear()
 
     def handles(self, message_type: type) -> None:
         """Count a message of the peer, which has been handled."""
         if not issubclass(message_type, OF_CONNECTION):
             self.handled += 1
+
+    def could_have_handled(self, count: int) -> bool:
+        """Whether a peer may have handled the first `count` messages, and no message that it lacks is gone."""
+        return not self.is_over and 0 <= count - self._acknowledged <= len(self._waiting)
 
     def acknowledge(self, count: int) -> None:
         """Forget the first `count` messages of the session.
@@ -57,18 +112,10 @@ class LinkSession:
         Raises:
             ProtocolError: fewer were sent, or more were acknowledged before.
         """
-        if self.lacks(count) is None:
+        if self.is_over:
+            return
+        if not self.could_have_handled(count):
             raise ProtocolError(Broken.HANDLED_WRONG(count=count))
         for _ in range(count - self._acknowledged):
             self._waiting.popleft()
         self._acknowledged = count
-
-    def lacks(self, count: int) -> int | None:
-        """Return how many messages a peer lacks that has handled the first `count`, or None if that cannot be."""
-        missing = self._acknowledged + len(self._waiting) - count
-        return missing if 0 <= missing <= len(self._waiting) else None
-
-    def again(self, count: int) -> Sequence[ControlMessageBase]:
-        """Return what a peer lacks that has handled the first `count` messages; raises as `acknowledge`."""
-        self.acknowledge(count)
-        return tuple(self._waiting)

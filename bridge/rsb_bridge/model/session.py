@@ -243,6 +243,9 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     server_ip: str
     """IPv4 or IPv6 address, host name, or Bluetooth MAC, which makes the link RFCOMM. A server binds it. Or a word for
     a transport of a feature."""
+    other_ips: tuple[str, ...] = ()
+    """On a client, the server's further addresses over the same transport, for when the ones before do not carry. In a
+    file they follow the first one, in a list under `server_ip`."""
     server_port: int = 0  # TCP and UDP port, or RFCOMM channel, or 0 over what has none
     bluetooth_address: str | None = None
     """MAC of the server's adapter, for single topics over Bluetooth on an IP link. Each names a channel as its port;
@@ -255,8 +258,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     stale_after: float = 15.0  # s without a message until a topic is stale (thesis: 15), or 0 for never
     late_after: float = 1.0  # s that messages may take until their topic is late, or 0 for no limit
     stale_warnings: int = 5  # how many times to warn of it (thesis: 5)
-    outlive: float = 60.0
-    """s that topics and calls wait for a link whose connection is lost, or 0 if they do not."""
+    outlive: float | None = None
+    """s that topics and calls wait for a link whose connection is lost, 0 if they do not, or None for the profile's."""
     check_messages: bool = True  # whether what peers send is checked against its type before ROS gets it
     shutdown_topic: str | None = "/shutdown"
     """The text "shutdown" (``std_msgs/String``) on it closes the sockets on both sides; or None."""
@@ -285,6 +288,11 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     def own_topics(self) -> tuple[str | None, ...]:
         """The topics of the bridge itself, or None for one that the session does without; patterns leave them out."""
         return self.shutdown_topic, *(key.of(self) for key in session_keys().values() if key.own_topic)
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        """All addresses of the server, the preferred one first."""
+        return self.server_ip, *self.other_ips
 
     @property
     def is_bluetooth(self) -> bool:

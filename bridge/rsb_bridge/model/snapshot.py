@@ -290,6 +290,16 @@ class PatternSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
+class WaySnapshot:
+    """One of a client's ways to its server."""
+
+    host: str  # as the session lists it
+    device: str  # of this machine, that leads there, or empty if it is unknown
+    is_used: bool
+    is_ready: bool  # whether it answered when it was last tried; one in use is not tried
+
+
+@dataclass(frozen=True, slots=True)
 class LinkSnapshot:
     """One peer."""
 
@@ -325,6 +335,8 @@ class LinkSnapshot:
     loss_in: float | None = None  # the same to here, as the peer reports it
     session_ends: float | None = None
     """S since the epoch, when what waits for it is dropped unless it is back; None while it is up, or nothing waits."""
+    via: str = ""  # this machine's network device that carries it, or empty if it is unknown
+    ways: tuple[WaySnapshot, ...] = ()  # of a client with several, the preferred one first
     warning_since: float | None = None
     """s since the epoch, when `warning` or its cause began, or None without a warning."""
     acknowledged: Acknowledgement | None = None

@@ -76,7 +76,7 @@ class TransportTraits:
             session: a `rsb_bridge.model.session.Session` over this transport.
         """
         way = "at" if session.role == "server" else "to"
-        return f"{way} {session.server_ip} {cls.port_kind.rpartition(' ')[2]} {session.server_port}"
+        return f"{way} {', else '.join(session.hosts)} {cls.port_kind.rpartition(' ')[2]} {session.server_port}"
 
     @classmethod
     def missing(cls) -> str:

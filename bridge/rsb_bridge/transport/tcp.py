@@ -17,7 +17,6 @@ from rsb_bridge.model.transport_traits import TcpTraits
 from rsb_bridge.transport.listening import LookUpProblem, StreamListener, bind, listen_error_message, look_up
 from rsb_bridge.transport.network_news import NetworkNews, news_of_kernel
 from rsb_bridge.transport.streams import (
-    Address,
     PacketCounts,
     Stream,
     StreamHandler,
@@ -61,6 +60,7 @@ TCP_RTO_MAX_MS = 44
 # `tcpi_data_segs_out`, `tcpi_bytes_sent`, `tcpi_bytes_retrans` and `tcpi_dsack_dups`. Linux has the last ones since
 # 4.19; without them there are no counts.
 _TCP_INFO = struct.Struct("=2xB 97x I 16x Q 28x I 40x Q Q I")
+_ANY_PORT = 9
 _NAME_SIZE = 16  # bytes of the name of a congestion control: TCP_CA_NAME_MAX
 _RESETS = struct.pack("ii", 1, 0)  # SO_LINGER of a socket whose `close` resets the connection
 
@@ -202,14 +202,14 @@ class Tcp(TcpTraits, StreamTransport):
     def _stream(self, handler: StreamHandler) -> TcpStream:
         return TcpStream(handler, self._ending)
 
-    def source_address(self, peer: Address) -> str:
-        family = socket.AF_INET6 if len(peer) == 4 else socket.AF_INET
-        with socket.socket(family, socket.SOCK_DGRAM) as probe:  # connecting sends nothing
-            try:
-                probe.connect(peer)
-            except OSError:
-                return ""
-            return str(probe.getsockname()[0])
+    def source_address(self, host: str) -> str:
+        with contextlib.suppress(OSError):  # it is a name, or nothing leads there
+            flags = socket.AI_NUMERICHOST
+            family, _, _, _, address = socket.getaddrinfo(host, _ANY_PORT, type=socket.SOCK_DGRAM, flags=flags)[0]
+            with socket.socket(family, socket.SOCK_DGRAM) as probe:  # connecting sends nothing
+                probe.connect(address)
+                return str(probe.getsockname()[0])
+        return ""
 
     def network_news(self, changed: Callable[[], None]) -> NetworkNews | None:
         return news_of_kernel(changed)

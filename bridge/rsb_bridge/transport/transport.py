@@ -191,8 +191,8 @@ class StreamTransport(_Transport):
         """The reason why no peer can be reached, and the remedy, or an empty string."""
         return ""
 
-    def source_address(self, peer: Address) -> str:
-        """Return the source address of a new stream to `peer`, or an empty string if it is unknown or can't change."""
+    def source_address(self, host: str) -> str:
+        """Return the source address of a new stream to a host, or an empty string if it is unknown or can't change."""
         return ""
 
     def network_news(self, changed: Callable[[], None]) -> NetworkNews | None:

@@ -15,6 +15,7 @@ from rsb_bridge.model.figure_table import Of, Unit, figures
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_json, join_first, plural
 from rsb_bridge.model.verdict import LinkCause
+from rsb_console.notation import formats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -133,6 +134,8 @@ def where_and_why(link: LinkSnapshot) -> str:
     if link.peer and fault.startswith(f"{link.peer} "):
         return f": {fault}"
     where = f" {link.peer}" if link.peer else ""
+    if link.ways and (way := formats.via(link)):
+        where += f" {way}"
     return f"{where}: {without_peer(fault, link)}" if fault else where
 
 
@@ -270,6 +273,11 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
                 if full is not None
             },
             **_values(_MORE_OF_LINK, link),
+            "via": link.via,
+            "ways": [
+                {"host": way.host, "device": way.device, "used": way.is_used, "ready": way.is_ready}
+                for way in link.ways
+            ],
             "patterns": [pattern_of(pattern) for pattern in link.patterns],
             **msgspec.to_builtins(link.features),
         }

@@ -124,6 +124,8 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
 
 def _link_parts(link: LinkSnapshot) -> Iterator[str]:
     yield f"{link.name} {link_word(link)}{f' {link.peer}' if link.peer else ''}"
+    if way := formats.via(link):
+        yield way
     if link.rtt is not None:
         yield f"rtt {formats.span(link.rtt)}"
     if loss := formats.loss([link]):

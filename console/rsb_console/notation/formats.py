@@ -99,6 +99,18 @@ def loss(links: Iterable[LinkSnapshot]) -> str:
     return f"{100 * worst:.0f} %" if worst >= 0.01 else ""
 
 
+def via(link: LinkSnapshot) -> str:
+    """Format the device that carries a link, and the other ways: ``via wlan0 (lte0 ready)``, or an empty string."""
+    if not link.ways:
+        return f"via {link.via}" if link.via else ""
+    used = next((link.via or way.host for way in link.ways if way.is_used), "")
+    if not used:
+        return ""
+    words = {True: "ready", False: "not ready"}
+    others = [f"{way.device or way.host} {words[way.is_ready]}" for way in link.ways if not way.is_used]
+    return f"via {used} ({', '.join(others)})"
+
+
 def latency(seconds: float, uncertainty: float | None) -> str:
     """Format a latency as `span` does; one that the error of the clock offset made negative as ``<0.4 ms``.
 

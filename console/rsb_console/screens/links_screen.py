@@ -123,6 +123,8 @@ def _detail(link: LinkSnapshot, now: float, width: int, *, server: bool) -> Iter
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
     version = f"  rsb-console {link.peer_version}" if link.peer_version else ""
     yield (_label("peer"), (link.peer, ""), (f"  {domain}{version}", "dim"))
+    if way := formats.via(link):
+        yield (_label("way"), (way, ""))
     if link.encrypted:
         yield (_label("key"), (link.fingerprint, "strong"), (f"  {link.cipher}", "dim"))
         if link.next_fingerprint:

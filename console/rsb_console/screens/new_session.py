@@ -51,7 +51,11 @@ FIELDS = (
     Spec("role", "Role", "A client connects and lists the topics; a server waits for clients.",
          options=(("client", "client (robot)"), ("server", "server (control PC)"))),
     Spec("name", "Name", "The same on both sides, like robot1."),
-    Spec("server_ip", "Server", "IPv4, IPv6, host name or Bluetooth MAC. On the server: the address to bind."),
+    Spec(
+        "server_ip",
+        "Server",
+        "IPv4, IPv6, host name or Bluetooth MAC; several: the preferred one first. On the server: the address to bind.",
+    ),
     Spec("server_port", "Port", f"TCP and UDP port, or RFCOMM channel ({CHANNEL}): the same on both sides.",
          str(DEFAULT_PORT)),
     Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
@@ -90,6 +94,9 @@ class MissingField(Wording):
 
     NAME = "missing: give one"
     PORT = "missing: give the port"
+
+
+_LISTS = ("clients[", "server_ip[")  # whose entries have one field
 
 
 class NewSession(NamedTuple):
@@ -140,7 +147,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         new = self.result(values)
         problems: dict[str, str] = {}
         for problem in validate(new.session):
-            location = "clients" if problem.location.startswith("clients[") else problem.location
+            location = problem.location.partition("[")[0] if problem.location.startswith(_LISTS) else problem.location
             if location in session_keys():  # the address asks for it, and it is written in the file
                 location = "server_ip"
             problems.setdefault(location, problem.message)
@@ -168,11 +175,13 @@ class NewSessionScreen(FormScreen[NewSession]):
         name = values["name"]
         encrypted = values["use_encryption"] == "yes"
         names = words(values.get("clients", "")) if values["role"] == "server" else ()
+        first, *others = words(values["server_ip"]) or ("",)
         data = {key: number(values[key]) for key in NUMBERS if values[key]}
         session = Session(
             name=name,
             role="server" if values["role"] == "server" else "client",
-            server_ip=values["server_ip"],
+            server_ip=first,
+            other_ips=tuple(others),
             use_name=values["use_name"] == "yes",
             use_encryption=encrypted,
             key_file=values.get("key_file") or f"{name}.key" if encrypted and not names else None,

@@ -99,6 +99,7 @@ class StatusBar(LiveLines):
         rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
         if rtts:
             groups.append(((f"rtt {formats.span(max(rtts))}", ""),))
+        groups += [((way, ""),) for link in snapshot.links if link.ways and (way := formats.via(link))]
         if loss := formats.loss(snapshot.links):
             groups.append(((f"loss {loss}", State.SLOW.value),))
         for name, history in (("RX", self._received), ("TX", self._sent)):
