@@ -394,7 +394,7 @@ class OutageBed:
         asked, deadline = time.time(), time.monotonic() + _ACCOUNT_WITHIN
         while True:
             rows = {name: program.route(name) for name, program in senders.items()}
-            if time.time() > asked + 2 and not any(row.get("in_flight") for row in rows.values()):
+            if time.time() > asked + 2 and not any(row.get("waiting") or row.get("in_flight") for row in rows.values()):
                 return rows  # a status is at most 1.5 s old
             if time.monotonic() > deadline:
                 return rows

@@ -110,8 +110,8 @@ class Slow:
 
 def check_balance(shown: RouteSnapshot) -> None:
     ledger = shown.ledger
-    parts = ledger.delivered + ledger.throttled + ledger.expired + ledger.in_flight + ledger.dropped_total
-    assert (ledger.offered, ledger.in_flight >= 0) == (parts, True), ledger
+    parts = ledger.delivered + ledger.throttled + ledger.expired + ledger.open + ledger.dropped_total
+    assert (ledger.offered, ledger.open >= 0) == (parts, True), ledger
 
 
 def test_the_higher_one_gets_more() -> None:

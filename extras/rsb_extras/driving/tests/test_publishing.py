@@ -125,7 +125,7 @@ def test_routes_take_it_like_a_nodes_message(bridge: Bridge, robot: Domain, pc: 
         published = publish(client, "data: by hand", name, type_name="" if "used" in name else STRING)
         assert published.links == ("robot1",)
         eventually(lambda name=name: "by hand" in heard[name].texts(100))
-        ledger = eventually(lambda name=name: each if not (each := route(client, name).ledger).in_flight else None)
+        ledger = eventually(lambda name=name: each if not (each := route(client, name).ledger).open else None)
         assert balance(ledger) == ledger.offered
     assert server.session.clients is None
 

@@ -249,7 +249,7 @@ def test_stream_that_misses_sample_goes_on(
     assert linked(server)
     out.publish(text("after"))
     eventually(lambda: text("after") in there.payloads)
-    ledger = eventually(lambda: found if not (found := route(client, "/odom").ledger).in_flight else None)
+    ledger = eventually(lambda: found if not (found := route(client, "/odom").ledger).open else None)
     assert balance(ledger) == ledger.offered == 5
     assert ledger.delivered == len(there.payloads)
 
