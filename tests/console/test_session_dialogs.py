@@ -136,14 +136,14 @@ async def test_session_that_does_not_load_names_line(
 async def test_new_session_is_valid_with_own_key(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     await pilot.press("n")
     await shown(pilot, "Session file")
-    await fill(pilot, name="robot1", server_ip="10.0.0.20", domain_id="3")
+    await fill(pilot, name="robot1", server_ip="10.0.0.20, vpn.local", domain_id="3")
     await choose(pilot, "use_name", "yes")
     await shown(pilot, "will be created")
     await pilot.press("enter")
     await until(pilot, lambda: app.engine is not None, "an engine")
     expected = Session(
-        name="robot1", role="client", server_ip="10.0.0.20", server_port=7060, domain_id=3, use_name=True,
-        key_file="robot1.key",
+        name="robot1", role="client", server_ip="10.0.0.20", other_ips=("vpn.local",), server_port=7060, domain_id=3,
+        use_name=True, key_file="robot1.key",
     )  # fmt: skip
     assert load(folder / "robot1.yaml") == expected == engine_of(app).session
     assert (folder / "robot1.key").stat().st_mode & 0o777 == 0o600
@@ -170,6 +170,7 @@ MISTAKES = [
     ("name", "", "missing: give one"),
     ("server_ip", "10.0.0", "is not an IPv4"),
     ("server_ip", "0.0.0.0", "a client cannot connect to 0.0.0.0"),
+    ("server_ip", "10.0.0.1, fe80::1", "fe80::1 is link-local"),
     ("server_port", "", MissingField.PORT()),
     ("server_port", "x", "'x' is not"),
     ("server_port", "0", "missing, or 0: give a port"),

@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
-from tests.simulation.conditions import ACTIONS, CALLS, LIVELY, STORM
-from tests.simulation.episodes import connections_forgotten
+from tests.simulation.conditions import ACTIONS, CALLS, LIVELY, STILL, STORM
+from tests.simulation.episodes import connections_forgotten, delayed, tunnelled
 from tests.simulation.world import Violation, World
 from tests.support.long import long
 
+from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.link_session import LinkSession
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
     from tests.simulation.conditions import Conditions
 
 _SEEDS = (1, 2)
@@ -47,3 +50,23 @@ def test_link_moves_from_connections_that_carry_nothing(seed: int) -> None:
             pytest.fail(str(violation), pytrace=False)
     assert went_on.call_count > 40
     assert not away.called
+
+
+@pytest.mark.parametrize(
+    "course",
+    [lambda world: tunnelled(world, 300.0, 2_000.0, 60.0), lambda world: delayed(world, 300.0, 1.5)],
+    ids=["tunnel of 2 kB/s", "round trip of 3 s"],
+)
+def test_link_stays_on_a_thin_or_slow_path(course: Callable[[World], Coroutine[None, None, None]]) -> None:
+    """Its connection is doubted when the path gets so, at most, and not each second."""
+    world = World(1, replace(STILL, outlive=60.0, topics=(2,)))
+    with (
+        patch.object(ClientLink, "_connect", autospec=True, side_effect=ClientLink._connect) as attempts,
+        patch.object(LinkSession, "back", autospec=True, side_effect=LinkSession.back) as went_on,
+    ):
+        try:
+            world.play(420.0, course(world))
+        except Violation as violation:
+            pytest.fail(str(violation), pytrace=False)
+    assert attempts.call_count <= 4
+    assert went_on.call_count <= 4
