@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import time
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -116,18 +117,23 @@ class EngineAnnouncement:
                 if told != (told := str(error)):
                     self._tell(Level.WARNING, f"not announced to the fleet {fleet}: {told}; trying again")
                 await asyncio.sleep(self._backoff.next())
-        self._endpoint.on_stream = self._accept
+        self._endpoint.on_stream = partial(self._accept, self._endpoint)
+        self._endpoint.when_retired = self._begin_again
         if told:
             self._tell(Level.INFO, f"announced to the fleet {fleet}")
+
+    def _begin_again(self) -> None:
+        """Announce it in the new session of the network; consoles that are attached go on in the old one."""
+        self._endpoint = None
+        self._begin()
 
     def _tell(self, level: Level, text: str) -> None:
         if self._says_so:
             self._events.add(level, EventCode.ENGINE_FLEET, text)
 
-    def _accept(self, sender: str, stream: str, header: Header) -> Pipe:
-        assert self._endpoint is not None
+    def _accept(self, endpoint: ZenohEndpoint, sender: str, stream: str, header: Header) -> Pipe:
         console = self._acceptor.protocol()
-        pipe = Pipe(self._endpoint, sender, stream, header.rank, console, stranger=True)
+        pipe = Pipe(endpoint, sender, stream, header.rank, console, stranger=True)
         console.when_attached = pipe.trust
         return pipe
 

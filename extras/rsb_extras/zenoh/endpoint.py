@@ -118,14 +118,16 @@ class StreamEnd(Protocol):
 
 
 class ZenohEndpoint:
-    """An endpoint on the loop that made it; all but `cut_off` must be called on that loop.
+    """An endpoint on the loop that made it; all but `cut_off` and `retire` must be called on that loop.
 
     Attributes:
+        heard_at: time (s, on the loop's clock) of the last sample on a stream whose other end is proven.
         seen: present endpoints of the watched services, by address, including itself.
         on_stream: called with the sender's address, the id and the first header of a new stream; returns this side's
             end. Or None to refuse new streams.
         on_datagram: called with the sender's address and a payload, or None to drop datagrams.
         on_seen: called when an endpoint comes (True) or goes.
+        when_retired: called once its session has a successor, for which another endpoint has to be made.
     """
 
     def __init__(
@@ -146,7 +148,9 @@ class ZenohEndpoint:
         self.on_stream: Callable[[str, str, Header], StreamEnd] | None = None
         self.on_datagram: Callable[[str, bytes], None] | None = None
         self.on_seen: Callable[[Seen, bool], None] = _nobody
-        self._session = session
+        self.when_retired: Callable[[], None] = _nothing
+        self.session = session
+        self._retired = False
         self._put, self._closed_error = package.SampleKind.PUT, package.ZError
         self._root = f"{ROOT}/{fleet}"
         self._service, self._label, self._watched = service, label, watched
@@ -154,6 +158,7 @@ class ZenohEndpoint:
         self._on_close = on_close
         self._directly = package.handlers.Callback
         self._loop = asyncio.get_running_loop()
+        self.heard_at = self._loop.time()
         self._do_now: Callable[[Callable[[], None]], bool] | None = getattr(self._loop, "do_now", None)
         self._streams: dict[tuple[str, str], StreamEnd] = {}
         self._peers: dict[str, int] = {}  # addresses, and how many trusted streams each has
@@ -172,7 +177,7 @@ class ZenohEndpoint:
                 self._announced(seen, comes=True)
         self._unconfirmed = set(self.seen)
         self._loop.call_later(_CONFIRMED, self._forget_unconfirmed)
-        session, root = self._session, self._root
+        session, root = self.session, self._root
         live = session.liveliness()
         watched = [f"{root}/here/{service}/*/*" for service in self._watched]
         self._declared = [
@@ -185,12 +190,15 @@ class ZenohEndpoint:
 
     def close(self) -> None:
         """Leave the network. Streams have to be closed before."""
-        for declared in self._declared:
-            with contextlib.suppress(Exception):  # the network is closed already
-                declared.undeclare()  # type: ignore[no-untyped-call]
+        for each in self._declared:
+            self._undeclare(each)
         self._declared = []
         self.outbox.close()
         self._on_close(self)
+
+    def _undeclare(self, declared: zenoh.Subscriber[None] | zenoh.LivelinessToken) -> None:
+        with contextlib.suppress(Exception):  # the network is closed already
+            declared.undeclare()  # type: ignore[no-untyped-call]
 
     async def ask(self, service: str) -> list[Seen]:
         """Return the present endpoints of a service, as routers know them."""
@@ -198,7 +206,7 @@ class ZenohEndpoint:
 
         def collect() -> list[Seen]:
             try:
-                replies = self._session.liveliness().get(key, timeout=ASKED_WITHIN)
+                replies = self.session.liveliness().get(key, timeout=ASKED_WITHIN)
             except self._closed_error as error:
                 raise OSError(f"Zenoh: {error}") from None
             found = (_seen(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None)
@@ -239,6 +247,28 @@ class ZenohEndpoint:
             self._peers[peer] -= 1
             if not self._peers[peer]:
                 del self._peers[peer]
+        self._leave_if_unused()
+
+    @property
+    def carries_link(self) -> bool:
+        """Whether a link's own stream is up here."""
+        return any(each.of_link and each.trusted for each in self._streams.values())
+
+    def retire(self) -> None:
+        """Leave the network with the last stream: its session has a successor. May be called from any thread."""
+        self._soon(self._retire)
+
+    def _retire(self) -> None:
+        self._retired = True
+        self.on_stream = None
+        if self._declared:
+            self._undeclare(self._declared.pop())  # its announcement: nobody else is to call
+        self.when_retired()
+        self._leave_if_unused()
+
+    def _leave_if_unused(self) -> None:
+        if self._retired and self._declared and not self._streams:
+            self.close()
 
     def cut_off(self, reason: str) -> None:
         """End all streams, because nothing gets through any more. May be called from any thread."""
@@ -273,6 +303,7 @@ class ZenohEndpoint:
         # A stream notices losses by the samples' numbers.
         take = partial(self._receive, sender, stream, header, content)
         if end is not None and end.trusted:
+            self.heard_at = self._loop.time()
             # Here, if the loop waits. A link's own messages may end the session, which waits for this thread.
             if end.of_link or self._arrivals or self._do_now is None or not self._do_now(take):
                 self._within_budget(length, take)
@@ -395,7 +426,7 @@ class ZenohEndpoint:
 
     def _gone(self, address: str) -> None:
         """Have the streams of an endpoint ask whether it is there: anybody may declare its token, and undeclare it."""
-        reason = EndpointProblem.PEER_LEFT() if self._session.info.transports() else ROUTER_LOST
+        reason = EndpointProblem.PEER_LEFT() if self.session.info.transports() else ROUTER_LOST
         for (peer, _), end in tuple(self._streams.items()):
             if peer == address:
                 end.doubt(reason)
@@ -410,3 +441,7 @@ def _seen(key: str) -> Seen | None:
 
 def _nobody(_: Seen, __: bool) -> None:
     """Nobody watches."""
+
+
+def _nothing() -> None:
+    """Nobody needs another endpoint."""

@@ -5,6 +5,7 @@ The `zenoh` package is an extra. It is imported when a network is opened, and by
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import contextlib
 import json
@@ -13,6 +14,7 @@ import re
 import socket
 import ssl
 import threading
+from functools import partial
 from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,11 +23,12 @@ from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import in_thread
 from rsb_bridge.transport import tcp
+from rsb_bridge.transport.streams import StreamHandler, StreamProblem
 from rsb_extras.zenoh import HOW_TO_INSTALL
 from rsb_extras.zenoh.endpoint import ROUTER_LOST, ZenohEndpoint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     import zenoh
 
@@ -41,6 +44,7 @@ _WITHIN = 2.0
 _IP = (socket.AF_INET, socket.AF_INET6)
 _OVER_TCP = ("tcp", "tls", "ws")
 _ZONE = re.compile(r"(?<=%)[^\]]+(?=\]:\d)")
+_NOT_CONNECTED = (OSError, OverflowError, UnicodeError)
 _MOST = 4
 """Endpoints that are looked at, one after another: a round figure."""
 _EXPIRED, _NOT_YET_VALID, _WRONG_NAMES = 10, 9, (62, 64)
@@ -87,12 +91,17 @@ def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -
     Args:
         config: the configuration that failed.
     """
-    endpoints = settings.connect or tuple(_endpoints(json.loads(config.get_json("connect/endpoints"))))
+    endpoints = settings.connect or _endpoints(config)
     if not endpoints or UNABLE not in error:
         return Unreachable.ERROR(error=first_sentence(error))
-    found = [f"{endpoint}: {_why(endpoint, config)}" for endpoint in endpoints[:_MOST]]
-    if len(endpoints) > _MOST:
-        found.append(f"and {len(endpoints) - _MOST} more")
+    return _nobody_answers({endpoint: _why(endpoint, config) for endpoint in endpoints[:_MOST]}, len(endpoints))
+
+
+def _nobody_answers(reasons: Mapping[str, str], count: int) -> str:
+    """Return the reason of all endpoints, of which there are so many."""
+    found = [f"{endpoint}: {reason}" for endpoint, reason in reasons.items()][:_MOST]
+    if count > _MOST:
+        found.append(f"and {count - _MOST} more")
     return f"no Zenoh router answers: {'; '.join(found)}"
 
 
@@ -101,17 +110,61 @@ def first_sentence(text: str) -> str:
     return " ".join(text.partition(" at /")[0].split()).rstrip(".")
 
 
-def _endpoints(found: Any) -> list[str]:
+def _endpoints(config: zenoh.Config) -> tuple[str, ...]:
     """Return a configuration's endpoints, which may be listed by mode, and each with its own settings."""
+    found = json.loads(config.get_json("connect/endpoints"))
     if isinstance(found, dict):
         found = [endpoint for each in found.values() for endpoint in (each if isinstance(each, list) else [each])]
-    return [each for each in found if isinstance(each, str)] if isinstance(found, list) else []
+    return tuple(each for each in found if isinstance(each, str)) if isinstance(found, list) else ()
+
+
+def _is_client(config: zenoh.Config) -> bool:
+    """Whether a session reaches others, and is not reached, so that there may be a second one beside it."""
+    return bool(json.loads(config.get_json("mode")) == "client")
+
+
+async def _reach(endpoints: Sequence[str]) -> None:
+    """Wait until one of the endpoints takes a TCP connection; whether one over another protocol would is not known.
+
+    Zenoh itself goes on for 10 s with an attempt that began on a dead path.
+
+    Raises:
+        OSError: none does; the message says why.
+    """
+    if not all(protocol in _OVER_TCP and port.isdecimal() for protocol, _, port in map(_parts, endpoints)):
+        return
+    reasons: dict[str, str] = {}
+
+    async def knock(endpoint: str) -> bool:
+        _, host, port = _parts(endpoint)
+        try:
+            stream = await tcp.Tcp().connect(host, int(port), StreamHandler())
+        except _NOT_CONNECTED as error:
+            reasons[endpoint] = _why_not_connected(error, tcp.CONNECT_TIMEOUT)
+            return False
+        stream.abort(StreamProblem.CLOSED_HERE())
+        return True
+
+    knocking = [asyncio.create_task(knock(each)) for each in endpoints]
+    try:
+        for each in asyncio.as_completed(knocking):
+            if await each:
+                return
+    finally:
+        for task in knocking:
+            task.cancel()
+    raise OSError(_nobody_answers({each: reasons[each] for each in endpoints}, len(endpoints)))
+
+
+def _parts(endpoint: str) -> tuple[str, str, str]:
+    """Return an endpoint's protocol, host and port."""
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.partition("?")[0].partition("#")[0].rpartition(":")
+    return protocol, host.strip("[]"), port
 
 
 def _why(endpoint: str, config: zenoh.Config) -> str:
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.partition("?")[0].partition("#")[0].rpartition(":")
-    host = host.strip("[]")
+    protocol, host, port = _parts(endpoint)
     if protocol in {"quic", "udp"}:
         return "no answer: is the router running there, and does no firewall drop UDP?"
     if protocol not in _OVER_TCP or not port.isdecimal():
@@ -120,17 +173,21 @@ def _why(endpoint: str, config: zenoh.Config) -> str:
         with socket.create_connection((host, int(port)), _WITHIN) as connection:
             if protocol == "tls":
                 return _tls(connection, host, json.loads(config.get_json(TLS)) or {})
-    except TimeoutError:
-        return Unreachable.NO_ANSWER_WITHIN(seconds=_WITHIN)
-    except socket.gaierror as error:
-        return f"the name is not known ({error.strerror})"
-    except UnicodeError:
-        return "not a valid host name: correct it"
-    except ConnectionRefusedError:
-        return Unreachable.NOBODY_LISTENS()
-    except (OSError, OverflowError) as error:
-        return getattr(error, "strerror", None) or str(error)
+    except _NOT_CONNECTED as error:
+        return _why_not_connected(error, _WITHIN)
     return Unreachable.NO_ZENOH()
+
+
+def _why_not_connected(error: Exception, seconds: float) -> str:
+    if isinstance(error, TimeoutError):
+        return Unreachable.NO_ANSWER_WITHIN(seconds=seconds)
+    if isinstance(error, socket.gaierror):
+        return f"the name is not known ({error.strerror})"
+    if isinstance(error, UnicodeError):
+        return "not a valid host name: correct it"
+    if isinstance(error, ConnectionRefusedError):
+        return Unreachable.NOBODY_LISTENS()
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _tls(connection: socket.socket, host: str, settings: dict[str, Any]) -> str:
@@ -224,7 +281,8 @@ _RETRY = {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor"
 class Network:
     """A Zenoh session of this process, opened when it is first needed, and shared by all its users.
 
-    It reconnects by itself after a router was lost. Its endpoints may be on several event loops.
+    It reconnects by itself after a router was lost. It may be opened anew before that; then the earlier session ends
+    with the last endpoint there. Its endpoints may be on several event loops.
 
     Args:
         base: the folder that `ZenohSettings.config` is relative to.
@@ -244,23 +302,32 @@ class Network:
         self._jitter = jitter
         self._lock = threading.Lock()  # never held for long: the loops take it, too
         self._opening = threading.Lock()
-        self._session: zenoh.Session | None = None
+        self._session: zenoh.Session | None = None  # of new endpoints
+        self._sessions: set[zenoh.Session] = set()  # with those that have endpoints yet
         self._deleted: Any = None
         self._config_used: zenoh.Config | None = None
         self._endpoints: list[ZenohEndpoint] = []
         self._closed = False
         self._cut_off = False
 
-    async def open(self) -> None:
+    async def open(self, doubted: Callable[[], bool] | None = None) -> None:
         """Be in the network, if no earlier call has seen to it.
+
+        Args:
+            doubted: whether the present session may be cut off, which Zenoh finds out after 5 s. It is opened anew.
 
         Raises:
             OSError: it is not reached; the message says why, and what to do.
         """
-        if self.connected:
+        before, config = self._session, self._config_used
+        anew = before is not None and config is not None and doubted is not None and doubted() and _is_client(config)
+        if anew and config is not None and doubted is not None:
+            await _reach(_endpoints(config))
+            anew = doubted()
+        if self.connected and not anew:
             return
         try:
-            await in_thread("zenoh-open", self._open, _OPEN_WITHIN)
+            await in_thread("zenoh-open", lambda: self._open(before if anew else None), _OPEN_WITHIN)
         except TimeoutError:
             raise OSError(f"{self.place}: no answer within {_OPEN_WITHIN:g} s") from None
 
@@ -291,19 +358,26 @@ class Network:
         Raises:
             OSError: the network is not reached.
         """
-        await self.open()
-        with self._lock:
-            session = self._session
-            if session is None:
-                raise OSError(NetworkProblem.CLOSED(place=self.place))
-            endpoint = ZenohEndpoint(session, self.settings.fleet, service, label, watched, self.strangers, self._left)
-            self._endpoints.append(endpoint)
-        try:
-            await endpoint.announce()
-        except BaseException:
-            endpoint.close()
-            raise
-        return endpoint
+        while True:
+            await self.open()
+            with self._lock:
+                session, fleet = self._session, self.settings.fleet
+                if session is None:
+                    raise OSError(NetworkProblem.CLOSED(place=self.place))
+                endpoint = ZenohEndpoint(session, fleet, service, label, watched, self.strangers, self._left)
+                self._endpoints.append(endpoint)
+            try:
+                await endpoint.announce()
+            except BaseException:
+                endpoint.close()
+                raise
+            if self.is_in(endpoint):
+                return endpoint
+            endpoint.close()  # the network has been opened anew meanwhile
+
+    def is_in(self, endpoint: ZenohEndpoint) -> bool:
+        """Whether an endpoint is in the present session."""
+        return endpoint.session is self._session
 
     def close(self) -> None:
         """Leave the network once the last endpoint is closed; it may be now. From any thread."""
@@ -319,19 +393,22 @@ class Network:
 
     def _leave(self) -> None:
         with self._lock:
-            if not self._closed or self._endpoints:
-                return
-            session, self._session = self._session, None
-        if session is not None:  # without the lock, which the loops take: closing may take a second
-            _close(session)
+            if self._closed and not self._endpoints:
+                self._session = None
+            used = {self._session, *(each.session for each in self._endpoints)}
+            left = self._sessions - used
+            self._sessions -= left
+        for session in left:  # without the lock, which the loops take: closing may take seconds
+            _close(session, wait=self._closed)
 
     # --- in a thread
 
-    def _open(self) -> None:
+    def _open(self, instead: zenoh.Session | None) -> None:
+        """Open a session, if there is none, or the one that it is to replace."""
         if not self._opening.acquire(timeout=_OPEN_WITHIN):
             raise TimeoutError  # an earlier call is still at it
         try:
-            if self._session is None and not self._closed:
+            if self._session is instead and not self._closed:
                 self._begin()
             if not self.connected:
                 raise OSError(self._why_lost())
@@ -356,14 +433,18 @@ class Network:
             changes = session.info.declare_transport_events_listener()
             links = session.info.declare_link_events_listener(history=True)
         except zenoh.ZError as error:  # it has been closed already
-            _close(session)
+            _close(session, wait=True)
             raise OSError(Unreachable.ERROR(error=first_sentence(str(error)))) from None
-        _open_sessions[session] = [_started(self._watch, changes), _started(self._prepare, links)]
+        watchers = [_started(partial(self._watch, session), changes), _started(self._prepare, links)]
+        _open_sessions[session] = watchers
         with self._lock:
+            self._sessions.add(session)
             if not self._closed:
-                self._session, self._config_used = session, config
-                return
-        _close(session)  # nobody waited for it
+                self._session, self._config_used, self._cut_off = session, config, False
+            endpoints = [each for each in self._endpoints if each.session is not session]
+        for each in endpoints:
+            each.retire()
+        self._leave()  # the session that nobody uses any more, or this one, if nobody waits for it
 
     def _why_lost(self) -> str:
         """Return the reason why an open session reaches no router. The session itself tries again."""
@@ -402,10 +483,10 @@ class Network:
         _set(config, "transport/link/tx/queue/congestion_control/drop/wait_before_drop", 0)
         return config
 
-    def _watch(self, changes: zenoh.TransportEventsListener[Any]) -> None:
+    def _watch(self, session: zenoh.Session, changes: zenoh.TransportEventsListener[Any]) -> None:
         """See routers and peers come and go, until the session is closed."""
         for event in changes:
-            self._changed(event)
+            self._changed(session, event)
 
     def _prepare(self, links: zenoh.LinkEventsListener[Any]) -> None:
         """Prepare the sockets of links to routers and peers, until the session is closed."""
@@ -416,19 +497,17 @@ class Network:
             with contextlib.suppress(OSError, ValueError):
                 prepare_socket(event.link)
 
-    def _changed(self, event: zenoh.TransportEvent) -> None:
+    def _changed(self, session: zenoh.Session, event: zenoh.TransportEvent) -> None:
         """Handle a router or peer that has come or gone."""
-        session, gone = self._session, event.transport.zid
-        if session is None:
+        gone, is_cut_off = event.transport.zid, event.kind == self._deleted
+        if session not in self._sessions:  # it is being closed
             return
-        if event.kind != self._deleted:
-            self._cut_off = False
+        if is_cut_off and any(each.zid != gone for each in session.info.transports()):  # it may still be listed
             return
-        if any(each.zid != gone for each in session.info.transports()):  # the one that is gone may still be listed
-            return
-        self._cut_off = not self.settings.listen  # other peers can still reach a side that listens
         with self._lock:
-            endpoints = list(self._endpoints)
+            if session is self._session:
+                self._cut_off = is_cut_off and not self.settings.listen  # peers can still reach a side that listens
+            endpoints = [each for each in self._endpoints if each.session is session] if is_cut_off else []
         for endpoint in endpoints:
             endpoint.cut_off(self.problem or ROUTER_LOST)
 
@@ -533,8 +612,9 @@ def _close_now(session: zenoh.Session) -> None:
 threading._register_atexit(_close_all)  # type: ignore[attr-defined]
 
 
-def _close(session: zenoh.Session) -> None:
-    """Close it, and wait for that, but not for long: with a router that takes nothing, Zenoh waits for seconds."""
+def _close(session: zenoh.Session, *, wait: bool) -> None:
+    """Close it, and perhaps wait a little for that: with a router that takes nothing, Zenoh waits for seconds."""
     closing = threading.Thread(target=_close_now, args=(session,), name="zenoh-close", daemon=True)
     closing.start()
-    closing.join(_CLOSE_WITHIN)
+    if wait:
+        closing.join(_CLOSE_WITHIN)

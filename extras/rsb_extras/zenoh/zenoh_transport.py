@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport.network_news import news_of_kernel
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler
 from rsb_bridge.transport.transport import (
     RECEIVE_BUFFER,
@@ -30,6 +31,7 @@ from rsb_extras.zenoh.zenoh_traits import ZenohDropTraits, ZenohTraits
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from rsb_bridge.transport.network_news import NetworkNews
     from rsb_extras.zenoh.endpoint import Seen, ZenohEndpoint
     from rsb_extras.zenoh.network import Network
     from rsb_extras.zenoh.outbox import Header
@@ -92,7 +94,7 @@ class ZenohStream(Stream):
 
 
 class Links:
-    """This process's endpoint for links, one for all of them: of the server, or of the client.
+    """This process's endpoint for new links, one for all of them: of the server, or of the client.
 
     Args:
         name: of the session, for others to see.
@@ -104,17 +106,28 @@ class Links:
         self._endpoint: ZenohEndpoint | None = None
         self._opening = asyncio.Lock()
 
-    async def endpoint(self, service: str, watched: Sequence[str]) -> ZenohEndpoint:
-        """Return the endpoint, made at the first call.
+    async def endpoint(self, service: str, watched: Sequence[str], *, beside: bool = False) -> ZenohEndpoint:
+        """Return the endpoint, made at the first call, and again in each session of the network.
+
+        Args:
+            beside: if a link is up here, it is for a second connection. The network is opened anew then, unless the
+                first one is heard meanwhile.
 
         Raises:
             OSError: the network is not reached.
         """
+        asked_at = asyncio.get_running_loop().time()
+
+        def doubted() -> bool:
+            old = self._endpoint
+            if service != CLIENT or old is None:
+                return False
+            return not self.network.connected or (beside and old.carries_link and old.heard_at < asked_at)
+
         async with self._opening:
-            if self._endpoint is None:
+            await self.network.open(doubted)
+            if self._endpoint is None or not self.network.is_in(self._endpoint):
                 self._endpoint = await self.network.endpoint(service, self._label, watched)
-            else:
-                await self.network.open()
         return self._endpoint
 
     def endpoint_if_open(self) -> ZenohEndpoint:
@@ -155,7 +168,8 @@ class ZenohTransport(ZenohTraits, StreamTransport):
         return f"zenoh ({self._links.network.place})" if address[0] == "zenoh" else _format_address(address)
 
     async def servers(self) -> list[str]:
-        return [seen.address for seen in self._announced(await self._links.endpoint(CLIENT, (SERVER,)))]
+        endpoint = await self._links.endpoint(CLIENT, (SERVER,), beside=True)
+        return [seen.address for seen in self._announced(endpoint)]
 
     @property
     def announced_servers(self) -> int:
@@ -170,7 +184,7 @@ class ZenohTransport(ZenohTraits, StreamTransport):
         return self._links.endpoint_if_open().address
 
     async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
-        endpoint = await self._links.endpoint(CLIENT, (SERVER,))
+        endpoint = await self._links.endpoint(CLIENT, (SERVER,), beside=rank is None)
         peer = self._server(endpoint) if host == "zenoh" else host
         stream = ZenohStream(handler)
         # On a data stream the server's data may follow its answer at once.
@@ -225,6 +239,9 @@ class ZenohTransport(ZenohTraits, StreamTransport):
         endpoint.on_stream = accept
         endpoint.on_seen = another
         return _Listening(endpoint)
+
+    def network_news(self, changed: Callable[[], None]) -> NetworkNews | None:
+        return news_of_kernel(changed)
 
     @property
     def problem(self) -> str:

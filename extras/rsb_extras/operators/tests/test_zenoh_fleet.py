@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import functools
 import time
 from contextlib import closing
@@ -130,6 +131,19 @@ def test_two_engines_of_name_are_two_lines(fleet: Fleet, monkeypatch: pytest.Mon
     first.close()
     eventually(lambda: has_spoken(seen, "robot1") and robot(seen, "robot1 (2)") is None)
     eventually(lambda: not is_in(seen, "robot1", RobotState.MISSING))
+
+
+def test_engine_is_announced_in_networks_next_session(fleet: Fleet) -> None:
+    """A link over Zenoh whose path has changed opens the network anew; the console that is attached goes on."""
+    fleet.add("robot1")
+    before = fleet.attach("robot1")
+    with stranger(fleet.router) as somebody:
+        first = announced(somebody)
+        asyncio.run(fleet.networks["robot1"].open(lambda: True))
+        eventually(lambda: len(announced(somebody)) == 1 and announced(somebody) != first)
+        fleet.attach("robot1").retry().result(60)
+        before.retry().result(60)
+    assert fleet.engines["robot1"].commands == [("retry", ""), ("retry", "")]
 
 
 def test_lost_router_is_told_and_all_return(fleet: Fleet) -> None:

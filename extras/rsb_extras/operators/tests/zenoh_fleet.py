@@ -44,6 +44,7 @@ class Fleet:
         self.engines: dict[str, ScriptedEngine] = {}
         self.servers: dict[str, ControlServer] = {}
         self.accesses: dict[str, Access] = {}
+        self.networks: dict[str, Network] = {}
         self._resources = ExitStack()
         self.router = Router()
         self._resources.callback(self.router.close)
@@ -78,6 +79,7 @@ class Fleet:
         self._resources.callback(machine.close)
         self._resources.callback(network.close)
         self.engines[name], self.servers[name], self.accesses[name] = engine, server, access
+        self.networks[name] = network
 
     def file(self, operator: str = "anna", key: Key = ANNA) -> FleetFile:
         return FleetFile(self.settings, operator, key, self.folder)

@@ -34,7 +34,7 @@ zenoh = pytest.importorskip("zenoh")
 from rsb_extras.zenoh.tests.zenoh_router import Router, stranger  # noqa: E402 (it needs the package)
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterator, Sized
+    from collections.abc import AsyncIterator, Callable, Iterator, Sequence, Sized
 
     from rsb_extras.zenoh.endpoint import ZenohEndpoint
 
@@ -490,6 +490,85 @@ def test_closed_network_leaves_nothing(router: Router) -> None:
         asyncio.run(once())
     eventually(lambda: descriptors() < before[0] + 10, what="descriptors")
     eventually(lambda: threads() < before[1] + 10, what="threads")
+
+
+@contextlib.asynccontextmanager
+async def with_link(router: Router) -> AsyncIterator[tuple[Links, ZenohEndpoint, End]]:
+    """A client's links, its endpoint, and the end of a link's own stream there."""
+    links = Links(Network(ZenohSettings(connect=(router.endpoint,)), Path()), "robot")
+    endpoint, end = await links.endpoint("client", ()), End(of_link=True)
+    endpoint.add(NOBODY, NOBODY, end)
+    try:
+        yield links, endpoint, end
+    finally:
+        endpoint.forget(NOBODY, NOBODY)
+        links.close()
+        links.network.close()
+
+
+async def test_second_connection_has_session_of_its_own(router: Router) -> None:
+    async with with_link(router) as (links, first, end):
+        assert await links.endpoint("client", ()) is first  # of a route's stream
+        told: list[bool] = []
+        first.when_retired = lambda: told.append(True)
+        second = await links.endpoint("client", (), beside=True)
+        assert second.address != first.address
+        assert second.session is not first.session
+        await until(lambda: told)
+        assert await links.endpoint("client", (), beside=True) is second  # the link is not there yet
+        other = Somebody(router, first)
+        await other.is_heard()
+        other.put()
+        await until(lambda: end.came)  # the first one goes on
+        assert not first.session.is_closed()
+        first.forget(NOBODY, NOBODY)
+        await until(first.session.is_closed)
+        assert await links.endpoint("client", ()) is second
+        assert not second.session.is_closed()
+        other.session.close()
+
+
+async def test_first_connection_that_is_heard_keeps_its_session(
+    router: Router, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with with_link(router) as (links, first, end):
+        other = Somebody(router, first)
+        await other.is_heard()
+        reach = zenoh_places.REACH.value
+
+        async def hear_and_reach(endpoints: Sequence[str]) -> None:
+            other.put()
+            await until(lambda: end.came)
+            await reach(endpoints)
+
+        zenoh_places.REACH.set(monkeypatch, hear_and_reach)
+        assert await links.endpoint("client", (), beside=True) is first
+        assert end.came
+        other.session.close()
+
+
+async def test_session_stays_while_no_other_is_reached() -> None:
+    with contextlib.closing(Router()) as router:
+        async with with_link(router) as (links, first, _):
+            router.kill()
+            await until(lambda: not links.network.connected)
+            with pytest.raises(OSError, match=pattern(Unreachable.NOBODY_LISTENS)) as caught:
+                await links.endpoint("client", (), beside=True)
+            assert router.endpoint in str(caught.value)
+            assert links.endpoint_if_open() is first
+            router.start()
+            # At once, and not when Zenoh itself tries again.
+            assert await links.endpoint("client", (), beside=True) is not first
+
+
+async def test_listener_is_not_opened_anew() -> None:
+    network = Network(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",)), Path())
+    await network.open()
+    endpoint = await network.endpoint("client", "", ())
+    await network.open(lambda: True)
+    assert network.is_in(endpoint)
+    endpoint.close()
+    network.close()
 
 
 class Stuck:
