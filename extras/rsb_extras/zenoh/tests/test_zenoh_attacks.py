@@ -171,7 +171,7 @@ class Relay:
 
     def _pass_on(self, sample: Any) -> None:
         sender, stream = str(sample.key_expr).split("/")[4:]
-        if self._drops:
+        if self._drops or not self.server:  # whose look at other servers may come before its announcement
             return
         if sender != self.server:
             self._client = sender
