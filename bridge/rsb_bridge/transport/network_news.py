@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
 _NETLINK_ROUTE = 0
 # RTMGRP_LINK, RTMGRP_IPV4_IFADDR, RTMGRP_IPV4_ROUTE, RTMGRP_IPV6_IFADDR and RTMGRP_IPV6_ROUTE
@@ -111,6 +111,11 @@ def device_of(address: str) -> str:
     except OSError:
         return ""
     return "" if device is None else device.name
+
+
+def addresses() -> Sequence[tuple[str, str]]:
+    """Return this machine's network devices, each with each of its addresses; raises as `_devices`."""
+    return [(each.name, each.address) for each in _devices()]
 
 
 class _Device(NamedTuple):
