@@ -35,21 +35,25 @@ class Watched:
 def test_carrying_way_is_told_when_it_changes() -> None:
     watched = Watched()
     watched.pass_(0.1)
-    assert (watched.lines, watched.watch.text) == ([], "")
+    assert (watched.lines, watched.watch.ways, watched.watch.used) == ([], (), "")
     for seconds in range(3):
         watched.pass_(0.1, 10.0 + seconds)
     assert watched.lines == ["carried via 192.0.2.2 (192.0.2.3 ready)"]
+    assert [(way.host, way.is_used, way.is_ready) for way in watched.watch.ways] == [
+        (OWN[0], True, True),
+        (OWN[1], False, True),
+    ]
     watched.pass_(0.4, 0.0, silent=0)
     watched.pass_(3.0, 0.0)  # it answers again, and carries nothing yet
     watched.pass_(0.0, 1.0)
     watched.pass_(0.0, 2.0)
     assert watched.lines[1:] == [
-        "carried via 192.0.2.3 (192.0.2.2 silent)",
+        "carried via 192.0.2.3 (192.0.2.2 not ready)",
         "carried via 192.0.2.3 (192.0.2.2 ready)",
         "carried via 192.0.2.2 (192.0.2.3 ready)",
     ]
     watched.watch.away()
-    assert not watched.watch.text
+    assert not watched.watch.ways
 
 
 def test_two_ways_that_both_carry_are_told_once() -> None:
@@ -64,4 +68,4 @@ def test_link_without_connection_has_no_way() -> None:
     watched.pass_(0.0, 1.0)
     watched.link.control = None
     watched.watch.tick()
-    assert not watched.watch.text
+    assert not watched.watch.ways

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.snapshot import Level, WaySnapshot
 from rsb_bridge.transport.network_news import device_of
 
 if TYPE_CHECKING:
@@ -21,16 +21,21 @@ class Subflows(Extension):
     """Logs when another way of one connection carries a link.
 
     Attributes:
-        text: the way that carries, and the others, for operators: ``wlan0 (lte0 ready)``; empty if there is only one.
+        ways: the ways, or nothing if there is only one.
     """
 
     def __init__(self, link: BaseLink) -> None:
-        self.text = ""
+        self.ways: tuple[WaySnapshot, ...] = ()
         self._used: tuple[str, str] | None = None  # both ends of the way that carries
         self._link = link
 
+    @property
+    def used(self) -> str:
+        """The name of the way that carries, or an empty string if there is only one."""
+        return next((_name(way) for way in self.ways if way.is_used), "")
+
     def _forget(self) -> None:
-        self.text, self._used = "", None
+        self.ways, self._used = (), None
 
     disconnected = away = _forget
 
@@ -45,12 +50,18 @@ class Subflows(Extension):
         if used is None:
             used = min(ways, key=lambda way: (not way.answers, way.sent_ago))
         self._used = used[:2]
-        others = [f"{self._name(way)} {'ready' if way.answers else 'silent'}" for way in ways if way is not used]
-        text = f"{self._name(used)} ({', '.join(others)})"
-        if text != self.text:
-            self.text = text
-            self._link.log_of_peer(Level.INFO, EventCode.LINK_WAY, f"carried via {text}", link_status=True)
+        shown = tuple(self._shown(way, is_used=way is used) for way in ways)
+        if shown != self.ways:
+            self.ways = shown
+            others = [f"{_name(way)} {'ready' if way.is_ready else 'not ready'}" for way in shown if not way.is_used]
+            text = f"carried via {self.used} ({', '.join(others)})"
+            self._link.log_of_peer(Level.INFO, EventCode.LINK_WAY, text, link_status=True)
 
-    def _name(self, way: Subflow) -> str:
-        """Return the device of a way; a server, whose ways often have one, names the client's address."""
-        return (device_of(way.own) or way.own) if self._link.is_client else way.peer
+    def _shown(self, way: Subflow, *, is_used: bool) -> WaySnapshot:
+        """Return a way as operators see it: on a server, whose ways mostly have one device, by the client's address."""
+        host, device = (way.own, device_of(way.own)) if self._link.is_client else (way.peer, "")
+        return WaySnapshot(host, device, is_used=is_used, is_ready=way.answers)
+
+
+def _name(way: WaySnapshot) -> str:
+    return way.device or way.host
