@@ -6,6 +6,7 @@ import asyncio
 import ctypes
 import os
 import socket
+from ipaddress import ip_address
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.wording import Wording
@@ -86,8 +87,9 @@ class NetworkNews:
     def why_silent(self, address: str) -> str:
         """Return why nothing leaves this machine from one of its addresses, for operators, or an empty string."""
         try:
+            ip_address(address)
             device = _device_of(address)
-        except OSError:
+        except (ValueError, OSError):  # a stream over another network has an address of that
             return ""
         if device is None:
             return SilenceText.GONE(address=address)
