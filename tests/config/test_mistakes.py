@@ -123,6 +123,7 @@ def test_mistake_of_topic_has_its_line_and_key(fields: str, code: Wording, param
         (SERVER + "ports: nine\n", "6 ports", ValueMistake.MISFIT, {"value": "'nine'"}),
         (CLIENT + "stale_warnings: -1\n", "6 stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE, {"count": -1}),
         (CLIENT + "outlive: -1\n", "6 outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE, {"value": -1.0, "range": OUTLIVE}),
+        (BLUETOOTH + "multipath: true\n", "6 multipath", SessionMistake.MULTIPATH_UNKNOWN, {"medium": "Bluetooth"}),
         (CLIENT + "outlive: 86401\n", "6 outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE, {"range": OUTLIVE}),
         (CLIENT + "shutdown_topic: shutdown\n", "6 shutdown_topic", NameMistake.NOT_ABSOLUTE, {}),
         (CLIENT + "clients: [{name: robot2}]\n", "2 role", SessionMistake.CLIENTS_OF_CLIENT, {}),

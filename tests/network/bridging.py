@@ -23,6 +23,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from tests.network.hosts import Host
 
     from rsb_bridge.model.wording import Wording
@@ -248,10 +250,12 @@ class Sessions:
         *topics: dict[str, Any],
         services: tuple[dict[str, Any], ...] = (),
         domains: tuple[int, int],
+        both: Mapping[str, Any] | None = None,
     ) -> None:
+        """Write both files; `both` are further keys of each."""
         write_key(folder / "robot1.key")
         self.domains = domains
-        common = {"name": "robot1", "server_port": PORT, "key_file": "robot1.key"}
+        common = {"name": "robot1", "server_port": PORT, "key_file": "robot1.key", **(both or {})}
         told = [{"direction": "transmit", "type": "String", "qos": {"depth": 200}} | topic for topic in topics]
         client = {"role": "client", "server_ip": address, "domain_id": domains[0], "topics": told}
         if services:

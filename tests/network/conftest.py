@@ -12,7 +12,7 @@ from tests.support.calls import CallNode
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from tests.network.bridging import Bridge
@@ -41,12 +41,23 @@ class Network:
         return host
 
     def bridge(
-        self, robot: Host, pc: Host, address: str, *topics: dict[str, Any], services: tuple[dict[str, Any], ...] = ()
+        self,
+        robot: Host,
+        pc: Host,
+        address: str,
+        *topics: dict[str, Any],
+        services: tuple[dict[str, Any], ...] = (),
+        both: Mapping[str, Any] | None = None,
     ) -> Bridge:
-        """A client on the robot and a server on the PC, which it reaches by `address`; linked."""
+        """A client on the robot and a server on the PC, which it reaches by `address`; linked.
+
+        Args:
+            both: further keys of both session files.
+        """
         from tests.network.bridging import Sessions
 
-        bridge = Sessions(self._folder, address, *topics, services=services, domains=_DOMAINS).run(robot, pc)
+        sessions = Sessions(self._folder, address, *topics, services=services, domains=_DOMAINS, both=both or {})
+        bridge = sessions.run(robot, pc)
         self._bridges.append(bridge)
         bridge.client.happens(EventCode.LINK_UP)
         return bridge

@@ -69,5 +69,6 @@ async def test_addresses_lead_to_their_devices() -> None:
     news = Tcp().network_news(lambda: None)
     assert news is not None
     assert not news.why_silent("127.0.0.1")
+    assert not news.why_silent("23772509d18c9f91")  # of an endpoint of Zenoh's
     assert news.why_silent("192.0.2.77") == "192.0.2.77 is no address of this machine any more"
     news.close()

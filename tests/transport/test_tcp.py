@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from aiohappyeyeballs import start_connection
@@ -149,8 +149,8 @@ async def test_two_that_bind_at_once_cannot_both_listen(monkeypatch: pytest.Monk
         other.bind(("127.0.0.1", number))
         bound: list[socket.socket] = []
 
-        async def bind_second(host: str, port: int, kind: socket.SocketKind) -> list[socket.socket]:
-            bound.extend(await bind(host, port, kind))
+        async def bind_second(host: str, port: int, kind: socket.SocketKind, make: Any) -> list[socket.socket]:
+            bound.extend(await bind(host, port, kind, make))
             other.listen()
             return bound
 

@@ -66,6 +66,7 @@ class SessionMistake(Wording):
     DOMAIN_INVALID = "{domain} is not a ROS domain: {range}"
     DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {value}, which is not a ROS domain: {range}"
     OUTLIVE_OUT_OF_RANGE = "{value} is out of range: {range} s"
+    MULTIPATH_UNKNOWN = "a link over {medium} has one way only: leave it out"
     STALE_WARNINGS_NEGATIVE = "{count} is not a count: 0 or more"
     PROFILE_ON_BLUETOOTH = "{profile} is no Bluetooth link (server_ip is a MAC): give bluetooth, or leave profile out"
     ADDRESS_OF_CLIENT = "a client cannot connect to {address}: give the server's own address"
@@ -195,6 +196,8 @@ def _session(session: Session) -> Iterator[Problem]:
         yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
     if session.outlive is not None and session.outlive not in OUTLIVE:
         yield Problem("outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE(value=session.outlive, range=OUTLIVE))
+    if session.multipath and not link.several_ways:
+        yield Problem("multipath", SessionMistake.MULTIPATH_UNKNOWN(medium=link.medium))
     profiles = [("profile", session.profile)]
     profiles += [(join(join("clients", at), "profile"), each.profile) for at, each in enumerate(session.listed_clients)]
     for location, profile in profiles:

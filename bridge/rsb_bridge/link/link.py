@@ -19,6 +19,7 @@ from rsb_bridge.link.path_watch import PathWatch
 from rsb_bridge.link.proposed_routes import ProposedTopics
 from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_table import RouteTable
+from rsb_bridge.link.subflows import Subflows
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import LinkSnapshot
 from rsb_bridge.route.outgoing import OutgoingRoute
@@ -191,6 +192,7 @@ class Link(BaseLink):
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         super().__init__(context, name, is_client=is_client, encrypted=encrypted)
         self.traffic = self.extend(LinkTraffic(self))
+        self.subflows = self.extend(Subflows(self))
         # Before the link's fullness: a path that loses packets is not taken for a full one.
         self.path = self.extend(PathWatch(self))
         self.fullness = self.extend(LinkFullness(self, self.path))
@@ -302,8 +304,8 @@ class Link(BaseLink):
             capacity_in=self.fullness.receiving.capacity,
             loss_out=self.path.loss.share if linked else None,
             loss_in=self.path.into.lost,
-            via=self.via if linked else "",
-            ways=self.way_snapshots(),
+            via=self.subflows.used or self.via if linked else "",
+            ways=self.subflows.ways or self.way_snapshots(),
             full_out=self.fullness.out,
             full_in=self.fullness.into,
             patterns=tuple(self.patterns.snapshots()),

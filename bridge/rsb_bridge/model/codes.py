@@ -148,6 +148,7 @@ class EventCode(StrEnum):
     LINK_PATH_FAULT = "link.path_fault"
     """The link loses packets, or all large ones, in either direction."""
     LINK_PATH_RESTORED = "link.path_restored"
+    LINK_WAY = "link.way"
     LINK_PATTERN_FULL = "link.pattern_full"
     """More names match a pattern than it may bridge or leave out; the text names the limit."""
     LINK_PATTERN_ROOM = "link.pattern_room"

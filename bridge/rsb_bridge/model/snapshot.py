@@ -291,12 +291,12 @@ class PatternSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class WaySnapshot:
-    """One of a client's ways to its server."""
+    """One of several ways to the peer: to an address that a client's session lists, or of one connection over all."""
 
-    host: str  # as the session lists it
+    host: str  # as the session lists it; of one connection this end, and on a server the client's
     device: str  # of this machine, that leads there, or empty if it is unknown
     is_used: bool
-    is_ready: bool  # whether it answered when it was last tried; one in use is not tried
+    is_ready: bool  # whether it answered when it was last tried; one in use is not, unless it is of one connection
 
 
 @dataclass(frozen=True, slots=True)

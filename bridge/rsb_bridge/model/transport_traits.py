@@ -49,6 +49,7 @@ class TransportTraits:
     slow: ClassVar[bool] = False
     """Whether it carries only some 50 kB/s, so that best-effort messages should not queue for seconds."""
     compression: ClassVar[Compression] = "none"  # compression of topics that choose none
+    several_ways: ClassVar[bool] = False  # whether several ways of a machine may carry one stream (`Session.multipath`)
     multiplexed: ClassVar[bool] = False
     """Whether the routes of a link share one stream per number, including the control connection's. Otherwise they
     share two per number, for small and for large messages."""
@@ -108,6 +109,7 @@ class TcpTraits(TransportTraits):
 
     name = "tcp"
     companions = ("udp",)
+    several_ways = True
 
     @staticmethod
     def carries_links_to(host: str) -> bool:

@@ -76,8 +76,13 @@ async def look_up(
         raise OSError(LookUpProblem.NO_NAME_SERVER(seconds=within)) from None
 
 
-async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.socket]:
+async def bind(
+    host: str, port: int, kind: socket.SocketKind, make: Callable[[int, int, int], socket.socket] | None = None
+) -> list[socket.socket]:
     """Bind a socket on each of the host's addresses; ``::`` is every address, of IPv4 too.
+
+    Args:
+        make: makes one of a family, kind and protocol, in place of the kernel's usual ones.
 
     Raises:
         ListenError: one of them can't be bound.
@@ -88,7 +93,7 @@ async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.soc
         if host == EVERY_ADDRESS:
             found += await look_up("0.0.0.0", port, _LOOKED_UP_WITHIN, kind, socket.AI_PASSIVE)  # noqa: S104
         for family, type_, proto, _, address in dict.fromkeys(found):  # one listed twice could not be bound again
-            sock = socket.socket(family, type_, proto)
+            sock = (make or socket.socket)(family, type_, proto)
             sockets.append(sock)
             sock.setblocking(False)
             # Connections that have just ended would keep the port. With UDP it would let two processes have one port.

@@ -6,12 +6,13 @@ import asyncio
 import ctypes
 import os
 import socket
+from ipaddress import ip_address
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
 _NETLINK_ROUTE = 0
 # RTMGRP_LINK, RTMGRP_IPV4_IFADDR, RTMGRP_IPV4_ROUTE, RTMGRP_IPV6_IFADDR and RTMGRP_IPV6_ROUTE
@@ -86,8 +87,9 @@ class NetworkNews:
     def why_silent(self, address: str) -> str:
         """Return why nothing leaves this machine from one of its addresses, for operators, or an empty string."""
         try:
+            ip_address(address)
             device = _device_of(address)
-        except OSError:
+        except (ValueError, OSError):  # a stream over another network has an address of that
             return ""
         if device is None:
             return SilenceText.GONE(address=address)
@@ -111,6 +113,11 @@ def device_of(address: str) -> str:
     except OSError:
         return ""
     return "" if device is None else device.name
+
+
+def addresses() -> Sequence[tuple[str, str]]:
+    """Return this machine's network devices, each with each of its addresses; raises as `_devices`."""
+    return [(each.name, each.address) for each in _devices()]
 
 
 class _Device(NamedTuple):

@@ -66,4 +66,5 @@ def transports_of(session: Session, base: Path, random: Random) -> Transports:
     """
     strangers = Strangers()
     of_features = (feature.transports(session, base, random, strangers) for feature in installed())
-    return Transports(Rfcomm(), Tcp(), Udp(), *(each for found in of_features for each in found), strangers=strangers)
+    tcp = Tcp(several_ways=session.multipath)
+    return Transports(Rfcomm(), tcp, Udp(), *(each for found in of_features for each in found), strangers=strangers)

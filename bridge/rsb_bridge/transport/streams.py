@@ -13,7 +13,9 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
+
+    from rsb_bridge.transport.multipath import Subflow
 
 Address: TypeAlias = tuple[Any, ...]
 """As the socket module has it: host and port (TCP and UDP over IPv6: with flow and scope behind them)."""
@@ -233,6 +235,10 @@ class Stream(asyncio.Protocol):
     def packets(self) -> PacketCounts | None:
         """Return the kernel's counts of packets, or None if it has none; only TCP's are known."""
         return None
+
+    def subflows(self) -> Sequence[Subflow]:
+        """Return its subflows, if there can be several; only Multipath TCP's are known."""
+        return ()
 
     @property
     def stuck(self) -> bool:

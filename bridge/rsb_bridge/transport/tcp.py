@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from aiohappyeyeballs import start_connection
 
 from rsb_bridge.model.transport_traits import TcpTraits
+from rsb_bridge.transport import multipath
 from rsb_bridge.transport.listening import LookUpProblem, StreamListener, bind, listen_error_message, look_up
 from rsb_bridge.transport.network_news import NetworkNews, news_of_kernel
 from rsb_bridge.transport.streams import (
@@ -27,9 +28,10 @@ from rsb_bridge.transport.transport import Acceptor, Listener, ListenError, Stre
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rsb_bridge.model.reason import Reason
+    from rsb_bridge.transport.multipath import Subflow
 
 # s. On a path with 2 s each way, the first packet's answer takes 4 s. Linux before 6.5 sends the next ones after 1, 3
 # and 7 s: with a longer timeout, a network that is back would be found later.
@@ -144,16 +146,37 @@ class TcpStream(Stream):
     def packets(self) -> PacketCounts | None:
         if self._transport is None:
             return None
+        sock = self._transport.get_extra_info("socket")
         try:
-            sock = self._transport.get_extra_info("socket")
-            info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
+            if (whole := multipath.stream_bytes(sock)) is None:
+                infos: Sequence[bytes] = [sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)]
+            else:
+                infos = multipath.tcp_infos(sock, _TCP_INFO.size)
         except OSError:
             return None
-        if len(info) != _TCP_INFO.size:
-            return None
-        in_vain, repeated, acknowledged, segments, sent, again, needless = _TCP_INFO.unpack(info)
-        lost, waiting = max(0, repeated - needless), max(0, sent - again - acknowledged)
-        return PacketCounts(segments, lost, acknowledged, waiting, in_vain)
+        counts = [_packet_counts(info) for info in infos if len(info) == _TCP_INFO.size]
+        if whole is None or not counts:
+            return counts[0] if counts else None
+        # A way that answers nothing is no loss while another one carries.
+        carrying = [each for each in counts if not each.tries] or counts
+        sent, lost = sum(each.sent for each in carrying), sum(each.lost for each in carrying)
+        waiting = max(0, whole.sent - whole.again - whole.acknowledged)
+        return PacketCounts(sent, lost, whole.acknowledged, waiting, min(each.tries for each in counts))
+
+    def subflows(self) -> Sequence[Subflow]:
+        if self._transport is None:
+            return ()
+        sock = self._transport.get_extra_info("socket")
+        try:
+            return () if multipath.stream_bytes(sock) is None else multipath.subflows(sock)
+        except OSError:
+            return ()
+
+
+def _packet_counts(info: bytes) -> PacketCounts:
+    in_vain, repeated, acknowledged, segments, sent, again, needless = _TCP_INFO.unpack(info)
+    lost, waiting = max(0, repeated - needless), max(0, sent - again - acknowledged)
+    return PacketCounts(segments, lost, acknowledged, waiting, in_vain)
 
 
 class Tcp(TcpTraits, StreamTransport):
@@ -161,8 +184,10 @@ class Tcp(TcpTraits, StreamTransport):
 
     largest_message = MESSAGE_LIMIT
 
-    def __init__(self) -> None:
+    def __init__(self, *, several_ways: bool = False) -> None:
+        """Connect and listen; with `several_ways` by Multipath TCP if the kernel has it."""
         self._ending: set[TcpStream] = set()
+        self._several_ways = several_ways and not multipath.problem()
 
     def close(self) -> None:
         for stream in tuple(self._ending):
@@ -175,7 +200,11 @@ class Tcp(TcpTraits, StreamTransport):
             raise OSError(LookUpProblem.NO_ADDRESS(host=host))
         try:
             async with asyncio.timeout(CONNECT_TIMEOUT):
-                sock = await start_connection(found, happy_eyeballs_delay=_NEXT_ADDRESS_AFTER)
+                sock = await start_connection(
+                    found,
+                    happy_eyeballs_delay=_NEXT_ADDRESS_AFTER,
+                    socket_factory=lambda address: self._socket(*address[:3]),
+                )
         except OSError as error:
             raise _most_telling(error) from None
         # While nobody listens there, a kernel that chose this port for the connection's own end connects it to itself,
@@ -193,11 +222,14 @@ class Tcp(TcpTraits, StreamTransport):
         return stream
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
-        sockets = await bind(host, port, socket.SOCK_STREAM)
+        sockets = await bind(host, port, socket.SOCK_STREAM, self._socket)
         try:
             return StreamListener(sockets, _BACKLOG, acceptor, self._stream)
         except OSError as error:
             raise ListenError(listen_error_message(error, f"{host}:{port}", "TCP")) from None
+
+    def _socket(self, family: int, kind: int, protocol: int) -> socket.socket:
+        return multipath.new_socket(family, kind) if self._several_ways else socket.socket(family, kind, protocol)
 
     def _stream(self, handler: StreamHandler) -> TcpStream:
         return TcpStream(handler, self._ending)
@@ -230,7 +262,8 @@ def set_options(sock: socket.socket) -> None:
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _IDLE)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEPALIVE_EVERY)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _GIVEN_UP_AFTER_MS)
+    with contextlib.suppress(OSError):  # Multipath TCP has none: the link finds out itself
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _GIVEN_UP_AFTER_MS)
     _retry_after(sock, RETRIED_AFTER)
     prefer_bbr(sock)
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import itertools
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -25,8 +27,10 @@ from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.names import other_side
 from rsb_bridge.model.verdict import clocks_differ
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport import multipath
 from rsb_bridge.transport.descriptors import first_open_port
 from rsb_bridge.transport.listening import EVERY_ADDRESS
+from rsb_bridge.transport.network_news import addresses
 from rsb_extras.doctor.machine import MachineText, bluetooth_adapters
 
 if TYPE_CHECKING:
@@ -43,6 +47,10 @@ _ASKED_FOR = 30.0
 """s. To find the nodes takes 3 s, and each node that does not answer 4 s at most (`ros.base_timeouts`)."""
 
 
+_LONGEST_RETRY, _MOST_RETRY = 120.0, 2.0
+"""s between retransmissions: the longest of kernels without a setting, and what an operator would hardly notice."""
+
+
 class NeedText(Wording):
     """Findings about a session's needs, and remedies."""
 
@@ -56,6 +64,17 @@ class NeedText(Wording):
     BASE_SILENT = "{node}, which {topic} drives, does not tell its parameters: try whether it stops by itself"
     BASE_ABSENT = "no node subscribes to {topic} in domain {domain}: start the base to learn whether it stops by itself"
     BASE_NOT_ASKED = "what {topics} drives could not be asked whether it stops by itself"
+    NO_MULTIPATH = "the kernel has no Multipath TCP ({error}): streams use one way"
+    MULTIPATH_REMEDY = "sudo sysctl -w net.mptcp.enabled=1; it is in kernels since Linux 5.6 that are built with it"
+    ONE_WAY = "no address is named as a second way (ip mptcp endpoint show is empty): streams use one way"
+    SECOND_WAY_REMEDY = (
+        "sudo ip mptcp limits set subflows 2 add_addr_accepted 2; sudo ip mptcp endpoint add {address} dev {device} "
+        "subflow backup; and, with the gateway there, sudo ip route add default via GATEWAY dev {device} table 42; "
+        "sudo ip rule add from {address} table 42"
+    )
+    WAYS = "streams may use further ways from {addresses}"
+    SLOW_RETURN = "after a cut, the kernel may wait for {seconds:.0f} s until it uses the usual way again"
+    SLOW_RETURN_REMEDY = "sudo sysctl -w net.ipv4.tcp_rto_max_ms=1000 (Linux 6.15 has it)"
     CLOCKS_AGREE = "the clock of {peer} differs from this machine's by {seconds:.3f} s"
 
 
@@ -80,8 +99,70 @@ def checks(
         Check("session", "session", partial(_advice, session, environ)),
         Check("ros_domain", "ROS domain", partial(_domain, session, running, environ)),
         Check("clock", "clock", partial(_peers_clocks, running)),
+        Check("multipath", "multipath", partial(_multipath, session, root)),
         Check("base", "base", partial(_base, session, running, environ, base_timeouts)),
     )
+
+
+def _multipath(session: Session, root: Path) -> Iterator[Finding]:
+    """Find out what `multipath` lacks here. The kernel's list of ways is a client's; a server needs none."""
+    if not session.multipath:
+        return
+    finding = partial(Finding, "multipath", subject="multipath")
+    if reason := multipath.problem():
+        text = NeedText.NO_MULTIPATH(error=reason)
+        yield finding(grade=Grade.WARNING, text=text, remedy=NeedText.MULTIPATH_REMEDY())
+        return
+    if session.role == "client":
+        further = _further_ways()
+        if further is None:
+            yield finding(grade=Grade.UNKNOWN, text="ip mptcp endpoint show does not work: is iproute2 installed?")
+        elif further:
+            text = NeedText.WAYS(addresses=", ".join(further))
+            yield finding(grade=Grade.OK, text=text, facts={"addresses": further})
+        else:
+            device, address = next(iter(_other_addresses(session.server_ip)), ("DEVICE", "ADDRESS"))
+            remedy = NeedText.SECOND_WAY_REMEDY(device=device, address=address)
+            yield finding(grade=Grade.WARNING, text=NeedText.ONE_WAY(), remedy=remedy)
+    else:
+        yield finding(grade=Grade.OK, text="the kernel has Multipath TCP")
+    try:
+        longest = int((root / "proc/sys/net/ipv4/tcp_rto_max_ms").read_text()) / 1000
+    except (OSError, ValueError):
+        longest = _LONGEST_RETRY
+    if longest > _MOST_RETRY:
+        text = NeedText.SLOW_RETURN(seconds=longest)
+        yield finding(grade=Grade.NOTE, text=text, remedy=NeedText.SLOW_RETURN_REMEDY(), facts={"seconds": longest})
+
+
+def _further_ways() -> list[str] | None:
+    """Return the addresses from which the kernel opens further subflows, or None if that is unknown."""
+    program = shutil.which("ip") or shutil.which("ip", path="/usr/sbin:/sbin")
+    if program is None:
+        return None
+    try:
+        ran = subprocess.run(  # noqa: S603 -- no shell; the program is ip
+            [program, "mptcp", "endpoint", "show"], capture_output=True, text=True, timeout=2.0, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    rows = [line.split() for line in ran.stdout.splitlines()]
+    return [row[0] for row in rows if "subflow" in row or "fullmesh" in row]
+
+
+def _other_addresses(server: str) -> Iterator[tuple[str, str]]:
+    """Yield devices and addresses of this machine from which no connection to the server leaves by itself."""
+    family = socket.AF_INET6 if ":" in server else socket.AF_INET
+    usual = ""
+    with socket.socket(family, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        if _is_address(server):  # else a name server would be asked
+            probe.connect((server, 9))  # which sends nothing
+            usual = probe.getsockname()[0]
+    for device, address in addresses():
+        if (":" in address) == (":" in server) and address != usual:
+            found = ip_address(address)
+            if not (found.is_loopback or found.is_link_local):
+                yield device, address
 
 
 def _base(

@@ -17,6 +17,7 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.model.finding import Finding, Grade, examine
 from rsb_bridge.model.session import Operator, Session, Topic
 from rsb_extras.doctor import session_needs
+from rsb_extras.doctor.tests import doctor_places
 from rsb_extras.zenoh import ZenohSettings
 
 if TYPE_CHECKING:
@@ -53,6 +54,31 @@ def test_a_port_that_this_sessions_own_bridge_has(tmp_path: Path, machine: Machi
         (of_another_file,) = found("ports", server, tmp_path / "another", machine.environ)
     assert (finding.grade, of_another_file.grade) == (Grade.OK, Grade.WARNING)
     assert says(finding.text, session_needs.NeedText.PORT_OWN, pid=os.getpid())
+
+
+def test_multipath_of_session_names_what_it_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert found("multipath", session(), tmp_path) == []
+    client = session(role="client", multipath=True)
+    doctor_places.FURTHER_WAYS.set(monkeypatch, list)
+    doctor_places.ADDRESSES.set(monkeypatch, lambda: [("wlan0", "127.0.0.1"), ("lte0", "192.0.2.7")])
+    one_way, slow = found("multipath", client, tmp_path)
+    assert (one_way.grade, slow.grade) == (Grade.WARNING, Grade.NOTE)
+    assert "ip mptcp endpoint add 192.0.2.7 dev lte0 subflow backup" in one_way.remedy
+
+    setting = tmp_path / "proc/sys/net/ipv4/tcp_rto_max_ms"
+    setting.parent.mkdir(parents=True)
+    setting.write_text("1000\n")
+    doctor_places.FURTHER_WAYS.set(monkeypatch, lambda: ["192.0.2.7"])
+    (ways,) = found("multipath", client, tmp_path)
+    assert (ways.grade, ways.facts) == (Grade.OK, {"addresses": ["192.0.2.7"]})
+    doctor_places.FURTHER_WAYS.set(monkeypatch, lambda: None)
+    assert [each.grade for each in found("multipath", client, tmp_path)] == [Grade.UNKNOWN]
+    assert [each.grade for each in found("multipath", session(multipath=True), tmp_path)] == [Grade.OK]
+
+    doctor_places.MULTIPATH_PROBLEM.set(monkeypatch, lambda: "Protocol not supported")
+    (none,) = found("multipath", client, tmp_path)
+    assert none.grade == Grade.WARNING
+    assert "Protocol not supported" in none.text
 
 
 @pytest.mark.parametrize(("offset", "grade"), [(-30.0, Grade.WARNING), (30.0, Grade.WARNING), (0.02, Grade.OK)])
