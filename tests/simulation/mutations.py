@@ -35,6 +35,7 @@ from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import CANCEL_GOAL, SEND_GOAL
+from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calling_action import CallingActionRoute
 from rsb_bridge.route.calls.calls_ledger import CallFailures
@@ -43,7 +44,7 @@ from rsb_bridge.route.calls.pending_calls import PendingCalls
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lateness import LateWatch
-from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.ledger import OUTAGE, RouteLedger
 from rsb_bridge.route.sending import SendQueue
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.wire.datagram import OrderedReader
@@ -175,6 +176,7 @@ def _forget_all(self: Any, _: float) -> None:
 _answered = KeptResults.answered
 _keep = KeptCalls.keep
 _release = KeptCalls.release
+_drop = RouteLedger.drop
 _end = PendingCalls.end
 _open_resumed = DataReader.open_resumed
 _settle = RouteLedger.settle
@@ -196,6 +198,25 @@ def _remember_nothing(self: Any, frame: Any) -> None:
 def _anybodys(_: Any, __: Any) -> bool:
     """Replace what a `LinkSession` asks of a process by a form that takes any for the other end of the session."""
     return True
+
+
+def _skip_one(self: Any, frame: Any) -> None:
+    """Replace `DataReader.open_resumed` by one that takes a further message for known."""
+    _open_resumed(self, frame)
+    self._known += 1
+
+
+def _outage_delivers(self: Any, cause: str, count: int) -> None:
+    """Replace `RouteLedger.drop` by one that counts what an outage drops as delivered."""
+    if cause == OUTAGE:
+        self._delivered += count
+    else:
+        _drop(self, cause, count)
+
+
+def _nothing_before(_: object, __: bytes, number: int) -> int:
+    """Replace `PublicationNumbers.first` by one that counts nothing."""
+    return number - 1
 
 
 def _none(_: Any) -> Iterator[Any]:
@@ -317,6 +338,12 @@ MUTATIONS = (
              ((DataReader, "open_resumed", _remember_nothing),), "came out twice", _OUTLIVES, 1, 0.5),
     Mutation("what was on a lost stream is not sent again",
              ((DataStream, "unacknowledged", _none),), "messages with a stream", _OUTLIVES, 1, 0.5),
+    Mutation("a message that never came is taken for one that did",
+             ((DataReader, "open_resumed", _skip_one),), "something is in flight", _OUTLIVES, 2, 0.5),
+    Mutation("what an outage drops counts as delivered",
+             ((RouteLedger, "drop", _outage_delivers),), "messages were published: ", _OUTLIVES, 2, 0.5),
+    Mutation("what was published without a subscription is not counted",
+             ((PublicationNumbers, "first", _nothing_before),), "up to the newest", _OUTLIVES, 2, 0.5),
     Mutation("handled control messages are not counted",
              ((LinkSession, "handles", nothing),), "nobody caught", _OUTLIVES, 1, 0.5),
     Mutation("routes over datagrams are not told that their link is away",
