@@ -158,6 +158,21 @@ async def _pause_all(world: World, *, paused: bool) -> None:
                 await run.command(run.bridge.do(PauseTopics(half.key, paused=paused)))
 
 
+async def paused_while_away(world: World) -> None:
+    """An operator pauses all topics, or resumes them, while a robot's link is away."""
+    (robot,) = world.robots
+    ends = robot.host.machine, world.server.machine
+    paused = False
+    while True:
+        await asyncio.sleep(60.0)
+        with world.trouble("cut", robot):
+            world.network.cut(*ends)
+            await asyncio.sleep(12.0)
+            paused = not paused
+            await _pause_all(world, paused=paused)
+            world.network.heal(*ends)
+
+
 async def server_restarts(world: World, times: int) -> None:
     for _ in range(times):
         await asyncio.sleep(60.0)

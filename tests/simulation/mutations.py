@@ -17,6 +17,7 @@ from tests.simulation.episodes import (
     cancelled_while_cut,
     connections_reset,
     delayed,
+    paused_while_away,
     restarted_while_cut,
     server_away,
     tunnelled,
@@ -49,6 +50,7 @@ from rsb_bridge.route.sending import SendQueue
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.wire.datagram import OrderedReader
 from rsb_bridge.wire.framing import DataReader
+from rsb_bridge.wire.messages import Report
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
@@ -176,6 +178,7 @@ def _forget_all(self: Any, _: float) -> None:
 _answered = KeptResults.answered
 _keep = KeptCalls.keep
 _release = KeptCalls.release
+_back = LinkSession.back
 _drop = RouteLedger.drop
 _end = PendingCalls.end
 _open_resumed = DataReader.open_resumed
@@ -217,6 +220,19 @@ def _outage_delivers(self: Any, cause: str, count: int) -> None:
 def _nothing_before(_: object, __: bytes, number: int) -> int:
     """Replace `PublicationNumbers.first` by one that counts nothing."""
     return number - 1
+
+
+def _newest_is_left_out(self: Any, *connection: Any) -> Any:
+    """Replace `LinkSession.back` by one that leaves out the newest message but reports."""
+    again = _back(self, *connection)
+    newest = next((each for each in reversed(again) if not isinstance(each, Report)), None)
+    return tuple(each for each in again if each is not newest)
+
+
+def _newest_is_doubled(self: Any, *connection: Any) -> Any:
+    """Replace `LinkSession.back` by one that sends the newest message twice."""
+    again = _back(self, *connection)
+    return (*again, *again[-1:])
 
 
 def _none(_: Any) -> Iterator[Any]:
@@ -269,6 +285,7 @@ def _at_once(self: OrderedReader, number: int, message: Message) -> Message | No
 
 
 _OUTLIVES = replace(LIVELY, outlive=60.0)
+_ONE = replace(_OUTLIVES, robots=(1,), faults=0.0, commands=0.0, nights=0.0)
 _WATCHED = replace(STILL, checks=(1.0, 1.0))
 
 # fmt: off
@@ -344,6 +361,10 @@ MUTATIONS = (
              ((RouteLedger, "drop", _outage_delivers),), "messages were published: ", _OUTLIVES, 2, 0.5),
     Mutation("what was published without a subscription is not counted",
              ((PublicationNumbers, "first", _nothing_before),), "up to the newest", _OUTLIVES, 2, 0.5),
+    Mutation("a control message is not sent again",
+             ((LinkSession, "back", _newest_is_left_out),), "disagree on which", _ONE, 1, 0.1, paused_while_away),
+    Mutation("a control message is sent twice",
+             ((LinkSession, "back", _newest_is_doubled),), "broke the format", _ONE, 1, 0.1, paused_while_away),
     Mutation("handled control messages are not counted",
              ((LinkSession, "handles", nothing),), "nobody caught", _OUTLIVES, 1, 0.5),
     Mutation("routes over datagrams are not told that their link is away",

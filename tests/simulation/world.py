@@ -53,6 +53,8 @@ if TYPE_CHECKING:
 _LONGEST = 10_000.0
 """s that a life may take."""
 
+_BROKEN = "the peer broke the format"
+
 
 class Violation(AssertionError):  # noqa: N818 — it is a finding, not an error of this code
     """Something happened in a world that must never happen."""
@@ -340,6 +342,8 @@ class World:
         if level is not Level.DEBUG:  # they repeat earlier events
             self.log.tell(f"{host.name}: {level} {code} {text}" + (f" ({link})" if link else ""))
         self.log.events[code] += 1
+        if _BROKEN in text:  # nobody here speaks another protocol
+            self.wrong(f"{host.name}: {text}")
         if code == EventCode.ENGINE_ERROR:
             self.wrong(f"{host.name}: {text}")
 
