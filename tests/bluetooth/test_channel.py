@@ -158,7 +158,7 @@ class Pair(NamedTuple):
     def settled(self, *topics: str) -> None:
         """Every message is accounted for."""
         for topic in topics:
-            wait_until(lambda topic=topic: not self.route(topic).ledger.in_flight, f"{topic} is settled")
+            wait_until(lambda topic=topic: not self.route(topic).ledger.open, f"{topic} is settled")
             ledger = self.route(topic).ledger
             assert ledger.offered == ledger.delivered + sum(ledger.dropped.values())
 

@@ -42,16 +42,8 @@ _STOPS_WITHIN = 20.0
 _MEMORY = 256 << 20
 """Bytes: queues are bounded on any network (a program that bridges nothing has 65 MiB)."""
 _LEDGER_FIELDS = (
-    "offered",
-    "delivered",
-    "throttled",
-    "expired",
-    "waiting",
-    "in_flight",
-    "dropped",
-    "unknown",
-    "lost_in_dds",
-)
+    "offered", "delivered", "throttled", "expired", "waiting", "in_flight", "dropped", "unknown", "lost_in_dds",
+)  # fmt: skip
 
 
 class Program:

@@ -121,7 +121,7 @@ def _run(folder: Path, options: argparse.Namespace, stack: contextlib.ExitStack,
 
     def settled() -> dict[str, RouteSnapshot] | None:
         routes = {each.topic: each for each in engine.snapshot().routes}
-        done = len(routes) == len(TOPICS) and not any(each.ledger.in_flight for each in routes.values())
+        done = len(routes) == len(TOPICS) and not any(each.ledger.open for each in routes.values())
         return routes if done and not any(each.state is State.WAITING for each in routes.values()) else None
 
     time.sleep(2.0)

@@ -104,7 +104,7 @@ def test_waiting_messages_do_not_outlive_arming(ends: Callable[..., None], world
     armed(world.route.arming, world.context)
     world.wait(0.5)
     assert [each[4:] for each in world.sent] == [b"moves"]
-    assert world.route.ledger().in_flight == 0
+    assert world.route.ledger().open == 0
 
 
 def test_age_is_asked_again_when_message_leaves_queue(world: World) -> None:

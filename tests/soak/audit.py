@@ -121,8 +121,8 @@ def _open(stage: Stage, listener: TopicListener, hushed: float) -> str:
     here, there = _rows(stage, listener)
     if here is None or there is None:
         return f"{listener.name}: no route on one of the sides"
-    if here["in_flight"]:
-        return f"{listener.name}: {here['in_flight']} in flight long after the last message: {dict(parts(here))}"
+    if here["waiting"] or here["in_flight"]:
+        return f"{listener.name}: some wait or are in flight long after the last message: {dict(parts(here))}"
     if parts(here) != parts(there):
         return f"{listener.name}: the sides differ: sender {dict(parts(here))}, receiver {dict(parts(there))}"
     return ""

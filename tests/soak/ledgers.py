@@ -10,7 +10,7 @@ Row: TypeAlias = "dict[str, Any]"
 Key: TypeAlias = "tuple[str, str, bool]"
 """Link, topic, and whether this side sends."""
 
-_PARTS = ("delivered", "throttled", "expired", "unknown", "in_flight")
+_PARTS = ("delivered", "throttled", "expired", "unknown", "waiting", "in_flight")
 _MOST_MISTAKES = 20
 
 

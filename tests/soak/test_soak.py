@@ -55,7 +55,7 @@ def test_figures() -> None:
 def test_a_ledger_that_does_not_balance() -> None:
     """It is named, as is a negative part; parts are summed over a route and its successor."""
     row = {"link": "robot1", "topic": "/odom", "outgoing": True, "offered": 5, "delivered": 3, "throttled": 0}
-    row |= {"expired": 0, "unknown": 0, "in_flight": 2, "dropped": {}, "lost_in_dds": 0}
+    row |= {"expired": 0, "unknown": 0, "waiting": 0, "in_flight": 2, "dropped": {}, "lost_in_dds": 0}
     book = Book("robot1")
     book.take([row])
     book.take([row | {"offered": 2, "delivered": 2, "in_flight": 0}])
