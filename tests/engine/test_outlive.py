@@ -17,6 +17,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -143,11 +144,19 @@ def test_what_waited_overruns_no_subscription(bridge: Bridge, relay: Relay, robo
     for number in range(600):
         out.publish(text(str(number)))
         time.sleep(0.001)
+    eventually(lambda: route(client, "/events").reason.endswith(" s, 600 kept"))
+    assert route(server, "/events").reason.endswith(" s for the link")
+    (shown,) = client.snapshot().links
+    assert shown.session_ends is not None
+    assert shown.session_ends - client.snapshot().time < OUTLIVES
     relay.refuse(False)
 
+    causes = set[str]()
     deadline = time.monotonic() + 60
     while len(there.payloads) < came + 600 and time.monotonic() < deadline:  # as a node that spins
         time.sleep(0.001)
+        causes |= {route(side, "/events").cause for side in (client, server)}
+    assert not causes & {Cause.LATE, Cause.QUEUE_FULL}
     assert numbers(there.payloads[came:]) == [*range(600)]
 
 

@@ -61,7 +61,7 @@ class Count(NamedTuple):
 
     def __str__(self) -> str:
         names = ("offered", "delivered", "expired", "dropped", "unknown", "waiting", "in_flight", "lost_in_dds")
-        figures = {name: self.ledger[name] for name in (*names, "missed_while_down")}
+        figures = {name: self.ledger[name] for name in (*names, "missed_while_down", "unsubscribed")}
         return f"{self.published} published, {self.never_taken} never taken, {self.received} received; {figures}"
 
 

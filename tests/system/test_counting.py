@@ -18,8 +18,6 @@ from rsb_bridge.model.session import Topic
 from rsb_extras.zenoh import ZenohSettings
 
 RATE = 400.0
-_TOLERANCE = int(1.5 * RATE)
-"""Messages: a link is not lost at once, and a starved publisher does not keep its rate."""
 _OUTAGES = 3
 """The beginning, a cut, and a kill."""
 
@@ -41,7 +39,7 @@ def check(count: Count) -> None:
     outages = sum(count.gaps[:_OUTAGES])
     known = count.received + count.ended + ledger["lost_in_dds"] + count.never_taken
     assert 0 <= count.published - known <= ledger["unknown"] + max(0, outages - count.never_taken), count
-    assert abs(ledger["missed_while_down"] - count.never_taken) <= _TOLERANCE, count
+    assert ledger["missed_while_down"] + ledger["unsubscribed"] == count.never_taken, count
 
 
 def through(counted: CountedBridge, cut: Callable[[], None]) -> Count:
