@@ -97,13 +97,25 @@ async def bad_network(world: World, robot: Robot, random: Random) -> None:
         await asyncio.sleep(_LATEST)
 
 
+def _connections(robot: Robot) -> list[StreamTransport]:
+    held = robot.host.run.process.descriptors if robot.host.run is not None else ()
+    return [each for each in held if isinstance(each, StreamTransport)]
+
+
 async def reset(world: World, robot: Robot, random: Random) -> None:
     """A firewall between resets some of the robot's connections."""
-    held = robot.host.run.process.descriptors if robot.host.run is not None else ()
-    found = [each for each in held if isinstance(each, StreamTransport)]
+    found = _connections(robot)
     with world.trouble("reset", robot):
         for each in random.sample(found, random.randint(0, len(found))):
             each.reset()
+        await asyncio.sleep(1.0)
+
+
+async def half_open(world: World, robot: Robot, random: Random) -> None:
+    """A NAT between forgets the robot's connections; none or one of the two ends of each hears of it."""
+    with world.trouble("half-open", robot):
+        for each in _connections(robot):
+            random.choice((each, each.peer)).forget(told=random.random() < 0.3)
         await asyncio.sleep(1.0)
 
 
@@ -326,6 +338,8 @@ _ROBOT: dict[Fault, int] = {
     twin: 1,
     wrong_key: 1,
 }
+_SESSION: dict[Fault, int] = {reset: 3, half_open: 3, move: 2, cut: 2}
+"""Besides, where links outlive their connections."""
 _SERVER: dict[Fault, int] = {kill: 3, power_cut: 2, upgrade: 2}
 _EXCHANGE: dict[Fault, int] = {server_ends: 3, server_dies: 3, server_hesitates: 3, caller_restarts: 2, offer_fails: 1}
 _FLOW: dict[Fault, int] = {publisher_gone: 4, listener_gone: 2, type_differs: 1, take_fails: 1, busy_ros: 4}
@@ -338,6 +352,8 @@ def of(world: World) -> Iterator[Coroutine[None, None, None]]:
         yield _set_clocks(world, 3 * pause)
         for robot in world.robots:
             yield _befall_robot(world, robot, pause)
+            if world.conditions.outlive:
+                yield _befall_connections(world, robot, pause)
             yield _befall_flows(world, robot, pause)
             if robot.service_flows or robot.action_flows:
                 yield _befall_services(world, robot, pause)
@@ -364,6 +380,10 @@ async def _befall_robot(world: World, robot: Robot, pause: float) -> None:
         nights = world.conditions.nights
         if nights and random.random() < nights / (1 - nights) * pause / _NIGHT:
             await night(world, robot, random)
+
+
+def _befall_connections(world: World, robot: Robot, pause: float) -> Coroutine[None, None, None]:
+    return _befall(world, f"{robot.name}'s connections", pause, _SESSION, lambda _: robot)
 
 
 def _befall_flows(world: World, robot: Robot, pause: float) -> Coroutine[None, None, None]:

@@ -238,7 +238,10 @@ class Invariants:
         world, now = self._world, self._world.loop.time()
         if flow.latched or flow.late < _LATE_MESSAGES or now - flow.last_heard > _COMES:
             return
-        lasted = now - max(flow.late_since, robot.commanded)
+        since = max(flow.late_since, robot.commanded)
+        if world.conditions.outlive:  # what waited for its link is not late
+            since = now if robot.troubles else max(since, world.clear_since(robot))
+        lasted = now - since
         if lasted <= self._patience * LATE_WITHIN:
             return
         for link in world.link_ends(robot) or ():

@@ -30,6 +30,7 @@ from rsb_bridge.channel.datagram_channel import DatagramEnd
 from rsb_bridge.channel.reliable_datagrams import ReliableSender
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.channel.window import Window
+from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.link.route_ids import RouteIds
@@ -49,7 +50,7 @@ from rsb_bridge.route.ledger import OUTAGE, RouteLedger
 from rsb_bridge.route.sending import SendQueue
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.wire.datagram import OrderedReader
-from rsb_bridge.wire.framing import DataReader
+from rsb_bridge.wire.framing import DataReader, DataWriter
 from rsb_bridge.wire.messages import Report
 
 if TYPE_CHECKING:
@@ -182,6 +183,8 @@ _back = LinkSession.back
 _drop = RouteLedger.drop
 _end = PendingCalls.end
 _open_resumed = DataReader.open_resumed
+_unacknowledged = DataStream.unacknowledged
+_write_resumed = DataWriter.write_resumed
 _settle = RouteLedger.settle
 _took = Window.acknowledge
 _propose = replaced.PROPOSE_ROUTE.value
@@ -233,6 +236,19 @@ def _newest_is_doubled(self: Any, *connection: Any) -> Any:
     """Replace `LinkSession.back` by one that sends the newest message twice."""
     again = _back(self, *connection)
     return (*again, *again[-1:])
+
+
+def _resumed_too_far(self: Any, again: int = 0) -> Any:
+    """Replace `DataWriter.write_resumed` by a form that skips a number."""
+    self.messages += 1
+    return _write_resumed(self, again)
+
+
+def _without_oldest(self: Any) -> Iterator[Any]:
+    """Replace `DataStream.unacknowledged` by a form that drops the oldest message."""
+    found = _unacknowledged(self)
+    next(found, None)
+    return found
 
 
 def _none(_: Any) -> Iterator[Any]:
@@ -365,6 +381,10 @@ MUTATIONS = (
              ((LinkSession, "back", _newest_is_left_out),), "disagree on which", _ONE, 1, 0.1, paused_while_away),
     Mutation("a control message is sent twice",
              ((LinkSession, "back", _newest_is_doubled),), "broke the format", _ONE, 1, 0.1, paused_while_away),
+    Mutation("a number is skipped when messages are sent again",
+             ((DataWriter, "write_resumed", _resumed_too_far),), "messages with a stream", _OUTLIVES, 1, 0.5),
+    Mutation("the oldest message is not sent again",
+             ((DataStream, "unacknowledged", _without_oldest),), "messages with a stream", _OUTLIVES, 1, 0.5),
     Mutation("handled control messages are not counted",
              ((LinkSession, "handles", nothing),), "nobody caught", _OUTLIVES, 1, 0.5),
     Mutation("routes over datagrams are not told that their link is away",

@@ -309,6 +309,12 @@ class StreamTransport(asyncio.Transport):
         self.refused()
         self.peer.refused()
 
+    def forget(self, *, told: bool) -> None:
+        """Let nothing through any more, as a NAT that has forgotten the connection; `told`: this end gets a reset."""
+        self.forgotten = self.peer.forgotten = True
+        if told:
+            self._lose(os_error(errno.ECONNRESET))
+
     def _close_descriptor(self, error: OSError | None) -> None:
         """The program lets go of it: what is in the kernel's buffer still goes out, and then the end.
 
