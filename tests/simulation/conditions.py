@@ -20,6 +20,7 @@ class Conditions:
         nights: part of the time that each robot is switched off, for hours: an engine that waits alone costs a tenth of
             one that is linked, so more days with faults can be lived in the same time.
         outlive: s that links outlive their connections.
+        moves: s from one fault of a robot's connections alone to the next, on average, or 0 for none.
         patience: how many times longer than usual everything may take: more where an engine is slowed down.
     """
 
@@ -36,6 +37,7 @@ class Conditions:
     nights: float = 0.6
     checks: tuple[float, float] = (1.0, 5.0)
     outlive: float = 0.0
+    moves: float = 0.0
     patience: float = 1.0
 
 

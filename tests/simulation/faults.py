@@ -338,8 +338,8 @@ _ROBOT: dict[Fault, int] = {
     twin: 1,
     wrong_key: 1,
 }
-_SESSION: dict[Fault, int] = {reset: 3, half_open: 3, move: 2, cut: 2}
-"""Besides, where links outlive their connections."""
+_CONNECTIONS: dict[Fault, int] = {reset: 3, half_open: 3, move: 2, cut: 2}
+"""Of its connections alone."""
 _SERVER: dict[Fault, int] = {kill: 3, power_cut: 2, upgrade: 2}
 _EXCHANGE: dict[Fault, int] = {server_ends: 3, server_dies: 3, server_hesitates: 3, caller_restarts: 2, offer_fails: 1}
 _FLOW: dict[Fault, int] = {publisher_gone: 4, listener_gone: 2, type_differs: 1, take_fails: 1, busy_ros: 4}
@@ -352,8 +352,8 @@ def of(world: World) -> Iterator[Coroutine[None, None, None]]:
         yield _set_clocks(world, 3 * pause)
         for robot in world.robots:
             yield _befall_robot(world, robot, pause)
-            if world.conditions.outlive:
-                yield _befall_connections(world, robot, pause)
+            if world.conditions.moves:
+                yield _befall_connections(world, robot, world.conditions.moves)
             yield _befall_flows(world, robot, pause)
             if robot.service_flows or robot.action_flows:
                 yield _befall_services(world, robot, pause)
@@ -383,7 +383,7 @@ async def _befall_robot(world: World, robot: Robot, pause: float) -> None:
 
 
 def _befall_connections(world: World, robot: Robot, pause: float) -> Coroutine[None, None, None]:
-    return _befall(world, f"{robot.name}'s connections", pause, _SESSION, lambda _: robot)
+    return _befall(world, f"{robot.name}'s connections", pause, _CONNECTIONS, lambda _: robot)
 
 
 def _befall_flows(world: World, robot: Robot, pause: float) -> Coroutine[None, None, None]:

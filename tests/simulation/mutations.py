@@ -302,6 +302,7 @@ def _at_once(self: OrderedReader, number: int, message: Message) -> Message | No
 
 _OUTLIVES = replace(LIVELY, outlive=60.0)
 _ONE = replace(_OUTLIVES, robots=(1,), faults=0.0, commands=0.0, nights=0.0)
+_MOVES = replace(_OUTLIVES, moves=120.0)
 _WATCHED = replace(STILL, checks=(1.0, 1.0))
 
 # fmt: off
@@ -382,9 +383,9 @@ MUTATIONS = (
     Mutation("a control message is sent twice",
              ((LinkSession, "back", _newest_is_doubled),), "broke the format", _ONE, 1, 0.1, paused_while_away),
     Mutation("a number is skipped when messages are sent again",
-             ((DataWriter, "write_resumed", _resumed_too_far),), "messages with a stream", _OUTLIVES, 1, 0.5),
+             ((DataWriter, "write_resumed", _resumed_too_far),), "messages with a stream", _MOVES, 1, 0.5),
     Mutation("the oldest message is not sent again",
-             ((DataStream, "unacknowledged", _without_oldest),), "messages with a stream", _OUTLIVES, 1, 0.5),
+             ((DataStream, "unacknowledged", _without_oldest),), "messages with a stream", _MOVES, 1, 0.5),
     Mutation("handled control messages are not counted",
              ((LinkSession, "handles", nothing),), "nobody caught", _OUTLIVES, 1, 0.5),
     Mutation("routes over datagrams are not told that their link is away",

@@ -27,7 +27,7 @@ _BUSY = replace(CALLS, faults=10.0, commands=60.0)
 @pytest.mark.parametrize("seed", [*_SEEDS, *long(*range(3, 12))])
 @pytest.mark.parametrize("conditions", [LIVELY, STORM, _BUSY, ACTIONS], ids=lambda each: each.name)
 def test_nothing_stays_wrong(conditions: Conditions, seed: int) -> None:
-    world = World(seed, replace(conditions, outlive=60.0, nights=0.0))
+    world = World(seed, replace(conditions, outlive=60.0, moves=conditions.faults, nights=0.0))
     with patch.object(LinkSession, "back", autospec=True, side_effect=LinkSession.back) as went_on:
         try:
             world.play(1800)
