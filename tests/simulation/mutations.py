@@ -30,7 +30,6 @@ from rsb_bridge.channel.datagram_channel import DatagramEnd
 from rsb_bridge.channel.reliable_datagrams import ReliableSender
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.channel.window import Window
-from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.link.route_ids import RouteIds
