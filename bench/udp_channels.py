@@ -112,8 +112,8 @@ async def _send(port: int, rate: int, size: int) -> tuple[float, int]:
     while due < rate * _SECONDS:
         newly = min(int((time.monotonic() - began) * rate) + 1, int(rate * _SECONDS)) - due
         due += newly
-        route.queue.add([(content, time.monotonic_ns(), 0)] * newly, time.monotonic())
-        route.queue.trim(_QUEUE, time.monotonic())
+        route.queue.add([(content, time.monotonic_ns(), 0)] * newly, time.monotonic(), b"")
+        route.queue.trim(_QUEUE, time.monotonic(), b"")
         route.flush()
         await asyncio.sleep(0.0005)
     while route.queue or sender.congested:  # noqa: ASYNC110 - plain state

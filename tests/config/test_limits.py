@@ -83,6 +83,7 @@ TOPIC_FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "paused": st.booleans(),
     "deadman": st.none() | around(DEADMAN_TIME),
     "limits": st.none() | st.builds(VelocityLimits, st.none() | around(SPEED), st.none() | around(TURN_RATE)),
+    "keep": st.none() | around(Range(1, 86_400)),
 }
 some_fields = st.lists(
     st.sampled_from([*TOPIC_FIELDS]).flatmap(lambda key: st.tuples(st.just(key), TOPIC_FIELDS[key])), max_size=4

@@ -16,6 +16,7 @@ from rsb_bridge.config.keys import generate
 from rsb_bridge.config.topic_rules import entry_problems
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.by_hand import VelocityLimits
+from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.session import RANKS, Direction, Problem, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import Protocol
@@ -46,6 +47,7 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "compression": st.none() | st.sampled_from(["none", "zstd"]),
     "on_end": st.none() | st.sampled_from(ENDS) | st.text(max_size=8),
     "limits": st.none() | st.builds(VelocityLimits, numbers, numbers),
+    "keep": numbers | st.builds(Keep, numbers.filter(lambda number: number is not None), numbers),
     "kind": st.sampled_from(list(LISTS)),
     "priority": st.sampled_from(list(RANKS)),
     "excepts": st.lists(names, max_size=3).map(tuple) | st.just(("/a",) * 101),

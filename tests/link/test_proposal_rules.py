@@ -101,7 +101,7 @@ changes: st.SearchStrategy[dict[str, Any]] = st.lists(
             ("qos", st.none() | FIELDS["qos"]),
             ("compression", st.sampled_from(["none", "zstd"])),
             *((name, FIELDS[name]) for name in ("max_rate", "expected_rate", "stale_after", "late_after", "max_age")),
-            *((name, FIELDS[name]) for name in ("arm", "deadman", "on_end", "limits", "timeout", "kind")),
+            *((name, FIELDS[name]) for name in ("arm", "deadman", "on_end", "limits", "keep", "timeout", "kind")),
             ("priority", st.sampled_from([-1, 0, 1, 2])),
         ]
     ).flatmap(lambda field: st.tuples(st.just(field[0]), field[1])),

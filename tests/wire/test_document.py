@@ -11,6 +11,7 @@ import pytest
 import rsb_bridge
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import LANES, MOST_LANES, Refused
+from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode
@@ -36,6 +37,7 @@ STRUCTS = {
     "NamePattern": messages.NamePattern,
     "FoundName": messages.FoundName,
     "VelocityLimits": VelocityLimits,
+    "Keep": Keep,
     "qos": Qos,
 } | {message.__name__: message for message in typing.get_args(messages.ControlMessage)}
 

@@ -81,6 +81,7 @@ class Advice(Wording):
     CROSSES_ALTHOUGH_DENIED = "{reason}, but it crosses: deny applies only to entries of the other side"
     TYPE_NOT_INSTALLED = "{type} is not installed here: check the spelling; the {kind} crosses once there is a {who}"
     DEPTH = "depth {depth}: the receiving side keeps {limit} messages in its publisher"
+    KEEP = "{seconds:g} s are kept, and a lost link is given up after {outlive:g} s (outlive)"
     DEPTH_OF_LATCHED = "depth {depth}: the receiving side keeps {limit} messages for late joiners"
 
 
@@ -183,6 +184,9 @@ def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[P
             if qos.depth > limit:
                 message = advice(depth=qos.depth, limit=limit)
                 yield Problem(join(location, "qos"), message, place=f"{place}, qos")
+        if topic.kept is not None and topic.kept.seconds > session.outlive:
+            message = Advice.KEEP(seconds=topic.kept.seconds, outlive=session.outlive)
+            yield Problem(join(location, "keep"), message, place=f"{place}, keep")
 
 
 def _denied(

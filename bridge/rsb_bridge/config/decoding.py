@@ -60,6 +60,7 @@ _STAND_INS = {
     "node": "/unnamed",
     "provider": "server",
     "key_file": "unnamed.key",
+    "seconds": 60.0,
 }
 _MEANINGS: Final = {"provider": " (the side whose node answers)"}
 

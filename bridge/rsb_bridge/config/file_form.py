@@ -39,7 +39,7 @@ KEYS: Final[dict[Kind, dict[str, str]]] = {
         "qos": "qos", "remote_topic": "remote_topic", "compression": "compression", "max_rate": "max_rate",
         "expected_rate": "expected_rate", "stale_after": "stale_after", "late_after": "late_after",
         "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "limits": "limits", "priority": "priority", "except": "excepts",
+        "limits": "limits", "priority": "priority", "keep": "keep", "except": "excepts",
     },
     "service": {
         "service": "topic", "provider": "direction", "type": "type", "timeout": "timeout", "protocol": "protocol",
@@ -78,6 +78,7 @@ _NOT_OF_CALLS = {
     "stale_after": ForeignKey.STALE_AFTER_OF_CALLED(),
     "late_after": ForeignKey.LATE_AFTER_OF_CALLED(),
     "limits": ForeignKey.LIMITS_OF_CALLED(),
+    "keep": ForeignKey.KEEP_OF_CALLED(),
     "priority": ForeignKey.PRIORITY_OF_CALLED(),
 }
 

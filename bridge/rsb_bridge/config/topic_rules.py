@@ -29,6 +29,7 @@ from rsb_bridge.model.by_hand import (
 )
 from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.demands import full_type
+from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.patterns import is_pattern
@@ -57,6 +58,7 @@ _OF_TOPICS = {
     "on_end": None,
     "limits": None,
     "max_age": None,
+    "keep": None,
     "timeout": None,
 }
 """The keys that an internal route does not have, and their defaults."""
@@ -74,6 +76,9 @@ class TopicMistake(Wording):
     ON_END_WITHOUT_ARM = "only {kind} with arm: true has it: set arm: true, or leave it out"
     ON_END_TOO_LONG = "the message has {length} characters, and at most {limit} are allowed: leave out what is 0"
     LIMITS_OF_TYPE = "only Twist and TwistStamped have a velocity, and the type is {name}: leave limits out"
+    KEEP_OF_ARMED = "nothing of a topic that has to be armed may arrive late: leave keep or arm out"
+    KEEP_BEYOND_AGE = "{seconds:g} s are kept, and what is older than {key} is dropped: keep at most {age:g} s"
+    KEEP_OF_DATAGRAMS = "{protocol} sends nothing of best effort again: leave protocol out, or set qos: reliable"
     OUT_OF_RANGE = "{value} is out of range: {range}"
     CALL_NEEDS_RELIABLE = "{protocol} may lose messages, and calls must not be lost: leave protocol out"
     NOT_CROSSING = (
@@ -113,7 +118,7 @@ def transport_of(topic: Topic, session: Session | None) -> type[TransportTraits]
     if topic.protocol is not None:
         return transports.named(topic.protocol)
     link = transports.of_link(session.server_ip if session is not None else "")
-    if not link.best_effort or topic.kind != "topic":
+    if not link.best_effort or topic.kind != "topic" or topic.keep is not None:
         return link
     try:
         qos = topic.parsed_qos()
@@ -185,6 +190,7 @@ def topic_problems(topic: Topic, session: Session | None, client: str | None) ->
         yield from on_end_problems(end_text(topic.on_end), topic.kind)
     if topic.kind == "topic":  # else it is a key of another kind
         yield from limits_problems(topic.limits, "topic", topic.type, topic.topic)
+        yield from _keep_problems(topic, session)
 
 
 def problems_here(topic: Topic, session: Session, *, renamed: bool) -> Iterator[Problem]:
@@ -217,6 +223,31 @@ def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -
 
 
 # --- values of an entry
+
+
+def _keep_problems(topic: Topic, session: Session | None) -> Iterator[Problem]:
+    """Yield the mistake in what is kept for a link that is away, of a topic."""
+    keep = topic.kept
+    if keep is None:
+        return
+    for key, value, allowed, unit in keep.out_of_range:
+        place = join("keep", key) if isinstance(topic.keep, Keep) else "keep"
+        yield Problem(place, f"{show(value)} is out of range: {allowed} {unit}, or leave it out")
+        return
+    if topic.arm:
+        yield Problem("keep", TopicMistake.KEEP_OF_ARMED())
+        return
+    try:
+        qos = topic.parsed_qos()
+    except ValueError:  # a problem of its own
+        qos = None
+    ages = {"max_age": topic.max_age or 0.0, "the lifespan in qos": qos.lifespan if qos is not None else 0.0}
+    for key, age in ages.items():
+        if 0 < age < keep.seconds:
+            yield Problem("keep", TopicMistake.KEEP_BEYOND_AGE(seconds=keep.seconds, key=key, age=age))
+            return
+    if qos is not None and qos.reliability == "best_effort" and not transport_of(topic, session).reliable:
+        yield Problem("keep", TopicMistake.KEEP_OF_DATAGRAMS(protocol=topic.protocol))
 
 
 def _type_problems(topic: Topic) -> Iterator[Problem]:

@@ -21,6 +21,7 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.purposes import TOPIC, Purpose, purposes
 from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import NO_PROFILE, compression_of
 from rsb_bridge.route.route import route_key
 from rsb_bridge.wire.messages import Amend, Propose
@@ -80,6 +81,7 @@ def proposal_of(
         paused=topic.paused,
         arm=topic.arm,
         limits=topic.limits,
+        keep=topic.kept,
         timeout=topic.timeout or 0.0,
     )
 
@@ -109,6 +111,7 @@ def topic_of(proposal: Propose) -> Topic:
         paused=proposal.paused,
         arm=proposal.arm,
         limits=proposal.limits,
+        keep=proposal.keep,
         timeout=proposal.timeout or None,
     )
 
@@ -127,7 +130,7 @@ def same_route(one: Propose, other: Propose) -> bool:
     return one == other
 
 
-_LIVE = ("max_rate", "expected_rate", "stale_after", "late_after", "max_age", "priority")
+_LIVE = tuple(name for name, key in TOPIC_KEYS.items() if key.live)
 """Keys whose change leaves a route open, and their names on the wire: its *limits*."""
 
 

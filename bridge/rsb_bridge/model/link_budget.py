@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 import msgspec
 
 from rsb_bridge.model.capacity import Capacity, CapacitySource
+from rsb_bridge.model.keep import KEEP_BUDGET
 from rsb_bridge.model.session import rank_of, weight_of
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import about
@@ -21,6 +22,7 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping
 
+    from rsb_bridge.model.keep import Keep
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
@@ -125,6 +127,12 @@ class Cost(NamedTuple):
     capacity: Capacity | None  # the link's capacity in that direction, or None if unknown
     gets: float  # bytes/s that the topic itself would get
     sufferers: tuple[Sufferer, ...] = ()  # topics that would get less
+    keep: Keep | None = None  # what waits for the link
+
+    @property
+    def kept(self) -> float | None:
+        """Bytes that wait for a link that is away for as long as the topic keeps them, or None if it keeps nothing."""
+        return None if self.keep is None else self.keep.seconds * self.load.rate * self.load.size
 
     @property
     def over(self) -> float:
@@ -175,14 +183,14 @@ def cost_of(
         # So little has crossed, as on a link that has just come up, that it tells nothing about this topic.
         capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < own.bytes_per_second
     ):
-        return Cost(load, used, None, own.bytes_per_second)
+        return Cost(load, used, None, own.bytes_per_second, keep=topic.kept)
     shares = allot(capacity.bytes_per_second, wishes | {"": own})
     sufferers = tuple(
         Sufferer(route.topic, wish.bytes_per_second, shares[route.key])
         for route in routes
         if shares[route.key] < _SUFFERS * (wish := wishes[route.key]).bytes_per_second
     )
-    return Cost(load, used, capacity, shares[""], sufferers)
+    return Cost(load, used, capacity, shares[""], sufferers, topic.kept)
 
 
 def load_of(
@@ -240,6 +248,7 @@ def as_report(cost: Cost) -> dict[str, object]:
         "over": cost.over,
         "gets": cost.gets,
         "suffers": [each._asdict() for each in cost.sufferers],
+        "kept_bytes": cost.kept,
     }
 
 
@@ -263,17 +272,31 @@ class CostText(Wording):
     CROSSES = "{share:.0%} of its own messages would cross"
     TOO_MUCH = "{amount} too much: {effects}"
     PERHAPS_TOO_MUCH = "{amount} more than ever crossed. If the link cannot carry it: {effects}"
+    KEPT = "keep: {seconds:g} s of it are {size}, of {most} for all such topics of the link"
+    KEPT_OF_ITS_OWN = "keep: {seconds:g} s of it are {size}, of {most} of its own"
     PERHAPS_CARRIED = "{amount} more than ever crossed: the link may or may not carry it"
 
 
 def describe_cost(cost: Cost, now: float) -> tuple[str, ...]:
-    """Return one or two lines for an operator, at `now` (s since the epoch)."""
+    """Return one to three lines for an operator, at `now` (s since the epoch)."""
+    return _describe_load(cost, now) + _describe_kept(cost)
+
+
+def _describe_kept(cost: Cost) -> tuple[str, ...]:
+    if cost.keep is None or not cost.kept:
+        return ()
+    own, figures = cost.keep.own_bytes, {"seconds": cost.keep.seconds, "size": _bytes(cost.kept)}
+    if own is not None:
+        return (CostText.KEPT_OF_ITS_OWN(**figures, most=_bytes(own)),)
+    return (CostText.KEPT(**figures, most=f"{KEEP_BUDGET >> 20} MiB"),)
+
+
+def _describe_load(cost: Cost, now: float) -> tuple[str, ...]:
     if cost.load.source is LoadSource.UNKNOWN:
         return (CostText.UNKNOWN(),)
     load, capacity = cost.load, cost.capacity
     size, source = load.size, CostText[load.source.name](topic=load.like)
-    unit = f"{size / 1e6:.2g} MB" if size >= 1e6 else f"{size / 1e3:.3g} kB" if size >= 1e3 else f"{size:.0f} B"
-    what = CostText.LOAD(amount=amount(load.bytes_per_second), rate=load.rate, size=unit, source=source)
+    what = CostText.LOAD(amount=amount(load.bytes_per_second), rate=load.rate, size=_bytes(size), source=source)
     if capacity is None:
         return (CostText.CAPACITY_UNKNOWN(load=what),)
     carries = CostText.CARRIED if capacity.source == CapacitySource.SEEN else CostText.CARRIES
@@ -291,6 +314,10 @@ def describe_cost(cost: Cost, now: float) -> tuple[str, ...]:
     if capacity.source != CapacitySource.SEEN:
         return first, CostText.TOO_MUCH(amount=over, effects=effects)
     return first, (CostText.PERHAPS_TOO_MUCH if effects else CostText.PERHAPS_CARRIED)(amount=over, effects=effects)
+
+
+def _bytes(size: float) -> str:
+    return f"{size / 1e6:.2g} MB" if size >= 1e6 else f"{size / 1e3:.3g} kB" if size >= 1e3 else f"{size:.0f} B"
 
 
 def amount(bytes_per_second: float) -> str:

@@ -13,6 +13,7 @@ import msgspec
 
 from rsb_bridge.feature import peer_keys, session_keys
 from rsb_bridge.model.by_hand import VelocityLimits, end_text
+from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
@@ -129,9 +130,13 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     priority: Priority = "normal"  # on a full link, topics of a higher priority get a larger share; only for topics
     excepts: tuple[str, ...] = ()
     """Names on the client that a pattern leaves out, patterns or not; ``except`` in a file."""
+    keep: float | Keep | None = None
+    """All messages of so many s wait for a link that is away or carries too little, or None for what the QoS keeps."""
 
     def __post_init__(self) -> None:
         _write_out(self)
+        if isinstance(self.keep, Keep) and self.keep.megabytes is None:  # one form, so that entries can be compared
+            msgspec.structs.force_setattr(self, "keep", self.keep.seconds)
 
     @property
     def is_pattern(self) -> bool:
@@ -155,6 +160,11 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     def deadman_seconds(self) -> float:
         """The deadman time (s), or 0 for none."""
         return DEADMAN if self.deadman is None else self.deadman
+
+    @property
+    def kept(self) -> Keep | None:
+        """The same as `keep`, whatever its form."""
+        return Keep(self.keep) if isinstance(self.keep, int | float) else self.keep
 
     def parsed_qos(self) -> Qos | None:
         return parse_qos(self.qos)

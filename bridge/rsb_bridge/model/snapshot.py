@@ -122,7 +122,7 @@ class Ledger:
     """The balance of a route's messages.
 
     ``offered = delivered + throttled + dropped + expired + unknown + waiting + in_flight``. All are message counts
-    since the route was made. `dropped` says each cause: ``queue full``, ``outage``, ``link lost``,
+    since the route was made. `dropped` says each cause: ``queue full``, ``keep full``, ``outage``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
     ``malformed``, ``too complex``, ``would loop``, ``paused``, ``disarmed``, ``incomplete``.
     """

@@ -43,6 +43,7 @@ class ForeignKey(Wording):
     )
     LIMITS_OF_CALLED = "only topics have it: leave it out"
     LATE_AFTER_OF_CALLED = "only topics have it: leave it out; timeout limits how long a call waits for its answer"
+    KEEP_OF_CALLED = "only topics have it, and calls wait for the link without it: leave it out"
     DIRECTION_OF_CALLED = "write provider: client or provider: server, the side whose node answers"
     LIST_UNDER = "list this entry under {list}, or write {key}: /..."
     OTHER_REMOTE = "write {key}"
@@ -144,6 +145,10 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              sentence="dropped if older than {value:g} {unit}", zero_sentence="of any age",
              label="Max age", help=_OLD.format("message is dropped."), blank="1 s if armed",
              help_of_calls=_OLD.format("request is refused.")),
+    TopicKey("keep", kinds="topics", live=True,
+             label="Keep", help="Seconds of which all messages wait for a link that is away or too slow: 60, or "
+                                "{seconds: 60, megabytes: 8}.",
+             blank="what the QoS keeps"),
     TopicKey("compression"),
     TopicKey("arm", "switch",
              label="Must be armed", help="Carries nothing until an operator arms it (key A).", options=_SWITCH),

@@ -26,8 +26,8 @@ loss shows after 3 s."""
 _MOST_CAUSES = 32
 """Causes of drops with a count of their own, as many as a report has room for (PROTOCOL.md, 3)."""
 _OTHER = "other"
-OUTAGE = "outage"
-"""Left out of a queue while its link was away or caught up: older than the topic's QoS promises to keep."""
+OUTAGE, KEEP_FULL = "outage", "keep full"
+"""Left out of a queue: older than the topic promises to keep for a link that is away; beyond the bytes of `keep`."""
 THROTTLED = "throttled"
 """The receiver left these out, for the rate that it allows."""
 CAUSES = {

@@ -328,6 +328,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         super().away()
         self.backlog.begin(self._ledger.dropped[OUTAGE])
 
+    def back(self) -> None:
+        super().back()
+        self._path.back()
+
     def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
         unreported = self.delays.unreported(self._ledger.sent_now, self._ledger.reported_now, now)
         if not flows or self.backlog.exists:  # what waited for the link is not late
@@ -359,6 +363,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         dropped = self._ledger.dropped[OUTAGE] - self.backlog.dropped_before
         older = f", {dropped:,} older ones dropped" if dropped else ""
         return f"waiting {LASTING}, {self.ledger().waiting:,} kept{older}"
+
+    def amend(self, spec: Topic, proposal: Propose) -> None:
+        super().amend(spec, proposal)
+        self._path.compose()
 
     # --- the ledger
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.session import priority_of
 from rsb_bridge.model.snapshot import Level
@@ -304,11 +305,13 @@ def limits_changed(old: Propose, new: Propose) -> str:
     changed = [
         f"{name} {_limit_text(before, key)} → {_limit_text(after, key)}"
         for name, key in TOPIC_KEYS.items()
-        if key.live and key.value == "number" and (before := getattr(old, name)) != (after := getattr(new, name))
+        if key.live and name != "priority" and (before := getattr(old, name)) != (after := getattr(new, name))
     ]
     before, after = priority_of(old.priority), priority_of(new.priority)
     return ", ".join(changed + ([f"priority {before} → {after}"] if before != after else []))
 
 
-def _limit_text(value: float | None, key: TopicKey) -> str:
-    return "none" if value is None or not (value or key.zero) else f"{value:g} {key.unit}"
+def _limit_text(value: float | Keep | None, key: TopicKey) -> str:
+    if value is None or not (value or key.zero):
+        return "none"
+    return str(value) if isinstance(value, Keep) else f"{value:g} {key.unit}"

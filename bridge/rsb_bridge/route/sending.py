@@ -15,17 +15,18 @@ from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
-from rsb_bridge.route.ledger import CAUSES, OUTAGE
+from rsb_bridge.route.ledger import CAUSES, KEEP_FULL, OUTAGE
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
 from rsb_bridge.route.route import route_weight
 from rsb_bridge.route.topic_verdict import USE_TCP
-from rsb_bridge.wire.framing import CONTENT_LIMIT, HISTORY, MESSAGE_LIMIT, ZSTD, Message
+from rsb_bridge.wire.framing import CONTENT_LIMIT, HISTORY, MESSAGE_LIMIT, ZSTD, Budget, Message
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.channel.scheduler import SendingChannel
+    from rsb_bridge.model.keep import Keep
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.catching_up import Backlog
     from rsb_bridge.route.gates import Sieve
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.topic_route import TopicRoute
     from rsb_bridge.transport.transport import Transport
-    from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.messages import Propose
 
 # Of an overload. Where these were measured: bench/README.md, *Constants of a topic's queue*.
@@ -53,7 +53,7 @@ _PUBLISHER = attrgetter("header.publisher")
 class QueueLimits(NamedTuple):
     """The limits of a queue. Beyond them the oldest messages are dropped, but one message may always wait."""
 
-    depth: int  # messages of one publisher (or of all where publishers are not distinguished), or 0 for any number
+    depth: int  # messages of one publisher, or 0 for any number
     younger_than: float  # s; younger messages may wait even beyond the depth
     size: int
     older_than: float = math.inf  # s; older messages do not wait even within the depth
@@ -74,7 +74,8 @@ class SendQueue:
         self.waiting: deque[tuple[Message, bytes, float]] = deque()
         self.size = 0
         self._held = held
-        self._counts: Counter[bytes] = Counter()  # of the publishers that are distinguished
+        self._counts: Counter[bytes] | None = None
+        """Messages of each publisher, from the first limit on them until the queue is empty: else nobody asks."""
 
     def __len__(self) -> int:
         return len(self.waiting)
@@ -84,27 +85,51 @@ class SendQueue:
         """When (s) the oldest message was added, or None without any."""
         return self.waiting[0][2] if self.waiting else None
 
-    def add(self, messages: Sequence[Message], now: float, publisher: bytes = b"") -> None:
+    @property
+    def publishers(self) -> set[bytes]:
+        return {publisher for _, publisher, _ in self.waiting}
+
+    def charge(self, held: Budget) -> None:
+        """Count its bytes in another budget from now on."""
+        if held is not self._held:
+            self._held.held -= self.size
+            self._held = held
+            held.held += self.size
+
+    def room(self) -> int:
+        """Return the bytes that it may have so that its budget is kept."""
+        return max(0, self.size + self._held.limit - self._held.held)
+
+    def add(self, messages: Sequence[Message], now: float, publisher: bytes) -> None:
         self.waiting.extend([(message, publisher, now) for message in messages])
         self._grow(sum([len(message[0]) for message in messages]))
-        if publisher:
+        if self._counts is not None:
             self._counts[publisher] += len(messages)
 
-    def trim(self, limits: QueueLimits, now: float, publisher: bytes = b"") -> int:
-        """Drop what is beyond the limits after messages of a publisher were added; return how many messages."""
+    def trim(self, limits: QueueLimits, now: float, publisher: bytes) -> tuple[int, int]:
+        """Drop what is beyond the limits after messages of a publisher were added.
+
+        Returns:
+            How many messages were dropped by number and age, and how many by size.
+        """
         before = len(self.waiting)
         if limits.depth:
-            while (self._counts[publisher] if publisher else len(self.waiting)) > limits.depth:
-                index = next(at for at, each in enumerate(self.waiting) if each[1] == publisher or not publisher)
+            if self._counts is None:
+                self._counts = Counter([each[1] for each in self.waiting])
+            while self._counts[publisher] > limits.depth:
+                index = next(at for at, each in enumerate(self.waiting) if each[1] == publisher)
                 if now - self.waiting[index][2] < limits.younger_than:
                     break
                 self._forget(*self.waiting[index])
                 del self.waiting[index]
         latest = now - limits.older_than
         # One message may always wait, however large or old, or it could never be sent.
-        while len(self.waiting) > 1 and (self.size > limits.size or self.waiting[0][2] < latest):
+        while len(self.waiting) > 1 and self.waiting[0][2] < latest:
             self._forget(*self.waiting.popleft())
-        return before - len(self.waiting)
+        old = before - len(self.waiting)
+        while len(self.waiting) > 1 and self.size > limits.size:
+            self._forget(*self.waiting.popleft())
+        return old, before - old - len(self.waiting)
 
     def take(self, most: int, size: int) -> list[Message]:
         """Remove the oldest messages: at most `most`, and no further one once they have `size` bytes."""
@@ -115,9 +140,11 @@ class SendQueue:
             message, publisher, _ = queue.popleft()
             taken.append(message)
             taken_size += len(message[0])
-            if publisher:
-                self._uncount(publisher)
+            if self._counts is not None:
+                self._uncount(self._counts, publisher)
         self._grow(-taken_size)
+        if not queue:
+            self._counts = None
         return taken
 
     def clear(self) -> int:
@@ -125,7 +152,7 @@ class SendQueue:
         count = len(self.waiting)
         self.waiting.clear()
         self._grow(-self.size)
-        self._counts.clear()
+        self._counts = None
         return count
 
     def _grow(self, size: int) -> None:
@@ -134,13 +161,14 @@ class SendQueue:
 
     def _forget(self, message: Message, publisher: bytes, _: float) -> None:
         self._grow(-len(message[0]))
-        if publisher:
-            self._uncount(publisher)
+        if self._counts is not None:
+            self._uncount(self._counts, publisher)
 
-    def _uncount(self, publisher: bytes) -> None:
-        self._counts[publisher] -= 1
-        if not self._counts[publisher]:
-            del self._counts[publisher]
+    @staticmethod
+    def _uncount(counts: Counter[bytes], publisher: bytes) -> None:
+        counts[publisher] -= 1
+        if not counts[publisher]:
+            del counts[publisher]
 
 
 class Overload:
@@ -218,8 +246,21 @@ class Outbox:
         self._backlog = backlog
         self.largest = route.transport.largest_message
         self._queue = SendQueue(route.peer.budget.waiting)
+        self._keep: Keep | None = None
         self._overload = Overload()
         self._limits = QueueLimits(0, 0.0, 0)  # by which messages were last added
+
+    def compose(self) -> None:
+        """Keep messages as the topic promises now. Nothing is kept of what has to be armed."""
+        route, budget = self._route, self._route.peer.budget
+        keep = self._keep = None if route.arming.required else route.proposal.keep
+        if keep is None:
+            self._queue.charge(budget.waiting)
+        # A peer alone must not have this side keep more than the links' topics share.
+        elif keep.own_bytes is not None and (route.proposed_here or route.listed):
+            self._queue.charge(Budget(keep.own_bytes))
+        else:
+            self._queue.charge(budget.keep)
 
     def pass_on(self, messages: Sequence[Message], size: int, channel: SendingChannel) -> bool:
         """Send messages of `size` bytes together past the empty queue, or return False: they have to wait in it."""
@@ -239,20 +280,30 @@ class Outbox:
         self._limits = limits
         self._trim(now, publisher)
 
-    def _trim(self, now: float, publisher: bytes = b"") -> None:
-        if not (dropped := self._queue.trim(self._limits, now, publisher)):
+    def back(self, now: float) -> None:
+        """Drop what was kept and has become too old, at `now` (s), while its publishers sent nothing."""
+        if self._keep is not None:
+            for publisher in self._queue.publishers:
+                self._trim(now, publisher)
+
+    def _trim(self, now: float, publisher: bytes) -> None:
+        old, beyond = self._queue.trim(self._limits, now, publisher)
+        if not (old or beyond):
             return
-        if self._backlog.exists:
-            self._ledger.drop(OUTAGE, dropped)
+        if self._keep is not None:
+            self._ledger.drop(OUTAGE, old)
+            self._ledger.drop(KEEP_FULL, beyond)
         else:
-            self._ledger.drop("queue full", dropped)
+            self._ledger.drop(OUTAGE if self._backlog.exists else "queue full", old + beyond)
+        if not self._backlog.exists:
+            self._overload.dropped(now)
             self._overload.dropped(now)
 
     def flush(self, channel: SendingChannel, now: float) -> None:
         """Send while the channel takes messages, at `now` (s)."""
         queue = self._queue
         if self._limits.older_than < math.inf:
-            self._trim(now)  # its publisher may be silent since
+            self._trim(now, b"")  # its publisher may be silent since
         while queue.waiting and not channel.congested:
             self._overload.turn()
             batch: Sequence[Message] = queue.take(_BATCH, channel.batch_bytes)
@@ -288,13 +339,15 @@ class Outbox:
         route, size = self._route, QUEUE_BYTES + self.largest
         if not route.peer.linked:
             # All topics of a link that is away may wait for minutes, and share one limit.
-            held = route.peer.budget.waiting
-            size = min(size, max(0, self._queue.size + held.limit - held.held))
+            size = min(size, self._queue.room())
         if route.arming.required and route.on_end not in ("", END_NONE):
             # It is a state: after a stall, a robot would follow all the old ones before the present one.
             return QueueLimits(1, 0.0, size)
         self._overload.judge(now, self._queue.oldest_since, len(self._queue), channel.still(now))
         qos, profile = route.qos, route.peer.profile
+        if self._keep is not None:
+            number = 0 if qos is None or qos.history == "keep_all" else max(depth, qos.depth or AUTO_DEPTH)
+            return QueueLimits(number, self._keep.seconds, self._queue.room())
         best_effort = qos is not None and qos.reliability == "best_effort"
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if route.transport.slow else size)
@@ -368,6 +421,7 @@ class OutgoingPath:
         self._packed = sifting(*gates.packed)
         self._sourced = sifting(*gates.sourced) if gates.sourced else None
         self._outbox.leaving = sifting(*gates.leaving) if gates.leaving else None
+        self._outbox.compose()
         self._stamped = self._route.age.stamped if self._route.age.is_on else None
 
     # --- from ROS
@@ -421,6 +475,8 @@ class OutgoingPath:
             self._send_volatile((message,))
 
     def _send_volatile(self, batch: Sequence[RawMessage]) -> None:
+        if not batch:
+            return
         route = self._route
         route.traffic.offered += len(batch)
         sources, arming = self._loop_filter.table.flags, route.arming
@@ -428,13 +484,17 @@ class OutgoingPath:
         plain = self._compressor is None and not arming.required
         messages: list[Message] = []
         size = 0
+        publisher = batch[0].gid
         for payload, stamp, gid, _, lease, _ in batch:
+            if gid != publisher:  # a queue counts each one's messages
+                self._send(messages, size, publisher)
+                messages, size, publisher = [], 0, gid
             message = payload, stamp, sources[gid]
             if not plain:
                 message = arming.pack(self._compressed(message), lease)
             messages.append(message)
             size += len(message[0])
-        self._send(messages, size)
+        self._send(messages, size, publisher)
 
     def _show(self, message: RawMessage) -> None:
         time_ns = message.stamp - self._context.stamps.shift
@@ -478,13 +538,12 @@ class OutgoingPath:
 
     # --- to the channel
 
-    def _send(self, messages: Sequence[Message], size: int, publisher: bytes = b"", depth: int = 0) -> None:
-        """Send messages, or let them wait.
+    def _send(self, messages: Sequence[Message], size: int, publisher: bytes, depth: int = 0) -> None:
+        """Send messages of a publisher, or let them wait.
 
         Args:
             messages: as they are sent, oldest first.
-            publisher: of messages of a latched topic.
-            depth: messages that this publisher keeps.
+            depth: of a latched topic, messages that the publisher keeps.
         """
         route, traffic, outbox = self._route, self._route.traffic, self._outbox
         channel = route.channel
@@ -515,6 +574,10 @@ class OutgoingPath:
             self._outbox.flush(channel, self._context.now())
 
     # --- switches
+
+    def back(self) -> None:
+        """Go on, as the link is back."""
+        self._outbox.back(self._context.now())
 
     def resume(self) -> None:
         """Send the latched messages that have become due while the route was paused."""

@@ -360,7 +360,9 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     @property
     def resends(self) -> bool:
-        return self.qos is None or self.qos.reliability != "best_effort"
+        # What is kept must not be lost on the way. Over datagrams both ends have to agree, and only the QoS says so.
+        kept = self.proposal.keep is not None and self.transport.reliable
+        return kept or self.qos is None or self.qos.reliability != "best_effort"
 
     @property
     def came(self) -> bool:

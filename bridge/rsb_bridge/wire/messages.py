@@ -9,6 +9,7 @@ from msgspec import Meta
 
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import MOST_LANES
+from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.names import MOST_SOURCES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.qos import Qos
@@ -119,6 +120,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     """The message that the receiving side publishes once an arming ends, by the proposer's session: ``zero``, ``none``,
     the JSON of its fields, or empty if the session says nothing."""
     limits: VelocityLimits | None = None  # what a hand may ask, by the proposer's session, or None for any velocity
+    keep: Keep | None = None  # all messages of some time wait for the link, or None for what the QoS keeps
     purpose: Name = "topic"
     """A name of `rsb_bridge.model.purposes.purposes`; another one is a newer peer's, and refused."""
 
@@ -307,6 +309,7 @@ class Amend(ControlMessageBase, frozen=True):
     priority: Rank = 0
     late_after: Seconds | None = None
     max_age: Seconds | None = None
+    keep: Keep | None = None
 
     def __post_init__(self) -> None:
         check_limits(self)

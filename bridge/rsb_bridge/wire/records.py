@@ -17,7 +17,7 @@ from rsb_bridge.model.names import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.qos import Qos, qos_problem
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.text import UNPRINTABLE
-from rsb_bridge.model.topic_keys import DEADMAN_TIME, LATE_AFTER, MAX_AGE, STALE_AFTER
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.wording import Wording
 
 PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"  # not `$`, which also matches before an end of line
@@ -211,23 +211,20 @@ def check_qos(qos: Qos | None, *, depth_known: bool = False) -> None:
 
 class OutOfRange(Wording):
     RATE = "a rate is 0 or {range} Hz"
-    SPEED = "a {name} limit is {range} {unit}"
+    PART = "{name} is {range} {unit}"
     SECONDS = "{name} is 0 or {range} s"
 
 
-_CHECKED = (
-    ("max_rate", RATE, OutOfRange.RATE),
-    ("expected_rate", RATE, OutOfRange.RATE),
-    ("stale_after", STALE_AFTER, OutOfRange.SECONDS),
-    ("late_after", LATE_AFTER, OutOfRange.SECONDS),
-    ("max_age", MAX_AGE, OutOfRange.SECONDS),
-    ("deadman", DEADMAN_TIME, OutOfRange.SECONDS),
+_CHECKED = tuple(
+    (name, key.limits, OutOfRange.RATE if key.unit == "Hz" else OutOfRange.SECONDS)
+    for name, key in TOPIC_KEYS.items()
+    if key.limits is not None and name != "timeout"
 )
 """Not `timeout`: one that is out of range is refused with the topic, and the link stays."""
 
 
 def check_limits(message: msgspec.Struct) -> None:
-    """Check the limits of a route in a message, which are 0 or in a range, and those on velocities.
+    """Check the limits of a route in a message, which are 0 or in a range, those on velocities, and what is kept.
 
     Raises:
         ValueError: one is out of its range.
@@ -236,6 +233,6 @@ def check_limits(message: msgspec.Struct) -> None:
         value = getattr(message, name, None)
         if value and value not in limits:
             raise ValueError(mistake(name=name, range=limits))
-    speeds = getattr(message, "limits", None)
-    for name, _, allowed, unit in () if speeds is None else speeds.out_of_range:
-        raise ValueError(OutOfRange.SPEED(name=name, range=allowed, unit=unit))
+    for parts in (getattr(message, "limits", None), getattr(message, "keep", None)):
+        for name, _, allowed, unit in () if parts is None else parts.out_of_range:
+            raise ValueError(OutOfRange.PART(name=name, range=allowed, unit=unit))

@@ -32,6 +32,7 @@ from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.feature import installed
 from rsb_bridge.model.by_hand import END_CANCEL
 from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
+from rsb_bridge.model.keep import KEEP_BUDGET
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
@@ -64,6 +65,8 @@ class SessionCheckText(Wording):
     NO_OTHER_GUARD = (
         "hint: nothing stops what {names} drives if this bridge is killed or frozen: give the robot's base a timeout"
     )
+    KEEPS = "keeps {kept} for the link"
+    KEPT = "{names} together keep at most {size} MiB for a link"
     LIMITED = ", at most {limits} by hand ({lines})"
     LIMITED_PATTERN = "at most {limits} by hand"
     ENDS_WITH = "; when that ends, the robot gets {message} ({line})"
@@ -108,6 +111,9 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
         for topic in client.topics:
             demanded = _demands_on(topic, session, client, demands, places)
             yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}{demanded}"
+    everywhere = chain(session.topics, *(client.topics for client in session.listed_clients))
+    if kept := tuple(dict.fromkeys(each.topic for each in everywhere if each.kept and not each.kept.own_bytes)):
+        yield f"  {SessionCheckText.KEPT(names=join_first(kept, _NAMED), size=KEEP_BUDGET >> 20)}"
     if session.role == "server" and session.clients is None:
         yield f"  accepts {session.name}: everything"
     if session.clients == ():
@@ -247,6 +253,8 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
     if topic.arm and topic.is_pattern:
         keys = f"within {topic.deadman_seconds:g} s" if topic.deadman_seconds else "never"
         yield f"has to be armed (keys needed: {keys})"
+    if topic.kept is not None:
+        yield SessionCheckText.KEEPS(kept=topic.kept)
     if topic.limits is not None and topic.is_pattern:
         yield SessionCheckText.LIMITED_PATTERN(limits=topic.limits)
 

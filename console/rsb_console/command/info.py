@@ -50,6 +50,7 @@ def _values(route: RouteSnapshot, now: float) -> dict[str, object]:
         "port": route.port,
         "priority": route.spec.priority,
         "max_age": route.max_age or None,
+        "keep": None if route.spec.kept is None else msgspec.structs.asdict(route.spec.kept),
         "limits": limits,
         "qos": _qos_values(route.qos),
         "publisher_qos": _qos_values(route.publisher_qos),
@@ -118,6 +119,8 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
         yield TOPIC_KEYS["max_rate"].described(route.max_rate, route.spec.kind)
     if route.max_age:
         yield TOPIC_KEYS["max_age"].described(route.max_age, route.spec.kind)
+    if route.spec.kept is not None:
+        yield f"keeps {route.spec.kept} for the link"
     if route.pattern:
         yield f"matches {route.pattern}"
 

@@ -15,6 +15,7 @@ from rsb_bridge.config.overlaps import overlaps
 from rsb_bridge.config.session_file import SessionError, validate, validate_topic
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.by_hand import VelocityLimits
+from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.topic_keys import keys_of_value
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 _NUMBERS, SWITCHES = keys_of_value("number"), keys_of_value("switch")
 """The keys that are on or off. Every text outside `_OFF` means on."""
+_PARTS: dict[str, type[msgspec.Struct]] = {"limits": VelocityLimits, "keep": Keep}
+"""The keys whose values may have parts."""
 _OFF = ("", "false", "no", "off")
 
 
@@ -57,11 +60,11 @@ def plain(key: str, text: str) -> Any:
     """Convert a field's text as a session file would; text in place of a number stays, for the rules to refuse."""
     if key == "qos":
         return int(text) if text.isdecimal() else _mapping(text)
-    if key == "limits":
-        return _plain_limits(text)
+    if (parts := _PARTS.get(key)) is not None and text.startswith("{"):
+        return _plain_parts(text, parts)
     if key == "excepts":
         return tuple(text.replace(",", " ").split())
-    if key not in _NUMBERS:
+    if key not in _NUMBERS and key != "keep":
         return text
     for kind in (int, float):
         try:
@@ -71,10 +74,10 @@ def plain(key: str, text: str) -> Any:
     return text
 
 
-def _plain_limits(text: str) -> Any:
+def _plain_parts(text: str, parts: type[msgspec.Struct]) -> Any:
     data, problems = _mapping(text), list[Problem]()
-    limits = read(data, VelocityLimits, problems) if isinstance(data, dict) else data
-    return data if problems else limits
+    value = read(data, parts, problems) if isinstance(data, dict) else data
+    return data if problems else value
 
 
 def _mapping(text: str) -> Any:

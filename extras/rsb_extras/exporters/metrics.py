@@ -35,7 +35,7 @@ OTHER = "other"
 """The label of a cause that is not listed below: a peer may make up any."""
 DROPPED = frozenset(
     {
-        "already published", "disarmed", "expands too much", "incomplete", "latched full", "link lost",
+        "already published", "disarmed", "expands too much", "incomplete", "keep full", "latched full", "link lost",
         "lost on the way", "malformed", "outage", "paused", "publish failed", "queue full", "slow subscriber",
         "too complex", "too large", "unknown source", "would loop",
     }
