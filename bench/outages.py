@@ -164,6 +164,7 @@ def _print(transport: str, outcomes: Sequence[Outcome]) -> None:
         {
             "lost: reliable 10 Hz": lambda its: _lost(its, "reliable"),
             "keep_all": lambda its: _lost(its, "whole"),
+            "keep: 60": lambda its: _lost(its, "kept"),
             "200 Hz": lambda its: _lost(its, "deep"),
             "best effort": lambda its: _lost(its, "best"),
             "latched: lost, again": lambda its: _several(
@@ -182,7 +183,13 @@ def _print(transport: str, outcomes: Sequence[Outcome]) -> None:
     )
     if transport != PLAIN and runs:
         print("\nThe account's sum − published outside, of published; delivered − heard outside; dropped by cause:\n")
-        kinds = {"reliable 10 Hz": "reliable", "keep_all": "whole", "200 Hz": "deep", "best effort": "best"}
+        kinds = {
+            "reliable 10 Hz": "reliable",
+            "keep_all": "whole",
+            "keep: 60": "kept",
+            "200 Hz": "deep",
+            "best effort": "best",
+        }
         columns: dict[str, Callable[[Sequence[Outcome]], str]] = {
             words: lambda its, kind=kind: _account(its, kind)  # type: ignore[misc]
             for words, kind in (kinds | {"latched": "latched"}).items()

@@ -34,6 +34,7 @@ _OTHER_PC = "10.99.4.1"  # the same machine, to which a robot with two ways gets
 FLOWS = (
     Flow("/up/reliable", "reliable", 10),
     Flow("/up/whole", "whole", 10),
+    Flow("/up/kept", "kept", 10),
     Flow("/up/fast", "deep", 200),
     Flow("/up/latched", "latched"),
     Flow("/up/best", "best", 10),
@@ -43,8 +44,12 @@ FLOWS = (
 )
 PLAIN = "plain"
 TRANSPORTS = ("tcp", "udp", "zenoh", PLAIN)
-_QOS: dict[str, Any] = {"whole": {"history": "keep_all"}, "deep": 1000}
-"""As a session asks for it; of the other kinds it is `auto`."""
+_KEYS: dict[str, dict[str, Any]] = {
+    "whole": {"qos": {"history": "keep_all"}},
+    "kept": {"qos": 10, "keep": 60},
+    "deep": {"qos": 1000},
+}
+"""Of the entry in the session, by kind; of the others it is `qos: auto`."""
 STEADY_BEFORE = 3.0
 """s of steady traffic before a fault."""
 _READY_WITHIN = 60.0
@@ -214,7 +219,7 @@ class OutageBed:
                 "topic": each.name,
                 "direction": "receive" if each.to_robot else "transmit",
                 "type": "std_msgs/msg/String",
-                "qos": _QOS.get(each.kind, "auto"),
+                **_KEYS.get(each.kind, {}),
                 **({"protocol": "udp"} if self.transport == "udp" else {}),
             }
             for each in self._flows

@@ -21,6 +21,7 @@ class Conditions:
             one that is linked, so more days with faults can be lived in the same time.
         outlive: s that links outlive their connections.
         moves: s from one fault of a robot's connections alone to the next, on average, or 0 for none.
+        keep: s of which topics over streams keep all messages, or 0 for what QoS keeps.
         patience: how many times longer than usual everything may take: more where an engine is slowed down.
     """
 
@@ -38,6 +39,7 @@ class Conditions:
     checks: tuple[float, float] = (1.0, 5.0)
     outlive: float = 0.0
     moves: float = 0.0
+    keep: float = 0.0
     patience: float = 1.0
 
 
@@ -71,6 +73,19 @@ ACTIONS = Conditions(
     "actions", topics=(1,), services=(0,), actions=(1, 2), periods=(10.0, 60.0), faults=60.0, commands=0.0, nights=0.0
 )
 """Where goals are sent all the time, and nobody at a console changes anything."""
+KEEPING = Conditions(
+    "keeping",
+    topics=(2, 3),
+    services=(0,),
+    periods=(0.2, 1.0),
+    faults=60.0,
+    commands=0.0,
+    nights=0.0,
+    latched=0.0,
+    outlive=300.0,
+    keep=120.0,
+)
+"""Where topics keep all messages of two minutes for their links, which are away for as long."""
 _WITH_ACTIONS = 0.15
 
 

@@ -60,8 +60,10 @@ _BOUNDED = {
     ".undecided": MOST_RESULTS,
     ".sinks[]._waiting": KEPT_DEPTH,
     ".sinks[]._free": KEPT_DEPTH,
+    "._outbox._queue.waiting": KEPT_DEPTH,
 }
-"""Tables that are kept for people, or for an hour, or that have a number for each message that DDS holds."""
+"""Tables that are kept for people, or for an hour, or that have a message or a number for each that DDS or a link takes
+later."""
 _TASKS, _DESCRIPTORS, _TIMERS = 10, 10, 20
 """Of one engine: so many, and four more for each route and each link."""
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from unittest.mock import patch
 
 import msgspec
-from tests.simulation.conditions import ACTIONS, CALLS, LIVELY, STILL, STORM, Conditions
+from tests.simulation.conditions import ACTIONS, CALLS, KEEPING, LIVELY, STILL, STORM, Conditions
 from tests.simulation.episodes import (
     cancelled_while_cut,
     connections_reset,
@@ -46,7 +46,7 @@ from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lateness import LateWatch
 from rsb_bridge.route.ledger import OUTAGE, RouteLedger
-from rsb_bridge.route.sending import SendQueue
+from rsb_bridge.route.sending import Outbox, SendQueue
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.wire.datagram import OrderedReader
 from rsb_bridge.wire.framing import DataReader, DataWriter
@@ -250,6 +250,11 @@ def _without_oldest(self: Any) -> Iterator[Any]:
     return found
 
 
+def _drop_half(self: Any, _: float) -> None:
+    """Replace `Outbox.back` by one that takes the older half for too old."""
+    self._ledger.drop("outage", len(self._queue.take(len(self) // 2, 1 << 30)))
+
+
 def _none(_: Any) -> Iterator[Any]:
     return iter(())
 
@@ -385,6 +390,10 @@ MUTATIONS = (
              ((DataWriter, "write_resumed", _resumed_too_far),), "messages with a stream", _MOVES, 1, 0.5),
     Mutation("the oldest message is not sent again",
              ((DataStream, "unacknowledged", _without_oldest),), "messages with a stream", _MOVES, 1, 0.5),
+    Mutation("what is kept for a link is dropped as QoS allows",
+             ((Outbox, "compose", nothing),), "was to be kept", KEEPING, 1, 0.5),
+    Mutation("what was kept for a link is dropped when it is back",
+             ((Outbox, "back", _drop_half),), "was to be kept", KEEPING, 1, 0.5),
     Mutation("handled control messages are not counted",
              ((LinkSession, "handles", nothing),), "nobody caught", _OUTLIVES, 1, 0.5),
     Mutation("routes over datagrams are not told that their link is away",

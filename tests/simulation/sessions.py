@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from rsb_bridge.model.session import Client, Session, Topic
 
 if TYPE_CHECKING:
@@ -48,6 +50,11 @@ def client_session(
         topics=topics,
         allow=("/*",),  # the server's operators add and edit topics of both directions
     )
+
+
+def kept(topic: Topic, seconds: float) -> Topic:
+    """Return a topic that keeps all its messages of some time, if it is over a stream."""
+    return topic if topic.protocol == "udp" else msgspec.structs.replace(topic, keep=seconds, max_rate=None)
 
 
 def some_service(robot: str, number: int, random: Random) -> Topic:

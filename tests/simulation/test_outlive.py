@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
-from tests.simulation.conditions import ACTIONS, CALLS, LIVELY, STILL, STORM
+from tests.simulation.conditions import ACTIONS, CALLS, KEEPING, LIVELY, STILL, STORM
 from tests.simulation.episodes import connections_forgotten, delayed, tunnelled
 from tests.simulation.world import Violation, World
 from tests.support.long import long
@@ -25,9 +25,9 @@ _BUSY = replace(CALLS, faults=10.0, commands=60.0)
 
 
 @pytest.mark.parametrize("seed", [*_SEEDS, *long(*range(3, 12))])
-@pytest.mark.parametrize("conditions", [LIVELY, STORM, _BUSY, ACTIONS], ids=lambda each: each.name)
+@pytest.mark.parametrize("conditions", [LIVELY, STORM, _BUSY, ACTIONS, KEEPING], ids=lambda each: each.name)
 def test_nothing_stays_wrong(conditions: Conditions, seed: int) -> None:
-    world = World(seed, replace(conditions, outlive=60.0, moves=conditions.faults, nights=0.0))
+    world = World(seed, replace(conditions, outlive=conditions.outlive or 60.0, moves=conditions.faults, nights=0.0))
     with patch.object(LinkSession, "back", autospec=True, side_effect=LinkSession.back) as went_on:
         try:
             world.play(1800)

@@ -109,6 +109,9 @@ class TopicFlow(Flow):
         self.reader: Reader | None = None
         self._published_at: OrderedDict[Label, float] = OrderedDict()
         self._seen: OrderedDict[Label, None] = OrderedDict()
+        self._openings: OrderedDict[Label, tuple[Account, float]] = OrderedDict()
+        """Of the routes that took them: an account, and when (s) the opening began."""
+        self._newest_out: dict[int, int] = {}  # of the messages that came out of the bridge
 
     def __str__(self) -> str:
         way = "→" if self.topic.direction == "transmit" else "←"
@@ -215,7 +218,7 @@ class TopicFlow(Flow):
 
     # --- what the bridge does, as the domains at both ends see it
 
-    def took(self, account: Account, batch: Sequence[RawMessage]) -> None:
+    def took(self, account: Account, opened_at: float, batch: Sequence[RawMessage]) -> None:
         for message in batch:
             newest = account.newest.get(message.gid, 0)
             account.offered += message.number > newest
@@ -225,7 +228,9 @@ class TopicFlow(Flow):
             label = label_of(message.payload)
             if label is not None:
                 self.taken[label] = account
+                self._openings[label] = account, opened_at
         bound(self.taken)
+        bound(self._openings)
 
     def published(self, payload: bytes) -> Account | None:
         """The other side's engine published a message; whose count it belongs to."""
@@ -233,8 +238,23 @@ class TopicFlow(Flow):
         account = self.taken.get(label) if label is not None else None
         if account is not None:
             account.published += 1
+        if label is not None:
+            self._check_kept(label)
         published_at = self._published_at.get(label) if label is not None else None
         if published_at is not None and self._loop.time() - published_at > self.max_age + CLOCKS:
             age = self._loop.time() - published_at
             self._on_wrong(f"{self}: {label} was published when it was {age:.3f} s old, more than {self.max_age:g} s")
         return account
+
+    def _check_kept(self, label: Label) -> None:
+        """Check that no message before this one is missing that the same opening took and promised to keep."""
+        newest = self._newest_out.get(label.life, 0)
+        self._newest_out[label.life] = max(newest, label.number)
+        if self.topic.kept is None or self.latched:
+            return
+        opening, kept_since = self._openings.get(label), self._loop.time() - self.topic.kept.seconds
+        for number in range(newest + 1, label.number):
+            missing = label._replace(number=number)
+            taken = opening is not None and self._openings.get(missing) == opening
+            if taken and self._published_at.get(missing, 0.0) > kept_since:
+                self._on_wrong(f"{self}: {missing} was to be kept, and {label} came out instead")

@@ -23,6 +23,7 @@ from tests.simulation.sessions import (
     SERVER_ADDRESS,
     SERVER_NAME,
     client_session,
+    kept,
     server_session,
     some_action,
     some_service,
@@ -122,6 +123,8 @@ class World:
 
     def _robot(self, name: str, number: int, keys: dict[str, tuple[Key, ...]], random: Random) -> Robot:
         topics = tuple(some_topic(name, index, random) for index in range(random.choice(self.conditions.topics)))
+        if self.conditions.keep:
+            topics = tuple(kept(topic, self.conditions.keep) for topic in topics)
         encrypted, outlive = None not in keys.values(), self.conditions.outlive
         session = client_session(name, number, topics, random, encrypted=encrypted, outlive=outlive)
         calls = self.random(f"services of {name}")
@@ -417,7 +420,7 @@ class World:
         def took(batch: Sequence[RawMessage]) -> None:
             label = label_of(batch[0].payload)
             if label is not None:
-                self.topic_flows[label.flow].took(account, batch)
+                self.topic_flows[label.flow].took(account, route.opened_at, batch)
 
         reader.on_take = took
 

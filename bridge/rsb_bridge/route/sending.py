@@ -297,7 +297,6 @@ class Outbox:
             self._ledger.drop(OUTAGE if self._backlog.exists else "queue full", old + beyond)
         if not self._backlog.exists:
             self._overload.dropped(now)
-            self._overload.dropped(now)
 
     def flush(self, channel: SendingChannel, now: float) -> None:
         """Send while the channel takes messages, at `now` (s)."""
