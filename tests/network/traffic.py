@@ -35,7 +35,7 @@ class Flow(NamedTuple):
     """A topic with a publisher on one side and a subscription on the other.
 
     Attributes:
-        kind: ``reliable`` and ``kept`` (depth 10), ``deep`` (depth 1000), ``whole`` (keeps all), ``latched`` (depth 10) or ``best``.
+        kind: ``reliable``, ``kept`` or ``latched`` (depth 10), ``deep`` (depth 1000), ``whole`` (all) or ``best``.
         rate: Hz, or 0 if it is published on request only.
         to_robot: whether the PC publishes it, for the robot.
     """

@@ -133,7 +133,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._catch_up = CatchUp(context.now())
+        self._catch_up = CatchUp()
         self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self.outputs = SourcePublishers(self, self._unpacker)
         self.rest = RestAfterArming(self)
@@ -369,7 +369,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if offset is None or not LATE < (now - messages[0][1]) / 1e9 + offset < OUTLIVE.high or self._must_be_fresh:
             self._publish(messages, now, began)
             return
-        allowed = self._catch_up.allowed(len(messages), began, max(self.meter.rate, self.meter.usual_rate or 0.0))
+        allowed = self._catch_up.allowed(len(messages), began, self.meter.usual_rate)
         self._publish(messages[:allowed], now, began)
         if later := messages[allowed:]:
             self._unpacker.pause(later, EVERY)
