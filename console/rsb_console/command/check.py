@@ -66,7 +66,7 @@ class SessionCheckText(Wording):
         "hint: nothing stops what {names} drives if this bridge is killed or frozen: give the robot's base a timeout"
     )
     KEEPS = "keeps {kept} for the link"
-    KEPT = "{names} together keep at most {size} MiB for a link"
+    KEPT = "keep: at most {size} MiB a link ({names})"
     LIMITED = ", at most {limits} by hand ({lines})"
     LIMITED_PATTERN = "at most {limits} by hand"
     ENDS_WITH = "; when that ends, the robot gets {message} ({line})"
