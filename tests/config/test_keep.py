@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.config.mistakes import problems
-from tests.model.test_link_budget import NOW, snapshot
+from tests.console.scripted import NOW
+from tests.model.test_link_budget import snapshot
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice, advise
@@ -93,7 +94,7 @@ def test_mistakes_are_located(entry: str, key: str) -> None:
     ],
 )
 def test_what_cannot_be_kept_is_refused(keys: dict[str, Any], mistake: Wording) -> None:
-    (problem,) = entry_problems(Topic(**{"topic": "/a", "direction": "transmit", "keep": 60.0} | keys))
+    (problem,) = entry_problems(Topic(**{"topic": "/a", "direction": "transmit", "keep": 60.0, **keys}))
     assert problem.location == "keep"
     assert says(problem.message, mistake)
 
@@ -110,7 +111,7 @@ def test_what_cannot_be_kept_is_refused(keys: dict[str, Any], mistake: Wording) 
     ],
 )
 def test_other_keys_go_with_it(keys: dict[str, Any]) -> None:
-    assert entry_problems(Topic(**{"topic": "/a", "direction": "transmit", "keep": 60.0} | keys)) == []
+    assert entry_problems(Topic(**{"topic": "/a", "direction": "transmit", "keep": 60.0, **keys})) == []
 
 
 def test_best_effort_that_is_kept_takes_the_reliable_way() -> None:
@@ -136,7 +137,7 @@ def test_check_shows_what_is_kept_and_who_shares(path: Path) -> None:
     assert SessionCheckText.KEEPS(kept=Keep(60)) in alarms
     assert SessionCheckText.KEEPS(kept=Keep(30, 8)) in odom
     assert "8 MB" in odom
-    assert f"  {SessionCheckText.KEPT(names='/alarms, /log/**', size=KEEP_BUDGET >> 20)}" in lines
+    assert f"  {SessionCheckText.KEPT(names='/alarms and /log/**', size=KEEP_BUDGET >> 20)}" in lines
 
 
 @pytest.mark.parametrize(

@@ -36,13 +36,17 @@ def link_of(engine: Engine) -> Link:
 class Cut:
     """A topic from robot to PC over a link that is away."""
 
-    def __init__(self, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, **keys: Any) -> None:
+    def __init__(
+        self, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, edited: Topic | None = None, **keys: Any
+    ) -> None:
         qos = keys.pop("node_qos", TEN)
         self.out = [robot.publisher("/events", qos=qos), robot.publisher("/events", qos=qos)]
         self.there = pc.listener("/events", qos=qos)
         self.server, self.client = bridge.both(Topic("/events", "transmit", **keys), outlive=OUTLIVES)
         carries(self.out, self.server, ["/events"])
         self.opening = outgoing(self.client, "/events").id
+        if edited is not None:
+            self.client.edit_topic(route(self.client, "/events").key, edited).result(60)
         self._relay = relay
         relay.refuse()
         relay.cut()
@@ -118,3 +122,26 @@ def test_newest_of_each_publisher_wait(bridge: Bridge, relay: Relay, robot: Doma
     cut.publish(8)
     cut.publish(100, 100, publisher=1)
     assert cut.come_back(18) == [*range(8), *range(190, 200)]
+
+
+def test_open_topic_begins_to_keep(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    cut = Cut(bridge, relay, robot, pc, Topic("/events", "transmit", qos=10, keep=60), qos=10)
+    cut.publish(100)
+    assert cut.come_back(100) == [*range(100)]
+
+
+def test_peer_alone_makes_nobody_keep_more(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """The server's session does not list the topic, so that a client's size counts as a part of what all share."""
+    out, there = pc.publisher("/orders", qos=TEN), robot.listener("/orders", qos=TEN)
+    server, client = bridge.both(Topic("/orders", "receive", keep=Keep(60, 500)), outlive=OUTLIVES)
+    carries([out], client, ["/orders"])
+    relay.refuse()
+    relay.cut()
+    eventually(lambda: away(client) and away(server))
+    came = len(there.payloads)
+    for number in range(5):
+        out.publish(text(f"{number}" + " " * 10_000))
+    eventually(lambda: link_of(server).budget.keep.held > 50_000)
+    relay.refuse(False)
+    eventually(lambda: numbers(there.payloads[came:]) == [*range(5)])
+    assert link_of(server).budget.keep.held == 0

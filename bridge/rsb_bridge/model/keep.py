@@ -1,4 +1,4 @@
-"""What a topic promises to keep for a link that is away or carries too little, beyond its QoS (`keep`)."""
+"""The promise of a topic to keep messages, beyond its QoS, for a link that is away or carries too little (`keep`)."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     @property
     def kept(self) -> Keep | None:
-        """The same as `keep`, whatever its form."""
+        """`keep`, in one form."""
         return Keep(self.keep) if isinstance(self.keep, int | float) else self.keep
 
     def parsed_qos(self) -> Qos | None:

@@ -17,7 +17,7 @@ EVERY = 0.01  # s from one to the next
 AT_FIRST, FASTER = 100.0, 100.0
 """Messages a second, and how many more after each second. A node takes one in 0.1 to 1 ms, but others hold it up: at
 500 a second one on a busy machine lost 13 of 200 (`bench.outages`, 20 s)."""
-_OVER = 1.0  # s without a late message, after which the next one begins anew. A round figure
+_OVER = 1.0  # s without a late message, after which the pace is the first again. A round figure
 _ROUNDED = 1e-6
 
 _STUCK_AFTER = 10.0  # s in which the backlog gets no shorter: the link carries less than is published. A round figure

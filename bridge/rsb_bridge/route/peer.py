@@ -256,8 +256,8 @@ class PeerBudget:
         self.kept = Budget(KEPT_LIMIT)  # bytes of messages that publishers here keep for late joiners
         self.unacknowledged = Budget(UNACKNOWLEDGED_LIMIT)  # bytes that they hold for slow subscribers
         self.expansion = ExpansionBudget(now)  # bytes by which compressed messages may grow here
-        self.waiting = Budget(WAITING_LIMIT)  # bytes in the queues of all its topics, but those that have `keep`
-        self.keep = Budget(KEEP_BUDGET)  # bytes in the queues of these, without those that have a size of their own
+        self.waiting = Budget(WAITING_LIMIT)  # bytes in the queues of its topics without `keep`
+        self.keep = Budget(KEEP_BUDGET)  # bytes in the queues of topics with `keep` and no size of their own
         self.further_publishers = Budget(_FURTHER_PUBLISHERS)  # beyond one for each topic
         self.types = TypeBudget()  # that are not installed here
         self.rates = AllowedRates()  # of the peer's topics here

@@ -251,7 +251,7 @@ class Outbox:
         self._limits = QueueLimits(0, 0.0, 0)  # by which messages were last added
 
     def compose(self) -> None:
-        """Keep messages as the topic promises now. Nothing is kept of what has to be armed."""
+        """Take the present promise of `keep`, which topics that have to be armed do not give."""
         route, budget = self._route, self._route.peer.budget
         keep = self._keep = None if route.arming.required else route.proposal.keep
         if keep is None:
@@ -281,7 +281,7 @@ class Outbox:
         self._trim(now, publisher)
 
     def back(self, now: float) -> None:
-        """Drop what was kept and has become too old, at `now` (s), while its publishers sent nothing."""
+        """Drop kept messages that have grown too old by `now` (s), also those of silent publishers."""
         if self._keep is not None:
             for publisher in self._queue.publishers:
                 self._trim(now, publisher)
