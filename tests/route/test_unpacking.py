@@ -243,7 +243,7 @@ def test_what_waits_is_neither_shown_nor_measured(loop: HeldLoop, make_context: 
     loop.finish_one()
     shown = loop.run_until_complete(looking)
     assert shown.size == LARGE
-    assert shown.latency == pytest.approx(0.3, abs=0.01)
+    assert shown.latency == pytest.approx(0.3, abs=0.02)  # with the pace of late messages
 
 
 def test_what_is_refused_waits_for_nothing(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
