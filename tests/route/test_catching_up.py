@@ -9,17 +9,17 @@ from rsb_bridge.route.catching_up import AT_FIRST, EVERY, FASTER, CatchUp
 _MANY = 1 << 30
 
 
-def published(catch_up: CatchUp, seconds: float, rate: float | None, since: float = 0.0) -> int:
+def published(catch_up: CatchUp, seconds: float, rate: float, since: float = 0.0) -> int:
     """Return how many messages are published in so many seconds, when as many as may be are at each step."""
     return sum(catch_up.allowed(_MANY, since + step * EVERY, rate) for step in range(1, round(seconds / EVERY) + 1))
 
 
 def test_one_is_published_at_once() -> None:
     catch_up = CatchUp()
-    assert catch_up.allowed(600, 0.0, None) == 1
-    assert catch_up.allowed(600, 0.0, None) == 0
-    assert catch_up.allowed(600, EVERY, None) == 1
-    assert catch_up.allowed(600, 5.0, None) == 1
+    assert catch_up.allowed(600, 0.0, 0.0) == 1
+    assert catch_up.allowed(600, 0.0, 0.0) == 0
+    assert catch_up.allowed(600, EVERY, 0.0) == 1
+    assert catch_up.allowed(600, 5.0, 0.0) == 1
 
 
 @pytest.mark.parametrize("seconds", [1.0, 10.0])

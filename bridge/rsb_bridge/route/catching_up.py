@@ -58,18 +58,18 @@ class Backlog:
 
 
 class CatchUp:
-    """The pace of one topic, which is at least twice its usual rate: else it would never catch up."""
+    """The pace of one topic, which is at least twice its rate: else it would never catch up."""
 
     def __init__(self) -> None:
         self._began = self._asked = float("-inf")
         self._left = 0.0
 
-    def allowed(self, count: int, now: float, usual_rate: float | None) -> int:
-        """Return how many of `count` late messages may be published at `now` (s)."""
+    def allowed(self, count: int, now: float, own_rate: float) -> int:
+        """Return how many of `count` late messages of a topic may be published at `now` (s); its rate is in Hz."""
         since, self._asked = now - self._asked, now
         if since > _OVER:
             self._began, since = now, EVERY
-        rate = max(AT_FIRST + FASTER * (now - self._began), 2 * (usual_rate or 0.0))
+        rate = max(AT_FIRST + FASTER * (now - self._began), 2 * own_rate)
         # Late timers do not count: where the machine is busy, nodes take messages more slowly, too.
         self._left = min(self._left, 1.0) + rate * min(since, EVERY)
         allowed = min(count, int(self._left + _ROUNDED))
