@@ -285,7 +285,7 @@ class Invariants:
             *ledger.dropped.values(),
         )
         untaken = ledger.lost_in_dds, ledger.missed_while_down, ledger.unsubscribed
-        open_ends = ledger.unknown + ledger.open
+        open_ends = ledger.unknown + ledger.waiting + ledger.in_flight
         wrong = ""
         if min(parts) < 0:
             wrong = "a part of it is negative"
@@ -293,7 +293,7 @@ class Invariants:
             wrong = f"its parts sum up to {sum(parts)}"
         elif sum((ledger.offered - ledger.again, *untaken)) != (all_of_them := sum(account.newest.values())):
             wrong = f"{all_of_them} messages were published up to the newest that was taken"
-        elif not route.is_latched and ledger.offered != account.offered:
+        elif ledger.offered != account.offered and not route.is_latched:
             wrong = f"{account.offered} messages were taken"
         elif ledger.delivered > account.published:
             wrong = f"{account.published} messages were published"
