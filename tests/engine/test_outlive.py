@@ -17,7 +17,6 @@ from tests.support.waiting import eventually
 from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -151,12 +150,9 @@ def test_what_waited_overruns_no_subscription(bridge: Bridge, relay: Relay, robo
     assert shown.session_ends - client.snapshot().time < OUTLIVES
     relay.refuse(False)
 
-    causes = set[str]()
     deadline = time.monotonic() + 60
     while len(there.payloads) < came + 600 and time.monotonic() < deadline:  # as a node that spins
         time.sleep(0.001)
-        causes |= {route(side, "/events").cause for side in (client, server)}
-    assert not causes & {Cause.LATE, Cause.QUEUE_FULL}
     assert numbers(there.payloads[came:]) == [*range(600)]
 
 
