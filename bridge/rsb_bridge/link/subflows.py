@@ -21,7 +21,7 @@ class Subflows(Extension):
     """Logs when another way of one connection carries a link.
 
     Attributes:
-        ways: the ways, or nothing if there is only one.
+        ways: the ways, or nothing if there has only been one.
     """
 
     def __init__(self, link: BaseLink) -> None:
@@ -42,7 +42,7 @@ class Subflows(Extension):
     def tick(self) -> None:
         control = self._link.control
         ways = () if control is None else control.stream.subflows()
-        if len(ways) < 2:
+        if control is None or not ways:
             self._forget()
             return
         in_use = [way for way in ways if way.answers and way.sent_ago < _IN_USE]
@@ -50,11 +50,14 @@ class Subflows(Extension):
         if used is None:
             used = min(ways, key=lambda way: (not way.answers, way.sent_ago))
         self._used = used[:2]
+        # The kernel gives up a way that is silent for long, and never opens the first one again. A client whose link is
+        # elsewhere than a new connection would be moves back (`server_ways`).
+        control.stream.own_address = used.own
         shown = tuple(self._shown(way, is_used=way is used) for way in ways)
-        if shown != self.ways:
+        if shown != self.ways and (len(shown) > 1 or self.ways):
             self.ways = shown
             others = [f"{_name(way)} {'ready' if way.is_ready else 'not ready'}" for way in shown if not way.is_used]
-            text = f"carried via {self.used} ({', '.join(others)})"
+            text = f"carried via {self.used} ({', '.join(others) or 'no other way'})"
             self._link.log_of_peer(Level.INFO, EventCode.LINK_WAY, text, link_status=True)
 
     def _shown(self, way: Subflow, *, is_used: bool) -> WaySnapshot:

@@ -26,6 +26,7 @@ _INFO_SIZE = 256  # bytes: more than it has
 _HEADER = struct.Struct("=IIII")  # struct mptcp_subflow_data: its size, subflows, the kernel's size of each, and ours
 _ADDRESS_SIZE = 128  # of a struct sockaddr_storage
 _MOST = 8  # subflows that are read; the kernel allows as many beside the first one
+_ENDED = ("0.0.0.0", "::")  # noqa: S104 -- the addresses of a subflow that the kernel has given up
 _IN_VAIN = 2  # times in a row; one happens where packets are lost
 _TCP_INFO = struct.Struct("=2xB 41x I")  # of struct tcp_info: `tcpi_retransmits` and `tcpi_last_data_sent` (ms)
 
@@ -99,10 +100,11 @@ def subflows(sock: socket.socket) -> Sequence[Subflow]:
     """Return the subflows of a stream; raises as `tcp_infos`."""
     infos = [_TCP_INFO.unpack(each) for each in tcp_infos(sock, _TCP_INFO.size)]
     addresses = _of_subflows(sock, _MPTCP_SUBFLOW_ADDRS, 2 * _ADDRESS_SIZE)
-    return [
+    found = [
         Subflow(_host(each), _host(each[_ADDRESS_SIZE:]), sent_ago / 1000, tries < _IN_VAIN)
         for each, (tries, sent_ago) in zip(addresses, infos, strict=False)  # one may end in between
     ]
+    return [each for each in found if each.own not in _ENDED]
 
 
 def _host(address: bytes) -> str:

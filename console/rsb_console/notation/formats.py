@@ -108,7 +108,7 @@ def via(link: LinkSnapshot) -> str:
         return ""
     words = {True: "ready", False: "not ready"}
     others = [f"{way.device or way.host} {words[way.is_ready]}" for way in link.ways if not way.is_used]
-    return f"via {used} ({', '.join(others)})"
+    return f"via {used} ({', '.join(others)})" if others else f"via {used}"
 
 
 def latency(seconds: float, uncertainty: float | None) -> str:
