@@ -56,7 +56,7 @@ _ITEMS, _ITEMS_EACH = 100, 20
 """In one table: so many, and so many more for each route and each link."""
 _BOUNDED = {
     ".goals._goals": MOST_GOALS,
-    ".results._kept": MOST_RESULTS,
+    ".results.kept": MOST_RESULTS,
     ".undecided": MOST_RESULTS,
     ".sinks[]._waiting": KEPT_DEPTH,
     ".sinks[]._free": KEPT_DEPTH,

@@ -171,7 +171,7 @@ def _cancels_last(self: Any) -> Any:
 
 def _forget_all(self: Any, _: float) -> None:
     """Replace `KeptResults.expire` by a form that forgets the server's answers at once."""
-    for goal in [each for each, kept in self._kept.items() if kept.answer is not None]:
+    for goal in [each for each, kept in self.kept.items() if kept.answer is not None]:
         self._forget(goal)
 
 

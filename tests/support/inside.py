@@ -127,7 +127,7 @@ def timer_of(calls: PendingCalls[Any]) -> asyncio.TimerHandle | None:
 
 
 def kept_results(results: KeptResults) -> dict[bytes, KeptResult]:
-    return results._kept
+    return results.kept
 
 
 def numbers_of(thing: ProvidingRoute | KeptResults) -> dict[Any, Any]:

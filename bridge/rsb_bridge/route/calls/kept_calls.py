@@ -128,45 +128,48 @@ def result_request(goal: bytes) -> bytes:
 
 
 class KeptResults:
-    """The results of one action's goals, by goal.
+    """The results of one action's goals.
 
     Action servers forget results (rcl_action: by default 10 s after the goal): a longer outage would lose them.
+
+    Attributes:
+        kept: by goal, the oldest first.
     """
 
     def __init__(self) -> None:
-        self._kept: dict[bytes, KeptResult] = {}  # oldest first
+        self.kept: dict[bytes, KeptResult] = {}
         self._by_number: dict[int, bytes] = {}
         self._waiting: dict[int, bytes] = {}  # by call; each of these calls is in `KeptResult.calls`
         self._bytes = 0
 
     def __contains__(self, goal: bytes) -> bool:
-        return goal in self._kept
+        return goal in self.kept
 
     @property
     def under_way(self) -> bool:
         """Whether the server owes a result."""
-        return any(kept.answer is None for kept in self._kept.values())
+        return any(kept.answer is None for kept in self.kept.values())
 
     def answer(self, goal: bytes) -> bytes | None:
         """Return the kept result, or None."""
-        kept = self._kept.get(goal)
+        kept = self.kept.get(goal)
         return kept.answer if kept is not None else None
 
     def wait(self, goal: bytes, call: int) -> None:
         """Have a call of the peer's wait for a result that the server was asked for."""
-        self._kept[goal].calls.append(call)
+        self.kept[goal].calls.append(call)
         self._waiting[call] = goal
 
     def asked(self, goal: bytes, number: int, servers: AbstractSet[bytes], *calls: int) -> None:
         """Note that the server was asked, under the client's number or with 0 later, and calls that wait for it."""
-        kept = self._kept.setdefault(goal, KeptResult(0, servers))
+        kept = self.kept.setdefault(goal, KeptResult(0, servers))
         kept.calls += calls
         self._waiting.update(dict.fromkeys(calls, goal))
         self._by_number.pop(kept.number, None)
         kept.number, kept.servers = number, servers
         if number:
             self._by_number[number] = goal
-        if len(self._kept) > MOST_RESULTS:
+        if len(self.kept) > MOST_RESULTS:
             self._forget_one()
 
     def answered(self, number: int, answer: bytes, now: float) -> tuple[bytes, list[int]] | None:
@@ -178,7 +181,7 @@ class KeptResults:
         goal = self._by_number.pop(number, None)
         if goal is None:
             return None
-        kept = self._kept[goal]
+        kept = self.kept[goal]
         calls, kept.calls, kept.number = kept.calls, [], 0
         for call in calls:
             del self._waiting[call]
@@ -194,40 +197,40 @@ class KeptResults:
     def is_over(self, call: int) -> None:
         """Note that a call has ended."""
         if (goal := self._waiting.pop(call, None)) is not None:
-            self._kept[goal].calls.remove(call)
+            self.kept[goal].calls.remove(call)
 
     def awaited(self) -> dict[bytes, list[int]]:
         """Return the peer's calls that wait for results, by goal."""
-        return {goal: [*kept.calls] for goal, kept in self._kept.items() if kept.calls}
+        return {goal: [*kept.calls] for goal, kept in self.kept.items() if kept.calls}
 
     def clients_closed(self) -> None:
         """Give up open questions; they can be asked again."""
         self._by_number.clear()
-        for kept in self._kept.values():
+        for kept in self.kept.values():
             kept.number = 0
 
     def to_ask(self, servers: AbstractSet[bytes]) -> list[bytes]:
         """Return the goals whose results these servers have to be asked for, because those that were have gone."""
         return [
             goal
-            for goal, kept in self._kept.items()
+            for goal, kept in self.kept.items()
             if kept.answer is None and (kept.number == 0 or kept.servers.isdisjoint(servers))
         ]
 
     def expire(self, now: float) -> None:
         """Forget old results. Called once a second."""
-        for goal in [each for each, kept in self._kept.items() if kept.answer is not None and kept.until <= now]:
+        for goal in [each for each, kept in self.kept.items() if kept.answer is not None and kept.until <= now]:
             self._forget(goal)
 
     def _forget_one(self) -> None:
         """Forget the oldest one, answered ones first. If calls wait for it, the link's bounds on calls apply."""
-        answered = (each for each, kept in self._kept.items() if kept.answer is not None)
-        idle = (each for each, kept in self._kept.items() if not kept.calls)
+        answered = (each for each, kept in self.kept.items() if kept.answer is not None)
+        idle = (each for each, kept in self.kept.items() if not kept.calls)
         if (oldest := next(answered, None) or next(idle, None)) is not None:
             self._forget(oldest)
 
     def _forget(self, goal: bytes) -> None:
-        kept = self._kept.pop(goal)
+        kept = self.kept.pop(goal)
         self._by_number.pop(kept.number, None)
         self._bytes -= len(kept.answer or b"")
         for call in kept.calls:
