@@ -65,7 +65,7 @@ async def test_each_message_comes_once_and_in_order(seed: int) -> None:
         sender = route.channel
         assert isinstance(sender, ReliableSender)
         assert not sender.waits
-        assert not sender._kept
+        assert not sender.unacknowledged
         assert near.in_transit() == 0
         assert far.keys.budget.held == 0
 

@@ -51,11 +51,15 @@ class _Unacknowledged:
 
 
 class ReliableSender(DatagramSender):
-    """The sending end."""
+    """The sending end.
+
+    Attributes:
+        unacknowledged: messages that may not have arrived, by their numbers.
+    """
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramWriter) -> None:
         super().__init__(udp_channel, route, codec)
-        self._kept: dict[int, _Unacknowledged] = {}  # by message number
+        self.unacknowledged: dict[int, _Unacknowledged] = {}
         self._flight: dict[int, _Sent] = {}  # by sequence number
         self._again: list[tuple[int, int]] = []  # messages and pieces, a heap: the oldest go first
         self._newest, self._absent = -1, 0  # by the last receipt
@@ -74,7 +78,7 @@ class ReliableSender(DatagramSender):
         size = 0
         while self._again and (not datagrams or size < limit):
             number, index = heapq.heappop(self._again)
-            kept = self._kept.get(number)
+            kept = self.unacknowledged.get(number)
             if kept is None or kept.pieces.get(index) != _QUEUED:
                 continue  # its receipt has come at last
             if (cut := self._cut_again(number, kept)) is None:
@@ -107,7 +111,7 @@ class ReliableSender(DatagramSender):
         passed = super()._send(batch, size)
         for number, message in enumerate(batch, before + 1):
             pieces: dict[int, int] = {}
-            self._kept[number] = _Unacknowledged(message, datagram, pieces)
+            self.unacknowledged[number] = _Unacknowledged(message, datagram, pieces)
             sequence = self._note(number, pieces, range(codec.datagrams(len(message[0]), datagram)), sequence)
         return passed
 
@@ -117,9 +121,11 @@ class ReliableSender(DatagramSender):
         passed = super()._go_on(cut, limit)
         if not begin:
             message, pieces = (bytes(cut.payload), cut.stamp, cut.flags), dict.fromkeys(range(len(cut.pieces)), _QUEUED)
-            kept = self._kept[number] = _Unacknowledged(message, self._udp_channel.datagram_size(), pieces)
+            kept = self.unacknowledged[number] = _Unacknowledged(message, self._udp_channel.datagram_size(), pieces)
             kept.cut = cut
-        self._note(number, self._kept[number].pieces, range(begin, begin + codec.sequence - sequence), sequence)
+        self._note(
+            number, self.unacknowledged[number].pieces, range(begin, begin + codec.sequence - sequence), sequence
+        )
         return passed
 
     def _note(self, number: int, pieces: dict[int, int], sent: range, sequence: int) -> int:
@@ -172,13 +178,13 @@ class ReliableSender(DatagramSender):
 
     def _acknowledge(self, number: int, pieces: dict[int, int], index: int) -> None:
         pieces.pop(index, None)
-        if not pieces and (kept := self._kept.get(number)) is not None and kept.pieces is pieces:
-            del self._kept[number]
+        if not pieces and (kept := self.unacknowledged.get(number)) is not None and kept.pieces is pieces:
+            del self.unacknowledged[number]
 
     def _lost(self, sequence: int, sent: _Sent) -> None:
         """Have a piece sent again, unless it has come or is sent again already."""
         number, pieces, index, _ = sent
-        if pieces.get(index) == sequence and self._kept[number].pieces is pieces:
+        if pieces.get(index) == sequence and self.unacknowledged[number].pieces is pieces:
             pieces[index] = _QUEUED
             heapq.heappush(self._again, (number, index))
 
@@ -224,7 +230,7 @@ class ReliableSender(DatagramSender):
         self._again.clear()
         self._newest, self._absent = -1, 0
         # Whole, as the receiver has discarded incomplete ones.
-        for number, kept in self._kept.items():
+        for number, kept in self.unacknowledged.items():
             kept.size, kept.cut, kept.pieces = 0, None, {0: _QUEUED}
             self._again.append((number, 0))
         super().go_on(udp_channel, keys)
