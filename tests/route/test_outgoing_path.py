@@ -189,3 +189,22 @@ def test_nothing_that_is_disarmed_is_shown_to_operators(world: World) -> None:
     world.route.peek_slot.wanted = True
     assert publish(world, 1) == 0
     assert world.route.peek_slot.wanted
+
+
+@pytest.mark.parametrize("world", [{"keep": 60.0, "qos": 2}], indirect=True)
+def test_messages_of_several_publishers_come_together(world: World) -> None:
+    """Each publisher's own newest ones wait."""
+    other = b"other" + FIRST[5:]
+    world.graph.nodes[other] = "/other"
+    world.comes(other, b"hello")
+    world.peer.channel.congested = True
+    stamp = world.context.stamps.now()
+    world.path.receive([RawMessage(b"quiet", stamp, FIRST)])
+    world.wait(61.0)
+    world.path.receive([RawMessage(b"%d" % number, stamp, other if number else FIRST) for number in range(5)])
+    world.wait(61.0)
+    world.path.back()
+    world.peer.channel.congested = False
+    world.route.flush()
+    assert world.sent == [b"hello", b"quiet", b"0", b"3", b"4"]
+    assert world.ledger.dropped == {"outage": 2}
