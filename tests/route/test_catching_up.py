@@ -32,3 +32,11 @@ def test_pace_grows_with_time(seconds: float) -> None:
 
 def test_fast_topic_catches_up_at_twice_its_rate() -> None:
     assert published(CatchUp(), 10.0, 5000.0) == pytest.approx(100_000, rel=0.05)
+
+
+def test_pace_does_not_drive_itself_up() -> None:
+    """What is published late counts in the topic's rate, too."""
+    catch_up = CatchUp()
+    count = catch_up.allowed(_MANY, 0.0, 400.0)
+    count += sum(catch_up.allowed(_MANY, step * EVERY, 5_000.0) for step in range(1, 101))
+    assert count == pytest.approx(800, rel=0.05)

@@ -62,14 +62,15 @@ class CatchUp:
 
     def __init__(self) -> None:
         self._began = self._asked = float("-inf")
-        self._left = 0.0
+        self._least = self._left = 0.0
 
     def allowed(self, count: int, now: float, own_rate: float) -> int:
         """Return how many of `count` late messages of a topic may be published at `now` (s); its rate is in Hz."""
         since, self._asked = now - self._asked, now
         if since > _OVER:
-            self._began, since = now, EVERY
-        rate = max(AT_FIRST + FASTER * (now - self._began), 2 * own_rate)
+            # Its rate from now on contains what is published late, and would drive itself up.
+            self._began, since, self._least = now, EVERY, 2 * own_rate
+        rate = max(AT_FIRST + FASTER * (now - self._began), self._least)
         # Late timers do not count: where the machine is busy, nodes take messages more slowly, too.
         self._left = min(self._left, 1.0) + rate * min(since, EVERY)
         allowed = min(count, int(self._left + _ROUNDED))
