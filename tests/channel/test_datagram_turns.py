@@ -120,7 +120,7 @@ async def test_large_messages_arrive_whole_or_are_not_begun() -> None:
 
 @pytest.mark.parametrize("reliable", [False, True])
 async def test_loss_by_chance_slows_nothing_down(reliable: bool) -> None:
-    """What is reliable is sent again."""
+    """Lost messages of reliable topics are sent again."""
     scan, rare = Live(1, 1_000, 50, reliable=reliable), Live(2, 200, 2, reliable=reliable)
     odom = Live(3, 100, 10)
     async with publishing(radio(), 400_000, (scan, rare), (odom,)) as scene:
@@ -132,7 +132,7 @@ async def test_loss_by_chance_slows_nothing_down(reliable: bool) -> None:
         assert (0.97 if reliable else 0.5) < scene.part(rare) <= (1.0 if reliable else 0.9)
         assert scene.part(odom) > 0.95
         ages = scene.ages(scan)
-        assert ages[len(ages) // 2] < (0.15 if reliable else 0.03)  # a lost one holds up those that follow
+        assert ages[len(ages) // 2] < (0.15 if reliable else 0.03)  # a lost one holds up the next ones
         assert ages[-1] < (2.0 if reliable else 0.5)
 
 

@@ -1,4 +1,4 @@
-"""Reliable topics over datagrams: each message comes once and in order, whatever gets lost on the way."""
+"""Reliable topics over datagrams: each message comes once and in order, in spite of losses."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ async def test_nothing_is_sent_twice_without_a_loss() -> None:
 
 @pytest.mark.parametrize("seconds", [1.0, 10.0, 100.0])
 async def test_messages_wait_for_a_path(seconds: float) -> None:
-    """They wait in the route's queue: little is sent in vain, and little is kept in the channel."""
+    """They wait in the route's queue: meanwhile, the channel sends and keeps little."""
     expected: list[bytes] = []
     async with reliable(Radio(2.5e6, delay=0.02)) as (near, far, channel, route):
 

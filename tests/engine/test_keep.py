@@ -1,4 +1,4 @@
-"""What waits for a link that is away: with `keep` all messages of some time, and without it N of each publisher."""
+"""Messages wait for a link that is away: with `keep` all of some time, and without it N of each publisher."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_bytes_are_limited_and_oldest_go(bridge: Bridge, relay: Relay, robot: Do
 
 
 def test_newest_of_each_publisher_wait(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
-    """As DDS would for a reader that is away: a busy publisher pushes out no message of a quiet one."""
+    """DDS would do the same for a reader that is away: a busy publisher pushes out no message of a quiet one."""
     cut = Cut(bridge, relay, robot, pc, qos=10)
     cut.publish(8)
     cut.publish(100, 100, publisher=1)

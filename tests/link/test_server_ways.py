@@ -71,7 +71,7 @@ def test_link_moves_back_to_a_better_way_that_has_held(context: Context) -> None
     assert link.moves_within(30) is None
     link.answers.add(WIFI)
     assert link.moves_within(5) is None
-    link.answers.remove(WIFI)  # it holds anew from here on
+    link.answers.remove(WIFI)  # its 10 s begin again here
     assert link.moves_within(5) is None
     link.answers.add(WIFI)
     moved = link.moves_within(30)

@@ -1,4 +1,4 @@
-"""Which way carries a link whose streams use several, in the words of its log."""
+"""The log names the way that carries a link whose streams use several."""
 
 from __future__ import annotations
 

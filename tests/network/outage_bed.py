@@ -1,8 +1,7 @@
 """A robot, a router and a server's machine, topics and calls between them, and what may happen to the path.
 
 The router translates addresses where a fault needs that. `OutageBed.record` lets traffic flow until it is steady,
-causes one fault, waits until traffic is steady again, and returns what was published and heard, with the bridge's own
-account.
+causes one fault, waits until traffic is steady again, and returns a `Record` with the bridge's own account.
 """
 
 from __future__ import annotations
@@ -109,7 +108,7 @@ FAULTS = {
 
 @dataclass
 class Record:
-    """What was published and heard around a fault. Times are ns of the monotonic clock.
+    """The messages published and heard around a fault. Times are ns of the monotonic clock.
 
     Attributes:
         began: when the fault began.
@@ -363,7 +362,7 @@ class OutageBed:
         return began, ended
 
     def _forget(self) -> None:
-        """Have the router forget its mappings, and make others; what comes for the old ones is for nobody."""
+        """Have the router forget its mappings, and make others; packets to the old ones reach nobody."""
         for protocol in ("tcp", "udp"):
             self._router.nft(f"insert rule ip nat out oif eth1 meta l4proto {protocol} masquerade to :41000-41999")
         self._router.run("conntrack", "--flush")

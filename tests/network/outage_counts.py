@@ -72,7 +72,7 @@ class AccountCounts(NamedTuple):
 
     Attributes:
         published: counted outside.
-        accounted: the account's sum: offered for the first time, and what was not taken.
+        accounted: the account's sum: offered for the first time, and not taken.
         heard: different messages, counted outside.
         delivered: the account's.
         dropped: by cause, with the rest of the account that is not delivered and not 0.

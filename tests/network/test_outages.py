@@ -40,7 +40,7 @@ def test_cut_of_a_second_loses_nothing_reliable(bed: OutageBed) -> None:
         if flow.kind != "best":
             assert account is not None
             assert account.delivered == account.published, (flow, account)
-            # What comes at once after the cut is more than the default depth, so that a busy listener may lose some.
+            # More arrives at once after the cut than the default depth, so that a busy listener may lose some.
             assert flow.kind == "reliable" or not counts.lost, (flow, counts)
     calls = count_calls(record)
     assert calls.answered == calls.asked, calls

@@ -1,4 +1,4 @@
-"""What waited for a link, until it is settled."""
+"""Messages that waited for a link, until they are settled."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from rsb_bridge.route.catching_up import Backlog
 
 
 def judged(*seconds: tuple[int, int, int]) -> list[int]:
-    """Return what is left each second, or -1 once nothing is; given are offered, waiting and in flight."""
+    """Return how many are left each second, or -1 once none is; given are offered, waiting and in flight."""
     backlog = Backlog()
     backlog.begin(0)
     left = []

@@ -74,7 +74,7 @@ def passes(world: World, seconds: int) -> None:
 
 
 def counts(world: World) -> tuple[int, int]:
-    """Return the messages that were missed while the route was down, and those that were not to cross."""
+    """Return the route's `missed_while_down` and `unsubscribed`."""
     ledger = world.route.ledger()
     return ledger.missed_while_down, ledger.unsubscribed
 

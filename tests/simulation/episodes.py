@@ -266,7 +266,7 @@ async def connections_reset(world: World) -> None:
 
 
 async def connections_forgotten(world: World) -> None:
-    """What is between drops what comes on the connections of a robot, which moves now and then, without a word."""
+    """Have a robot's connections carry nothing any more, without a word; now and then, have it move instead."""
     random = world.random("forgotten connections")
     while True:
         await asyncio.sleep(random.uniform(5.0, 30.0))

@@ -73,7 +73,7 @@ class StreamTransport(asyncio.Transport):
         self._paused = False
         self._reading = True
         self._closing = False
-        self.forgotten = False  # by a NAT on its way, which drops what comes on it
+        self.forgotten = False  # by a NAT, which drops all that arrives on it
         self.gone = False  # the program has let it go, or has lost it
         self._sent_end = False
         self._begun = False

@@ -143,7 +143,10 @@ async def test_cancel_of_cut_comes_before_anything_else(provider: str, court: Co
 @pytest.mark.parametrize("provider", SIDES)
 @pytest.mark.parametrize("goes_on", [pytest.param(True, marks=pytest.mark.bed(outlive=60.0)), False])
 async def test_goal_on_its_way_begins_once_or_never(provider: str, goes_on: bool, court: Court) -> None:
-    """With the session both are; after its end one begins, whose client is told once the server's status shows it."""
+    """If the session goes on, both goals begin. Else the late one never does, and the client of the other one waits.
+
+    It learns of its goal once the server's status shows it.
+    """
     came = court.action.send(Plan(after=15.0, runs=5.0))
     assert came is not None
     await until(lambda: came.arrived, 5.0)

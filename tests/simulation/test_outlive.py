@@ -38,7 +38,7 @@ def test_nothing_stays_wrong(conditions: Conditions, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [*_SEEDS, *long(*range(3, 12))])
 def test_link_moves_from_connections_that_carry_nothing(seed: int) -> None:
-    """Only the old ones: a second one beside them is up before anybody gives the link up."""
+    """Only the old ones carry nothing: another one is up before either side gives the link up."""
     world = World(seed, replace(LIVELY, outlive=60.0, nights=0.0, faults=0.0, commands=0.0))
     with (
         patch.object(LinkSession, "back", autospec=True, side_effect=LinkSession.back) as went_on,

@@ -59,7 +59,7 @@ def test_receipt_tells_what_is_missing() -> None:
     received(reader, datagrams[1])
     assert reader.missing == 0b01010
     received(reader, datagrams[1_999])
-    assert reader.missing == (1 << 1024) - 2  # of what was sent before, nothing is known any more
+    assert reader.missing == (1 << 1024) - 2  # the window has no room for earlier ones
 
 
 def test_nothing_expires() -> None:
@@ -82,7 +82,7 @@ def test_a_message_may_come_in_other_pieces() -> None:
 
 
 def test_what_has_no_room_is_not_opened() -> None:
-    """So no receipt tells of it, and it comes again. What comes next may exceed the budget."""
+    """No receipt covers it, so it is sent again. The next message may exceed the budget."""
     budget = Budget(1_000)
     writer, reader = ends(budget=budget)
     late = writer.write(bytes(300), 0, 0, OVERHEAD + 200)
@@ -96,7 +96,7 @@ def test_what_has_no_room_is_not_opened() -> None:
 
 
 def test_goes_on_with_other_keys() -> None:
-    """What is incomplete is sent again in full, and a message that waits for an earlier one stays."""
+    """Incomplete messages are sent again in full, and a message that waits for an earlier one stays."""
     budget = Budget(1 << 20)
     writer, reader = ends(budget=budget)
     messages = [bytes([number]) * 15 for number in range(4)]

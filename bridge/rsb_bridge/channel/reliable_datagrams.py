@@ -1,8 +1,8 @@
 """Channels of reliable topics over datagrams: lost datagrams are sent again, and each message comes once and in order.
 
-A receipt says which of the last datagrams have come. The others are sent again under new sequence numbers, as QUIC does
-(RFC 9002), with the numbers of their message and their piece, by which the receiver drops what it has already. New
-messages are taken from the route's queue only after that, so that no more than a window waits here.
+A receipt lists the last datagrams that have arrived. The sender sends the content of the others again under new
+sequence numbers, as QUIC does (RFC 9002). It names the message and the piece, so that the receiver drops a second copy.
+New messages leave the route's queue only after that, so that no more than a window waits here.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _WINDOW = 1024  # sequence numbers of which a receipt can tell (`rsb_bridge.wire.sealing.DatagramOpener`)
 _LATER = 1.25  # round trips after which a datagram that a later one has overtaken is lost (RFC 9002, 6.1.2: 9/8)
 _GAP_TOLD_EVERY = 0.01  # s between receipts about gaps: further datagrams of a burst tell nothing new. A round figure
-_QUEUED = -1  # in place of a sequence number: is to be sent (again)
+_QUEUED = -1  # in place of a sequence number: the piece waits to be sent, or sent again
 
 
 _Sent: TypeAlias = tuple[int, dict[int, int], int, float]
@@ -157,7 +157,7 @@ class ReliableSender(DatagramSender):
         now, flight = self._loop.time(), self._flight
         later = _LATER * self.via.pacer.round_trip
         suspected = None
-        for sequence in [*self._told_of()]:
+        for sequence in [*self._covered()]:
             back = self._newest - sequence
             if back < _WINDOW and not self._absent >> back & 1:
                 self._acknowledge(*flight.pop(sequence)[:3])
@@ -170,7 +170,8 @@ class ReliableSender(DatagramSender):
         if suspected is not None:
             self._watch(max(0.001, suspected))
 
-    def _told_of(self) -> Iterator[int]:
+    def _covered(self) -> Iterator[int]:
+        """Yield the sequence numbers in flight up to the newest one of the last receipt."""
         for sequence in self._flight:
             if sequence > self._newest:
                 return

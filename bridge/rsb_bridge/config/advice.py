@@ -184,7 +184,7 @@ def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[P
             if qos.depth > limit:
                 message = advice(depth=qos.depth, limit=limit)
                 yield Problem(join(location, "qos"), message, place=f"{place}, qos")
-        outlive = transports.profile_of(session.profile).outlive if session.outlive is None else session.outlive
+        outlive = transports.outlive_of(session.outlive, transports.profile_of(session.profile))
         if topic.kept is not None and topic.kept.seconds > outlive:
             message = Advice.KEEP(seconds=topic.kept.seconds, outlive=outlive)
             yield Problem(join(location, "keep"), message, place=f"{place}, keep")

@@ -13,7 +13,7 @@ from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
-from rsb_bridge.model.transports import profile_of
+from rsb_bridge.model.transports import outlive_of, profile_of
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
@@ -401,8 +401,7 @@ class BaseLink(ABC):
     @property
     def _outlives(self) -> float:
         """Seconds that the session outlives its connection."""
-        own = self.context.session.outlive
-        return self.profile.outlive if own is None else own
+        return outlive_of(self.context.session.outlive, self.profile)
 
     def _expire(self) -> None:
         text = f"the link was away for {self._outlives:g} s: what waited for it is dropped"

@@ -354,7 +354,7 @@ class ClientLink(Link):
         return None if failure is None else self._with_remedy(failure)
 
     def _with_device(self, reason: str) -> str:
-        """Return why the server is not reached, with what is wrong with the device that led there, if that is known."""
+        """Return a failure's reason, with the fault of the network device that led to the server, if it has one."""
         wrong = self._news.why_silent(self._source) if self._news is not None and self._source else ""
         return f"{reason}; {wrong}" if wrong else reason
 

@@ -261,7 +261,7 @@ class Link(BaseLink):
         self.table.arming.demand_dropped(source)
 
     def peer_leaves(self) -> None:
-        """Take the peer's counts for final: it has said goodbye."""
+        """Take the peer's counts for final, as it leaves with a goodbye."""
         for route in self.routes.values():
             if isinstance(route, OutgoingRoute):
                 route.receiver_left()

@@ -141,7 +141,7 @@ class Ledger:
     """Published before the bridge subscribed first, or while the topic was not to cross (paused, disarmed, refused).
     Not part of `offered`."""
     again: int = 0
-    """Of `offered`, a latched topic's messages that were offered before, as to the other side's process before."""
+    """Of `offered`, a latched topic's messages that were offered before, such as to the peer before its restart."""
     waiting: int = 0  # not sent yet
     waiting_since: float | None = None
     """s since the epoch, when the oldest message in the queue came, or None if the queue is empty."""

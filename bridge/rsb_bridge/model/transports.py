@@ -79,6 +79,11 @@ def profile_of(*names: ProfileName | None) -> LinkProfile:
     return next((PROFILES[name] for name in names if name is not None), NO_PROFILE)
 
 
+def outlive_of(own: float | None, profile: LinkProfile) -> float:
+    """Return for how long (s) a link outlives its connection: a session's own `outlive`, or its profile's."""
+    return profile.outlive if own is None else own
+
+
 def compression_of(own: Compression | None, profile: LinkProfile, transport: Compression) -> Compression:
     """Return a topic's own compression, or that of its link's profile or transport."""
     if own is not None:

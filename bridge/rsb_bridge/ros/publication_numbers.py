@@ -1,4 +1,4 @@
-"""What a topic's publishers have sent and nobody here took: the numbers that DDS gives their messages tell."""
+"""Counts messages of a topic that nobody here took, by the numbers that DDS gives each publisher's messages."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class PublicationNumbers:
         self._earlier, self._began_at = earlier, self._clock()
 
     def first(self, publisher: bytes, number: int) -> int:
-        """Count what came before a publisher's first message in this subscription; return the number before that."""
+        """Count the messages before a publisher's first one in this subscription; return the newest one's number."""
         gap, before = self._present_gap, self._before.pop(publisher, None)
         if before is None:
             before = number - 1 if self._forgot else 0

@@ -73,7 +73,7 @@ class Reader:
         Args:
             buffer: memory for taken messages, shared by the readers of a thread.
             earlier: publishers from before the subscription, or None if each publisher's first messages are history.
-            numbers: of earlier subscriptions of the same user to the topic, or None if there are none.
+            numbers: of the same user's earlier subscriptions to the topic, or None for the first one.
             liveliness: of its publishers, or None if the QoS has no lease.
         """
         self.handle = handle

@@ -1,4 +1,4 @@
-"""Messages that have waited for a link, once it is back: what is left of them, and the pace of their publication.
+"""Messages that have waited for a link, once it is back: how many are left, and the pace of their publication.
 
 A subscription keeps ten messages by default. If they arrive faster than its node takes them, it loses the oldest, even
 though DDS has acknowledged them. So late messages are published one by one, and faster only the longer that takes.
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Ledger
 
 LATE = 0.2
-"""s that a message took, from which on it is one of these. A link that is always slower is not held up by the pace."""
+"""Age (s) from which a message is late. On a link that is always slower, the pace holds nothing up."""
 EVERY = 0.01  # s from one to the next
 AT_FIRST, FASTER = 100.0, 50.0
 """Messages a second, and how many more after each second. A node takes one in 0.1 to 1 ms, but others hold it up: at
@@ -48,8 +48,8 @@ class Backlog:
         self.exists = False
 
     def judge(self, ledger: Ledger, now: float) -> None:
-        """Judge what is left at `now` (s), as the link is back. Called once a second."""
-        if ledger.waiting or not self.left:  # what comes now waits behind them
+        """Judge how many are left at `now` (s), as the link is back. Called once a second."""
+        if ledger.waiting or not self.left:  # new messages wait behind them
             self._until = ledger.offered
         self.left = max(0, self._until - (ledger.offered - ledger.open))
         if not self._least or self.left < self._least:

@@ -44,12 +44,12 @@ Bounds: TypeAlias = tuple[int, int]
 
 
 class Taken(NamedTuple):
-    """What messages that a latched topic's subscription brought are to the ledger.
+    """Counts of the messages that a latched topic's subscription brought, for the ledger.
 
     Attributes:
-        new: how many the peer does not have, and were not taken before in its opening.
-        again: of these, how many were taken in an earlier opening.
-        known: how many were never taken in this route, as the peer has them from an earlier process of this side.
+        new: the peer does not have these, and this opening had not brought them before.
+        again: of the new ones, those from an earlier opening.
+        known: never taken by this route; the peer has them from an earlier process of this side.
     """
 
     new: int

@@ -404,7 +404,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         return ledger
 
     def receiver_left(self) -> None:
-        """Take the peer's last report for final: it has said goodbye."""
+        """Take the peer's last report for final, as it leaves with a goodbye."""
         self._ledger.receiver_left()
 
     def news(self) -> SentReport | None:

@@ -537,7 +537,7 @@ class Route:
     # --- how it is
 
     def away_text(self) -> str:
-        """Return what becomes of it while it has no link, for an operator, perhaps with `LASTING`."""
+        """Return why it carries nothing while it has no link, for an operator, perhaps with `LASTING`."""
         if self.peer.away_since is not None and self.life.accepted:
             return f"waiting {LASTING} for the link"
         return self.peer.down_reason or "the link is down"

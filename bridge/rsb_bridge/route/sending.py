@@ -281,7 +281,7 @@ class Outbox:
         self._trim(now, publisher)
 
     def back(self, now: float) -> None:
-        """Drop kept messages that have grown too old by `now` (s), also those of silent publishers."""
+        """Drop kept messages that have grown too old by `now` (s), also of silent publishers."""
         if self._keep is not None:
             for publisher in self._queue.publishers:
                 self._trim(now, publisher)

@@ -360,7 +360,7 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     @property
     def resends(self) -> bool:
-        # What is kept must not be lost on the way. Over datagrams both ends have to agree, and only the QoS says so.
+        # Kept messages must not get lost. Over datagrams both ends have to agree, and both know only the QoS.
         kept = self.proposal.keep is not None and self.transport.reliable
         return kept or self.qos is None or self.qos.reliability != "best_effort"
 

@@ -25,9 +25,9 @@ _INFO = struct.Struct("=8x I 36x Q Q 8x Q")
 _INFO_SIZE = 256  # bytes: more than it has
 _HEADER = struct.Struct("=IIII")  # struct mptcp_subflow_data: its size, subflows, the kernel's size of each, and ours
 _ADDRESS_SIZE = 128  # of a struct sockaddr_storage
-_MOST = 8  # subflows that are read; the kernel allows as many beside the first one
+_MOST = 8  # subflows that are read; the kernel opens at most as many besides the first one
 _ENDED = ("0.0.0.0", "::")  # noqa: S104 -- the addresses of a subflow that the kernel has given up
-_IN_VAIN = 2  # times in a row; one happens where packets are lost
+_REPETITIONS = 2  # in a row, after which a way does not answer; one happens where packets get lost
 _TCP_INFO = struct.Struct("=2xB 41x I")  # of struct tcp_info: `tcpi_retransmits` and `tcpi_last_data_sent` (ms)
 
 
@@ -101,8 +101,8 @@ def subflows(sock: socket.socket) -> Sequence[Subflow]:
     infos = [_TCP_INFO.unpack(each) for each in tcp_infos(sock, _TCP_INFO.size)]
     addresses = _of_subflows(sock, _MPTCP_SUBFLOW_ADDRS, 2 * _ADDRESS_SIZE)
     found = [
-        Subflow(_host(each), _host(each[_ADDRESS_SIZE:]), sent_ago / 1000, tries < _IN_VAIN)
-        for each, (tries, sent_ago) in zip(addresses, infos, strict=False)  # one may end in between
+        Subflow(_host(each), _host(each[_ADDRESS_SIZE:]), sent_ago / 1000, repeated < _REPETITIONS)
+        for each, (repeated, sent_ago) in zip(addresses, infos, strict=False)  # one may end in between
     ]
     return [each for each in found if each.own not in _ENDED]
 

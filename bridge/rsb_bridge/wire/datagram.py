@@ -446,8 +446,7 @@ class OrderedReader(DatagramReader):
     """Opens the datagrams of a reliable topic: each message once and in order, as what got lost is sent again.
 
     Attributes:
-        following: messages that a missing one has held up, and that follow the one returned last. To be taken by who
-            gets that.
+        following: messages that follow the one returned last, which has held them up. The caller takes them with it.
     """
 
     def __init__(self, *args: Any, **limits: Any) -> None:
@@ -458,7 +457,7 @@ class OrderedReader(DatagramReader):
 
     @property
     def missing(self) -> int:
-        """Which of the last datagrams have not come, as in `Arrived`."""
+        """The last datagrams that have not come, as in `Arrived`."""
         return self._opener.missing
 
     @property

@@ -255,7 +255,7 @@ class DatagramOpener:
 
     @property
     def missing(self) -> int:
-        """Which numbers of the window are not opened: bit n is set for the n-th before the newest."""
+        """The numbers of the window that are not opened: bit n is set for the n-th before the newest."""
         return ~self._seen & self._mask & ((1 << (self.newest + 1)) - 1 if self.newest < self._window else self._mask)
 
     def open(self, sequence: int, sealed: Buffer, associated: Buffer) -> bytes:

@@ -226,7 +226,7 @@ class Goals:
         return self._goals[goal].accepted_at if goal in self._goals else None
 
     def is_over(self, goal: bytes) -> bool:
-        """Return whether a goal is known to have finished."""
+        """Return whether a goal has finished, as far as its server has told."""
         return goal in self._goals and self._goals[goal].state in OVER
 
     def running(self) -> list[bytes]:

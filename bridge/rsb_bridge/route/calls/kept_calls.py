@@ -1,6 +1,6 @@
 """Requests about an action's goals, and the goals' results, which outlive a session of the link.
 
-A call that is under way when a session ends is given up: the node may have received it, and must not receive it twice.
+A call that is open when a session ends is given up: the node may have received it, and must not receive it twice.
 A cancel, or a request for a result, names its goal, and does no harm twice. The callers' side keeps it, and sends it
 again once the action can be reached, even by another process of the peer: cancels first. A goal is not sent again: its
 caller is answered if the server's status shows that it has accepted the goal. The providing side keeps the results of
@@ -210,7 +210,7 @@ class KeptResults:
             kept.number = 0
 
     def to_ask(self, servers: AbstractSet[bytes]) -> list[bytes]:
-        """Return the goals whose results these servers have to be asked for, because those that were have gone."""
+        """Return the goals whose results nobody has been asked for yet, or only servers that are not among these."""
         return [
             goal
             for goal, kept in self.kept.items()
