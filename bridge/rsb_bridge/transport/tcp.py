@@ -174,9 +174,9 @@ class TcpStream(Stream):
 
 
 def _packet_counts(info: bytes) -> PacketCounts:
-    in_vain, repeated, acknowledged, segments, sent, again, needless = _TCP_INFO.unpack(info)
+    tries, repeated, acknowledged, segments, sent, again, needless = _TCP_INFO.unpack(info)
     lost, waiting = max(0, repeated - needless), max(0, sent - again - acknowledged)
-    return PacketCounts(segments, lost, acknowledged, waiting, in_vain)
+    return PacketCounts(segments, lost, acknowledged, waiting, tries)
 
 
 class Tcp(TcpTraits, StreamTransport):

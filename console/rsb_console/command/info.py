@@ -202,7 +202,7 @@ def _ledger(route: RouteSnapshot, now: float) -> Iterator[str]:
         if ledger.missed_while_down:
             yield f"  {ledger.missed_while_down} more were published while the topic was closed"
         if ledger.unsubscribed:
-            yield f"  {ledger.unsubscribed} more were published before the bridge subscribed, or while it was not to"
+            yield f"  {ledger.unsubscribed} more came before the bridge subscribed, or while paused or disarmed"
         if ledger.lost_in_dds:
             yield f"  {ledger.lost_in_dds} more were lost in DDS before the bridge could take them"
         dropped = ledger.dropped

@@ -320,8 +320,8 @@ class Network:
             OSError: it is not reached; the message says why, and what to do.
         """
         before, config = self._session, self._config_used
-        anew = before is not None and config is not None and doubted is not None and doubted() and _is_client(config)
-        if anew and config is not None and doubted is not None:
+        anew = False
+        if before is not None and config is not None and doubted is not None and doubted() and _is_client(config):
             await _reach(_endpoints(config))
             anew = doubted()
         if self.connected and not anew:

@@ -106,12 +106,12 @@ class Links:
         self._endpoint: ZenohEndpoint | None = None
         self._opening = asyncio.Lock()
 
-    async def endpoint(self, service: str, watched: Sequence[str], *, beside: bool = False) -> ZenohEndpoint:
+    async def endpoint(self, service: str, watched: Sequence[str], *, is_second: bool = False) -> ZenohEndpoint:
         """Return the endpoint, made at the first call, and again in each session of the network.
 
         Args:
-            beside: if a link is up here, it is for a second connection. The network is opened anew then, unless the
-                first one is heard meanwhile.
+            is_second: whether it is for a second connection, if a link is up here. Then the network is opened anew,
+                unless the first connection is heard meanwhile.
 
         Raises:
             OSError: the network is not reached.
@@ -122,7 +122,7 @@ class Links:
             old = self._endpoint
             if service != CLIENT or old is None:
                 return False
-            return not self.network.connected or (beside and old.carries_link and old.heard_at < asked_at)
+            return not self.network.connected or (is_second and old.carries_link and old.heard_at < asked_at)
 
         async with self._opening:
             await self.network.open(doubted)
@@ -168,7 +168,7 @@ class ZenohTransport(ZenohTraits, StreamTransport):
         return f"zenoh ({self._links.network.place})" if address[0] == "zenoh" else _format_address(address)
 
     async def servers(self) -> list[str]:
-        endpoint = await self._links.endpoint(CLIENT, (SERVER,), beside=True)
+        endpoint = await self._links.endpoint(CLIENT, (SERVER,), is_second=True)
         return [seen.address for seen in self._announced(endpoint)]
 
     @property
@@ -184,7 +184,7 @@ class ZenohTransport(ZenohTraits, StreamTransport):
         return self._links.endpoint_if_open().address
 
     async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
-        endpoint = await self._links.endpoint(CLIENT, (SERVER,), beside=rank is None)
+        endpoint = await self._links.endpoint(CLIENT, (SERVER,), is_second=rank is None)
         peer = self._server(endpoint) if host == "zenoh" else host
         stream = ZenohStream(handler)
         # On a data stream the server's data may follow its answer at once.

@@ -511,11 +511,11 @@ async def test_second_connection_has_session_of_its_own(router: Router) -> None:
         assert await links.endpoint("client", ()) is first  # of a route's stream
         told: list[bool] = []
         first.when_retired = lambda: told.append(True)
-        second = await links.endpoint("client", (), beside=True)
+        second = await links.endpoint("client", (), is_second=True)
         assert second.address != first.address
         assert second.session is not first.session
         await until(lambda: told)
-        assert await links.endpoint("client", (), beside=True) is second  # the link is not there yet
+        assert await links.endpoint("client", (), is_second=True) is second  # the link is not there yet
         other = Somebody(router, first)
         await other.is_heard()
         other.put()
@@ -542,7 +542,7 @@ async def test_first_connection_that_is_heard_keeps_its_session(
             await reach(endpoints)
 
         zenoh_places.REACH.set(monkeypatch, hear_and_reach)
-        assert await links.endpoint("client", (), beside=True) is first
+        assert await links.endpoint("client", (), is_second=True) is first
         assert end.came
         other.session.close()
 
@@ -553,12 +553,12 @@ async def test_session_stays_while_no_other_is_reached() -> None:
             router.kill()
             await until(lambda: not links.network.connected)
             with pytest.raises(OSError, match=pattern(Unreachable.NOBODY_LISTENS)) as caught:
-                await links.endpoint("client", (), beside=True)
+                await links.endpoint("client", (), is_second=True)
             assert router.endpoint in str(caught.value)
             assert links.endpoint_if_open() is first
             router.start()
             # At once, and not when Zenoh itself tries again.
-            assert await links.endpoint("client", (), beside=True) is not first
+            assert await links.endpoint("client", (), is_second=True) is not first
 
 
 async def test_listener_is_not_opened_anew() -> None:
