@@ -2,9 +2,8 @@
 
 Two bridges, each a process, carry topics of DDS in both directions, half of them each, through a relay that resets all
 connections. Right after that, each topic publishes one message of 100 bytes. Printed are, as medians of five resets:
-ms from the reset to the last topic's message, and the bytes in both directions until then. The same is
-printed without a reset, and with `outlive` 0, where a new session begins, and a topic publishes every 20 ms until a
-message comes.
+ms from the reset to the last topic's message, and the bytes in both directions until then. The same is printed without
+a reset, and with `outlive` 0, where a new session begins, and a topic publishes every 20 ms until a message comes.
 
 Then one pair of bridges is moved N times (1,000), with a message of each topic after each reset. Printed are memory,
 descriptors, tasks and the objects of the program before and after, and how many endpoints of all topics have come or

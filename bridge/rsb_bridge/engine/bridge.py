@@ -145,7 +145,7 @@ class Bridge:
         """Return a route and its link by the route's key.
 
         Raises:
-            LinkError: there is none.
+            LinkError: no route has this key.
         """
         link, _, route = named_in(self.role.links(), key)
         if route is None:

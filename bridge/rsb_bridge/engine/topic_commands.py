@@ -82,7 +82,7 @@ class CommandedBridge(Protocol):
         """Return a route and its link by the route's key.
 
         Raises:
-            LinkError: there is none.
+            LinkError: nothing has this key.
         """
 
     async def end_motions(self, topics: set[str] | None = None) -> bool:
@@ -121,7 +121,7 @@ class Named(NamedTuple):
 
 
 def route_in(links: Iterable[Link], key: str) -> tuple[Link, Route] | None:
-    """Return the route of a key with its link, or None if there is none, or the key is a pattern's."""
+    """Return the route of a key with its link, or None if no route has the key, or it is a pattern's."""
     for link in links:
         if (route := link.routes.get(key)) is not None:
             return link, route
@@ -132,7 +132,7 @@ def named_in(links: Sequence[Link], key: str) -> Named:
     """Return the entry of a key.
 
     Raises:
-        LinkError: there is none.
+        LinkError: nothing has this key.
     """
     if (found := route_in(links, key)) is not None:
         link, route = found

@@ -17,7 +17,7 @@ EVERY = 0.01  # s from one to the next
 AT_FIRST, FASTER = 100.0, 50.0
 """Messages a second, and how many more after each second. A node takes one in 0.1 to 1 ms, but others hold it up: at
 500 a second one on a busy machine lost 13 of 200 (`bench.outages`, 20 s)."""
-_OVER = 1.0  # s without a late message, after which the pace is the first again. A round figure
+_PAUSE = 1.0  # s without a late message, after which the pace begins again. A round figure
 _ROUNDED = 1e-6
 
 _STUCK_AFTER = 10.0  # s in which the backlog gets no shorter: the link carries less than is published. A round figure
@@ -35,12 +35,12 @@ class Backlog:
     def __init__(self) -> None:
         self.exists = False
         self.left = self.dropped_before = 0
-        self._until = 0  # messages offered: the newest that belongs to it
-        self._least = 0  # `left` so far
+        self._until = 0  # number of the newest message that belongs to it, counted as offered
+        self._least = 0  # smallest `left` so far
         self._shrank_at = 0.0
 
     def begin(self, dropped: int) -> None:
-        """Begin: the link is away, and so many messages were dropped in earlier outages."""
+        """Begin, as the link is away; `dropped` messages were lost to earlier outages."""
         self.exists, self.dropped_before = True, dropped
         self.left = self._least = 0
 
@@ -67,7 +67,7 @@ class CatchUp:
     def allowed(self, count: int, now: float, own_rate: float) -> int:
         """Return how many of `count` late messages of a topic may be published at `now` (s); its rate is in Hz."""
         since, self._asked = now - self._asked, now
-        if since > _OVER:
+        if since > _PAUSE:
             # Its rate from now on contains what is published late, and would drive itself up.
             self._began, since, self._least = now, EVERY, 2 * own_rate
         rate = max(AT_FIRST + FASTER * (now - self._began), self._least)
