@@ -407,7 +407,7 @@ MUTATIONS = (
     Mutation("a session is resumed with another process",
              ((LinkSession, "may_go_on", _anybodys), (LinkSession, "goes_on", _anybodys),
               (LinkSession, "acknowledge", nothing)),
-             "nobody caught|could flow|can be linked", _OUTLIVES, 1, 0.5),
+             "nobody caught|broke the format", _OUTLIVES, 1, 0.5),
     Mutation("a call that waits for a result is not forgotten with its opening",
              ((KeptResults, "is_over", nothing),), "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1),
 )

@@ -95,6 +95,7 @@ async def test_new_cancel_without_server_is_refused(harness: CallHarness) -> Non
         server.endpoint.close()
     await until(lambda: not near.offered, 2.0)
     assert near.channel is not None
+    harness.world.breaks_format = True
     near.channel.send([(CallFrame(What.CALL, CANCEL_GOAL, 1000, 0, client.requests[1]).pack(), 0, 0)])
     await asyncio.sleep(2.0)
     assert far.peer.connections == connections
@@ -200,6 +201,7 @@ async def test_refusal_on_other_lane_keeps_counts(harness: CallHarness) -> None:
     near, far = harness.halves()
     first = near.id
     assert far.channel is not None
+    harness.world.breaks_format = True
     far.channel.send([(CallFrame(What.REFUSED, GET_RESULT, 1, 0, b"provider gone").pack(), 0, 0)])
     await until(lambda: near.id != first and near.offered, 15.0)
     await until(lambda: len(servers[CANCEL_GOAL].asked) == 2, 5.0)

@@ -24,6 +24,7 @@ from tests.support.long import long_cases
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.channel import pacing, window
+from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.link_arming import LinkLease
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed
 from rsb_bridge.model.session import Topic
@@ -548,6 +549,8 @@ def test_each_rule_is_needed(what: str, change: Any, episode: Any, finds: str) -
     is_burst = episode is stalled_with_a_backlog
     armed = Armed(3, "udp" if is_burst else "tcp", "transmit")
     wide = ((window, "FIRST", 1 << 20), (pacing, "LEAST_ON_PATH", 1 << 20)) if is_burst else ()
-    mutation = Mutation(what, (change, *wide), finds, _CONDITIONS, 3, 0.02)
+    # Another connection would take the place of the one that is held, and disarm.
+    alone = ((ClientLink, "doubts", nothing),) if episode is held_for_long else ()
+    mutation = Mutation(what, (change, *wide, *alone), finds, _CONDITIONS, 3, 0.02)
     with mutation.made(), pytest.raises(Violation, match=mutation.finds):
         armed.play(episode(armed))
