@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 from tests.channel.datagram_radio import datagrams_between, pass_time
 from tests.channel.sides import Radio, Route, connected
@@ -49,3 +51,16 @@ async def test_sender_soon_hears_of_larger_buffer() -> None:
         route.send(bytes(1000))
         await pass_time(1.0, near, far, channel)
         assert channel.sending().pacer.window == RECEIVE_BUFFER // 2
+
+
+async def test_small_messages_of_a_young_topic_wait_for_no_tick() -> None:
+    """Their headers are most of what fills the first window, after a quarter of which a receipt is asked for."""
+    route = Route(1, outgoing=True)
+    radio = Radio(1e8, delay=0.001)
+    async with connected(route, open_streams=radio.open, elsewhere=(1,)) as (near, far):
+        datagrams_between(near, far, radio, 1, queue=1_000_000)
+        for _ in range(400):
+            route.send(bytes(12))
+            await asyncio.sleep(0.0025)
+        assert len(far.routes[1].arrived) > 390
+        assert not near.routes[1].waiting

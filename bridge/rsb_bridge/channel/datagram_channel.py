@@ -155,12 +155,16 @@ class DatagramSender(DatagramEnd, SendingChannel):
         begin, count = self._at, len(cut.pieces)
         length = len(cut.pieces[begin])
         end = min(begin + max(1, limit // length), count)  # at least one, or its turns would come without end
-        datagrams = self._codec.write_pieces(cut, begin, end, asks=self.via.asks((end - begin) * length))
+        datagrams = self._codec.write_pieces(
+            cut, begin, end, asks=self.via.asks((end - begin) * (length + self._codec.overhead))
+        )
         self._cut, self._at = (cut, end) if end < count else (None, 0)
         return self._pass(datagrams)
 
     def _send(self, batch: Sequence[Message], size: int) -> int:
-        datagrams = self._codec.write_many(batch, self._udp_channel.datagram_size(), asks=self.via.asks(size))
+        datagrams = self._codec.write_many(
+            batch, self._udp_channel.datagram_size(), asks=self.via.asks(size + len(batch) * self._codec.overhead)
+        )
         # A network of routers, whose sockets have no port, loses them where it is congested, which more make worse.
         is_command = len(datagrams) == 1 and batch[0][2] & LEASED and self._udp_channel.socket.port
         if not is_command:

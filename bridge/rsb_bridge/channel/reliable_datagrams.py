@@ -84,7 +84,7 @@ class ReliableSender(DatagramSender):
             if (cut := self._cut_again(number, kept)) is None:
                 continue
             length = len(cut.pieces[index])
-            asks = self.via.asks(length) or not datagrams
+            asks = self.via.asks(length + self._codec.overhead) or not datagrams
             self._note(number, kept.pieces, range(index, index + 1), self._codec.sequence)
             datagrams += self._codec.write_pieces(cut, index, index + 1, asks=asks)
             size += length

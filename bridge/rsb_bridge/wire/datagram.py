@@ -168,6 +168,7 @@ class DatagramWriter:
     Attributes:
         number: messages written so far.
         largest: bytes of the longest of them.
+        overhead: bytes of a datagram besides its content.
     """
 
     def __init__(self, sealer: Sealer, link_id: bytes, route: int) -> None:
@@ -176,7 +177,7 @@ class DatagramWriter:
         self._sealer = sealer
         self._link_id = link_id
         self._route = route
-        self._overhead = _HEADER_SIZE + sealer.suite.tag_length
+        self.overhead = _HEADER_SIZE + sealer.suite.tag_length
 
     def go_on(self, sealer: Sealer, link_id: bytes) -> None:
         """Seal with the keys of the session's next connection. The messages' numbers go on."""
@@ -189,11 +190,11 @@ class DatagramWriter:
 
     def datagrams(self, size: int, max_datagram: int) -> int:
         """Return how many datagrams of at most `max_datagram` bytes a message of `size` bytes takes."""
-        return max(-(-size // (max_datagram - self._overhead)), 1)  # an empty message takes one, too
+        return max(-(-size // (max_datagram - self.overhead)), 1)  # an empty message takes one, too
 
     def room(self, max_datagram: int) -> int:
         """Return the bytes of a message that one datagram of at most `max_datagram` bytes carries."""
-        return max_datagram - self._overhead
+        return max_datagram - self.overhead
 
     def write(self, payload: Buffer, stamp: int, flags: int, max_datagram: int) -> list[bytes]:
         """Return one message as datagrams: see `write_many`."""
@@ -213,7 +214,7 @@ class DatagramWriter:
             ValueError: a message needs more than `FRAGMENTS_LIMIT` datagrams; no datagram of it was written.
         """
         pack, sealer, route, link_id = _HEADER.pack, self._sealer, self._route, self._link_id
-        room = max_datagram - self._overhead
+        room = max_datagram - self.overhead
         datagrams: list[bytes] = []
         asking = _ASKS if asks else 0
         for payload, stamp, flags in messages:
@@ -242,7 +243,7 @@ class DatagramWriter:
     def cut_again(self, number: int, message: Message, max_datagram: int) -> Cut:
         """Cut a message that has its number; raises as `cut`."""
         payload, stamp, flags = message
-        return Cut(number & 0xFFFFFFFF, payload, _cut(payload, max_datagram - self._overhead), stamp, flags)
+        return Cut(number & 0xFFFFFFFF, payload, _cut(payload, max_datagram - self.overhead), stamp, flags)
 
     def write_pieces(self, cut: Cut, begin: int, end: int, *, asks: bool = False) -> list[bytes]:
         """Return the datagrams of some pieces; `asks` as for `write_many`."""
