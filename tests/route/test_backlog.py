@@ -6,14 +6,17 @@ from rsb_bridge.model.snapshot import Ledger
 from rsb_bridge.route.catching_up import Backlog
 
 
-def judged(*seconds: tuple[int, int, int]) -> list[int]:
-    """Return how many are left each second, or -1 once none is; given are offered, waiting and in flight."""
+def judged(*seconds: tuple[int, int, int], late_for: int = 0) -> list[int]:
+    """Return what is left each second, or -1 once nothing is; given are offered, waiting and in flight.
+
+    Messages are late in the first `late_for` seconds.
+    """
     backlog = Backlog()
     backlog.begin(0)
     left = []
     for now, (offered, waiting, in_flight) in enumerate(seconds):
         if backlog.exists:
-            backlog.judge(Ledger(offered, waiting=waiting, in_flight=in_flight), float(now))
+            backlog.judge(Ledger(offered, waiting=waiting, in_flight=in_flight), float(now), held_up=now < late_for)
         left.append(backlog.left if backlog.exists else -1)
     return left
 
@@ -30,3 +33,10 @@ def test_link_that_carries_less_than_is_published_never_catches_up() -> None:
     left = judged(*[(600 + 10 * now, 500 + now % 3, 100) for now in range(14)])
     assert left[9] > 0
     assert left[10:] == [-1] * 4
+
+
+def test_backlog_goes_on_while_what_came_behind_it_is_late() -> None:
+    """A topic of 200 Hz: when its 1,000 kept messages are published, those of the meantime wait in their place."""
+    seconds = (1000, 0, 1000), (1200, 0, 800), (1400, 0, 400), (1600, 0, 100)
+    assert judged(*seconds, late_for=3) == [1000, 800, 400, -1]
+    assert judged(*seconds) == [1000, 600, -1, -1]

@@ -47,9 +47,13 @@ class Backlog:
     def end(self) -> None:
         self.exists = False
 
-    def judge(self, ledger: Ledger, now: float) -> None:
-        """Judge how many are left at `now` (s), as the link is back. Called once a second."""
-        if ledger.waiting or not self.left:  # new messages wait behind them
+    def judge(self, ledger: Ledger, now: float, *, held_up: bool = False) -> None:
+        """Judge what is left at `now` (s), as the link is back. Called once a second.
+
+        Args:
+            held_up: whether messages are still late, as the receiving side publishes them one by one.
+        """
+        if ledger.waiting or held_up or not self.left:  # what comes now waits behind them
             self._until = ledger.offered
         self.left = max(0, self._until - (ledger.offered - ledger.open))
         if not self._least or self.left < self._least:

@@ -344,6 +344,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def back(self) -> None:
         super().back()
         self._flows_since = self.context.now()  # what waited for the link is not late
+        self.silence.rearm(self._flows_since)  # nor is its topic silent
 
     def set_check(self) -> None:
         self.check.set()

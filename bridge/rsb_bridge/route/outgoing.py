@@ -23,7 +23,7 @@ from rsb_bridge.ros.publication_numbers import Untaken
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.blocking_rules import stages_with_link
-from rsb_bridge.route.catching_up import Backlog
+from rsb_bridge.route.catching_up import LATE, Backlog
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.health import Health
@@ -306,8 +306,6 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         usual = None if self.is_latched else self.meter.usual_rate
         last = self.silence.watch.quiet_since
         self.health.judge(self, ledger, now, usual_rate=usual, quiet_since=last, flows=flows, awaited=awaited)
-        if self.backlog.exists and self.peer.linked:
-            self.backlog.judge(ledger, now)
         super()._measure(now, crossing, learns=learns)
 
     def _follow(self, now: float, crossing: Crossing) -> None:
@@ -331,15 +329,18 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def back(self) -> None:
         super().back()
         self._path.back()
+        self.health.losses.reset()  # the link was silent before it was away: what it dropped then is no overload
 
     def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
         unreported = self.delays.unreported(self._ledger.sent_now, self._ledger.reported_now, now)
-        if not flows or self.backlog.exists:  # what waited for the link is not late
-            self.lateness.reset()
-            return
         if self.lossy:  # unreported datagrams may be lost, unless pings by a stream are held up, too
             unreported = min(unreported, self.peer.keepalive.ping_wait)
         own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.keepalive.ping_delay))
+        if self.backlog.exists and self.peer.linked:
+            self.backlog.judge(self.ledger(), now, held_up=own > LATE)
+        if not flows or self.backlog.exists:  # what waited for the link is not late
+            self.lateness.reset()
+            return
         measured = self.delays.measure(own, self.peer.clock.uncertainty or 0.0, now)
         self.lateness.judge(self.delays.least, 0.0, self.late_after, now, measured, own=own, learns=learns)
 
@@ -361,7 +362,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if self.peer.away_since is None or not self.life.accepted:
             return super().away_text()
         dropped = self._ledger.dropped[OUTAGE] - self.backlog.dropped_before
-        older = f", {dropped:,} older ones dropped" if dropped else ""
+        older = f", {dropped:,} older dropped" if dropped else ""
         return f"waiting {LASTING}, {self.ledger().waiting:,} kept{older}"
 
     def amend(self, spec: Topic, proposal: Propose) -> None:
