@@ -140,6 +140,13 @@ def test_check_shows_what_is_kept_and_who_shares(path: Path) -> None:
     assert f"  {SessionCheckText.KEPT(names='/alarms and /log/**', size=KEEP_BUDGET >> 20)}" in lines
 
 
+def test_check_says_that_nothing_is_kept_of_what_a_line_of_armed_demands() -> None:
+    session = msgspec.structs.replace(SESSION, topics=(Topic("/a", "transmit", type="Twist", keep=60.0),))
+    armed = msgspec.structs.replace(session, armed=("/a",))
+    assert SessionCheckText.KEPT_NOTHING() not in "".join(summary(session))
+    assert SessionCheckText.KEPT_NOTHING() in "".join(summary(armed))
+
+
 @pytest.mark.parametrize(
     ("keep", "text"),
     [(Keep(60), CostText.KEPT), (Keep(60, 8), CostText.KEPT_OF_ITS_OWN)],

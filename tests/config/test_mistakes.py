@@ -139,7 +139,7 @@ def test_mistake_of_topic_has_its_line_and_key(fields: str, code: Wording, param
         (CLIENT.replace("192.168.1.10", "[10.0.0.1, 10.0.0.1]"), "3 server_ip[1]", SessionMistake.ADDRESS_TWICE, {}),
         (CLIENT.replace("192.168.1.10", "[10.0.0.1, 5C:F3:70:9A:1B:2E]"), "3 server_ip",
          SessionMistake.ADDRESSES_OF_SEVERAL_KINDS, {}),
-        (CLIENT.replace("192.168.1.10", "[]"), "3 server_ip", SessionMistake.ADDRESS_INVALID, {}),
+        (CLIENT.replace("192.168.1.10", "[]"), "3 server_ip", SessionMistake.ADDRESS_EMPTY, {}),
         (SERVER.replace("0.0.0.0", "[10.0.0.1, 10.0.0.2]"), "3 server_ip", SessionMistake.ADDRESSES_OF_SERVER, {}),
         (CLIENT.replace("192.168.1.10", "fe80::1"), "3 server_ip", SessionMistake.ZONE_MISSING, {"address": "fe80::1"}),
         (CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"), "3 server_ip", SessionMistake.ADDRESS_WITH_DASHES, {}),

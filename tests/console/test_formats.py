@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.console.scripted import LINK
 
+from rsb_bridge.model.snapshot import WaySnapshot
 from rsb_console.notation import formats
 
 
@@ -47,6 +48,15 @@ from rsb_console.notation import formats
 )
 def test_words(made: str, expected: str) -> None:
     assert made == expected
+
+
+@pytest.mark.parametrize(
+    ("other", "text"), [("wwan0", "via wlan0 (wwan0 ready)"), ("wlan0", "via wlan0 (10.8.0.1 ready)")]
+)
+def test_way_over_the_same_device_is_told_by_its_address(other: str, text: str) -> None:
+    used = WaySnapshot("192.168.1.10", "wlan0", is_used=True, is_ready=False)
+    ways = (used, WaySnapshot("10.8.0.1", other, is_used=False, is_ready=True))
+    assert formats.via(replace(LINK, via="wlan0", ways=ways)) == text
 
 
 @pytest.mark.parametrize(

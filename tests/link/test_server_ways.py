@@ -148,11 +148,10 @@ def test_first_host_that_answers_is_taken(
 
 
 @pytest.mark.parametrize("takes", [0.0, 2.0])
-def test_failures_of_all_hosts_are_told_in_their_order(loop: VirtualLoop, takes: float) -> None:
-    """Else the same fault would read as a new one, and be logged again, whenever another host is the first to fail."""
+def test_failures_of_all_hosts_read_the_same_whichever_comes_first(loop: VirtualLoop, takes: float) -> None:
     outcomes: dict[str, tuple[float, Failure | None]] = {
         WIFI: (takes, DOWN),
         LTE: (0.1, Failure("it refuses", LinkCause.NOT_A_BRIDGE)),
     }
     failure = loop.run_until_complete(first_of((WIFI, LTE), attempts(outcomes, [])))
-    assert failure == Failure("no route; it refuses", LinkCause.NOT_A_BRIDGE)
+    assert failure == Failure("it refuses; no route", LinkCause.NOT_A_BRIDGE)

@@ -385,7 +385,7 @@ async def test_a_connection_that_the_peer_has_reset_closes() -> None:
         await near_kept.over.wait()
 
 
-@pytest.mark.parametrize("number", [errno.EPIPE, errno.ECONNRESET])
+@pytest.mark.parametrize("number", [errno.EPIPE, errno.ECONNRESET, errno.ECONNABORTED])
 def test_a_connection_that_breaks_is_explained(number: int) -> None:
     assert says(os_error_message(OSError(number, os.strerror(number))), StreamProblem.RESET)
 

@@ -81,7 +81,7 @@ class Advice(Wording):
     CROSSES_ALTHOUGH_DENIED = "{reason}, but it crosses: deny applies only to entries of the other side"
     TYPE_NOT_INSTALLED = "{type} is not installed here: check the spelling; the {kind} crosses once there is a {who}"
     DEPTH = "depth {depth}: the receiving side keeps {limit} messages in its publisher"
-    KEEP = "{seconds:g} s are kept, and a lost link is given up after {outlive:g} s (outlive)"
+    KEEP = "{seconds:g} s are kept, and a lost link is given up after {outlive:g} s: set outlive to {seconds:g}"
     DEPTH_OF_LATCHED = "depth {depth}: the receiving side keeps {limit} messages for late joiners"
 
 

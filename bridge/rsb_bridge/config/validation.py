@@ -72,6 +72,7 @@ class SessionMistake(Wording):
     ADDRESS_OF_CLIENT = "a client cannot connect to {address}: give the server's own address"
     ADDRESS_WITH_DASHES = "{address} is not an address{hint}"
     ADDRESS_INVALID = "{address} is not an IPv4 or IPv6 address, a host name, or a Bluetooth MAC"
+    ADDRESS_EMPTY = "missing: give the server's address, or a list of several"
     ADDRESS_TWICE = "{address} is listed already"
     ADDRESSES_OF_SERVER = "a server binds one address: give 0.0.0.0 for all of IPv4, or :: for all"
     ADDRESSES_OF_SEVERAL_KINDS = "only IP addresses and host names may be listed together: one link has one transport"
@@ -245,6 +246,8 @@ def _address(session: Session) -> Iterator[Problem]:
 
 def _host_problem(address: str, session: Session) -> str:
     """Return what is wrong with an address of the server, or an empty string."""
+    if not address:
+        return SessionMistake.ADDRESS_EMPTY()
     traits = transports.of_link(address)
     if traits is TcpTraits and address in BRINGS_TRANSPORTS:
         return ValueMistake.OF_FEATURE(value=address, feature=BRINGS_TRANSPORTS[address])

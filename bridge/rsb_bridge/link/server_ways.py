@@ -130,23 +130,22 @@ async def first_of(
     hosts: Sequence[str], connect: Callable[[str], Coroutine[None, None, Failure | None]]
 ) -> Failure | None:
     """Connect to the hosts, begun one after the other, until one accepts the link; return the failure if none does."""
-    waiting = list(hosts)
-    begun: list[asyncio.Task[Failure | None]] = []
+    waiting, failures = list(hosts), []
+    tasks: set[asyncio.Task[Failure | None]] = set()
     try:
-        while waiting or not all(each.done() for each in begun):
+        while waiting or tasks:
             if waiting:
-                begun.append(asyncio.create_task(connect(waiting.pop(0))))
+                tasks.add(asyncio.create_task(connect(waiting.pop(0))))
             within = _NEXT_AFTER if waiting else None
-            under_way = [each for each in begun if not each.done()]
-            done, _ = await asyncio.wait(under_way, timeout=within, return_when=asyncio.FIRST_COMPLETED)
-            if any(each.result() is None for each in done):
-                return None
-        failures = [
-            failure for each in begun if (failure := each.result())
-        ]  # as listed, so that it reads the same again
+            done, tasks = await asyncio.wait(tasks, timeout=within, return_when=asyncio.FIRST_COMPLETED)
+            for each in done:
+                if (failure := each.result()) is None:
+                    return None
+                failures.append(failure)
     finally:
-        for each in begun:
+        for each in tasks:
             each.cancel()
-        await asyncio.gather(*begun, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
+    failures.sort(key=lambda each: each.reason)  # else the same fault would read as a new one, whichever came first
     telling = next((each for each in failures if each.refused), failures[0])
     return telling._replace(reason="; ".join(dict.fromkeys(each.reason for each in failures)))

@@ -325,7 +325,7 @@ def os_error_message(error: BaseException) -> str:
             return StreamProblem.UNREACHABLE(error=message)
         if error.errno == errno.EMFILE:
             return StreamProblem.NO_DESCRIPTORS(error=message, remedy=MORE_DESCRIPTORS)
-        if error.errno in (errno.EPIPE, errno.ECONNRESET):
+        if error.errno in (errno.EPIPE, errno.ECONNRESET, errno.ECONNABORTED):
             return StreamProblem.RESET(error=message)
         return message
     if isinstance(error, OSError) and error.strerror:

@@ -66,6 +66,7 @@ class SessionCheckText(Wording):
         "hint: nothing stops what {names} drives if this bridge is killed or frozen: give the robot's base a timeout"
     )
     KEEPS = "keeps {kept} for the link"
+    KEPT_NOTHING = "so that nothing is kept after all"
     KEPT = "keep: at most {size} MiB a link ({names})"
     LIMITED = ", at most {limits} by hand ({lines})"
     LIMITED_PATTERN = "at most {limits} by hand"
@@ -138,7 +139,8 @@ def _demands_on(
         return limit
     keys = f"within {demand.deadman:g} s" if demand.deadman else "never"
     lines = ", ".join(describe(source, places) for source in demand.sources)
-    return f"{limit}, has to be armed ({lines}; keys needed: {keys}){_end_of(demand, topic, client, places)}"
+    kept = f", {SessionCheckText.KEPT_NOTHING()}" if topic.kept is not None else ""
+    return f"{limit}, has to be armed ({lines}; keys needed: {keys}){kept}{_end_of(demand, topic, client, places)}"
 
 
 def _end_of(demand: Demand, topic: Topic, client: Client | None, places: Mapping[SourceKey, str]) -> str:

@@ -107,7 +107,12 @@ def via(link: LinkSnapshot) -> str:
     if not used:
         return ""
     words = {True: "ready", False: "not ready"}
-    others = [f"{way.device or way.host} {words[way.is_ready]}" for way in link.ways if not way.is_used]
+    # Of ways over one device, the address tells which one it is.
+    others = [
+        f"{way.host if way.device in ('', used) else way.device} {words[way.is_ready]}"
+        for way in link.ways
+        if not way.is_used
+    ]
     return f"via {used} ({', '.join(others)})" if others else f"via {used}"
 
 
