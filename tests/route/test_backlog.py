@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from tests.support.offline import half_of
+
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger
 from rsb_bridge.route.catching_up import Backlog
+from rsb_bridge.route.outgoing import OutgoingRoute
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
 
 
 def judged(*seconds: tuple[int, int, int], late_for: int = 0) -> list[int]:
@@ -40,3 +51,16 @@ def test_backlog_goes_on_while_what_came_behind_it_is_late() -> None:
     seconds = (1000, 0, 1000), (1200, 0, 800), (1400, 0, 400), (1600, 0, 100)
     assert judged(*seconds, late_for=3) == [1000, 800, 400, -1]
     assert judged(*seconds) == [1000, 600, -1, -1]
+
+
+def test_what_a_silent_link_dropped_is_no_overload_once_it_is_back(make_context: Callable[..., Context]) -> None:
+    """A best-effort topic drops messages from the beginning of the silence, before the link is given up."""
+    route = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit", qos="sensor_data"))
+    for second in range(5):
+        route.health.losses.judge(100, {"queue full": 10 * second}, float(second))
+    assert route.health.losses.loss is not None
+    route.away()
+    route.back()
+    for second in range(5, 10):
+        route.health.losses.judge(10 * second + 60, {"queue full": 40}, float(second))
+        assert route.health.losses.loss is None

@@ -14,6 +14,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.topic_route import SilenceWatch
 
 if TYPE_CHECKING:
@@ -107,3 +108,19 @@ def test_expected_message_waits_for_a_silent_link(loop: VirtualLoop, make_contex
     assert causes(1, 0) == [waits, fine]
     peer.path.fault = None
     assert causes(1, 10) == [fine, fine]
+
+
+def test_outage_is_no_silence_of_a_topic(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """Else all topics would be stale for a second after each outage of 15 s."""
+    ros = OnePublisher()
+    ros.published.subscriber_count = 1
+    route = opened(make_context(ros=ros), FakePeer(), "/odom")
+    route.channel = SimpleNamespace(ready=True, trouble=lambda: None, counts=lambda: Counts(newest=None))  # type: ignore[assignment]
+    route.silence.own, route.silence.watch.after = True, STALE_AFTER
+    route.deliver([(b"x", 0, 0)])
+    route.away()
+    loop.jump(30.0)
+    route.back()
+    assert route.stale_since(Crossing.YES) is None
+    loop.jump(30.0)
+    assert route.stale_since(Crossing.YES) is not None
