@@ -162,6 +162,7 @@ async def test_path_without_arrivals_holds_up_no_stream() -> None:
         sent, cut_at = air.sent, loop.time()
         await scene.passes(6)
         assert air.sent - sent < 6 * 2_048
+        assert scene.near.scheduler.waits_for(loop.time()) == 0.0, "the link is not full"
         assert len(scene.ages(odom, since=cut_at)) >= 59
         assert scene.ages(odom, since=cut_at)[-1] < 0.2
         air.blocked = False

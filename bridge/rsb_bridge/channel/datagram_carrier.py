@@ -94,6 +94,10 @@ class DatagramCarrier(Carrier):
         return True
 
     @property
+    def moves(self) -> bool:
+        return self.proven and super().moves
+
+    @property
     def is_new(self) -> bool:
         """Whether the first receipt may still come."""
         return self._loop.time() < self._new_until

@@ -109,10 +109,6 @@ class DatagramSender(DatagramEnd, SendingChannel):
             super().free and not (self.congested and self.via.pacer.path.known)
         )
 
-    @property
-    def moves(self) -> bool:
-        return self.via.proven and super().moves
-
     def datagrams(self, size: int) -> int:
         return self._codec.datagrams(size, self._udp_channel.datagram_size())
 

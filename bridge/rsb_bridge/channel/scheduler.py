@@ -82,6 +82,11 @@ class Carrier(ABC):
         """Whether what is in transit gets no further, at `now` (s)."""
         return self.in_transit > 0 and now - self.moved_at > self.scheduler.stalls_after
 
+    @property
+    def moves(self) -> bool:
+        """Whether what it sends delivers."""
+        return not self.is_stuck(self.scheduler.now())
+
     def write(self, data: bytes | memoryview, now: float) -> None:
         """Send the joined bytes of turns at `now` (s). Datagrams do not come here: they are sent in their turns."""
         raise NotImplementedError
@@ -337,7 +342,10 @@ class Scheduler:
     # --- figures
 
     def waits_for(self, now: float) -> float:
-        """Return for how long (s) something has waited all the time."""
+        """Return for how long (s) something has waited all the time, and not only for a path that takes nothing."""
+        moving = (each for each in self._carriers if each.moves)
+        if self.sent < self.window.limit and not any(each.queue or each.congested for each in moving):
+            return 0.0
         return max(0.0, now - self.waits_since)
 
     @property
@@ -410,7 +418,7 @@ class SendingChannel(DataChannel):
     @property
     def moves(self) -> bool:
         """Whether what it sends on delivers."""
-        return not self.via.is_stuck(self._scheduler.now())
+        return self.via.moves
 
     def still(self, now: float) -> float:
         """Return for how long (s) no receipt has come on the link, at `now` (s)."""
