@@ -30,6 +30,14 @@ def turn_began(loop: asyncio.AbstractEventLoop) -> float:
     return loop.time() if began is None else began
 
 
+async def cancel_others() -> None:
+    """Cancel all other tasks of the running loop, and wait for their ends."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    for each in others:
+        each.cancel()
+    await asyncio.gather(*others, return_exceptions=True)
+
+
 async def in_slices(items: Iterable[T], work: Callable[[T], object], at_once: int = MOST_AT_ONCE) -> None:
     """Do something with each item, letting the I/O loop do other work in between.
 

@@ -28,6 +28,7 @@ from rsb_bridge.model.commands import Stop, operator
 from rsb_bridge.model.snapshot import Event, Level, Snapshot
 from rsb_bridge.ros.ros_interface import RosError, RosInterface
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
+from rsb_bridge.tasks import cancel_others
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of
@@ -413,4 +414,6 @@ class Engine(EngineApi):
             await bridge.run()
         finally:
             self._commands.end()
+            # Before the transports: an attempt to connect that is refused meanwhile would wait for its peer's end.
+            await cancel_others()
             self.transports.close()
