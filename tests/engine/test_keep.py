@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
     from rsb_bridge.link.link import Link
 
-TEN = QoSProfile(depth=10)
+TEN, HUNDRED = QoSProfile(depth=10), QoSProfile(depth=100)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -84,9 +84,9 @@ class Cut:
 def test_all_of_its_time_waits_and_overruns_nobody(
     bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, qos: Any
 ) -> None:
-    """Each of 600 messages comes to a node that keeps ten; best effort needs more, as DDS may lose it."""
+    """Each of 600 messages comes to a node that keeps a hundred; best effort needs more, as DDS may lose it."""
     best_effort = isinstance(qos, dict)
-    cut = Cut(bridge, relay, robot, pc, qos=qos, keep=60, node_qos=BEST_EFFORT if best_effort else TEN)
+    cut = Cut(bridge, relay, robot, pc, qos=qos, keep=60, node_qos=BEST_EFFORT if best_effort else HUNDRED)
     cut.publish(600)
     assert cut.come_back(600) == [*range(600)]
     assert cut.dropped() == {}

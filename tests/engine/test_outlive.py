@@ -132,8 +132,8 @@ def test_what_waits_is_dropped_when_the_session_ends(bridge: Bridge, relay: Rela
 
 
 def test_what_waited_overruns_no_subscription(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
-    """Each of 600 events comes to a node that keeps ten, and takes one in a millisecond."""
-    out, there = robot.publisher("/events"), pc.listener("/events", qos=QoSProfile(depth=10))
+    """Each of 600 events comes to a node that keeps a hundred, and takes one in a millisecond."""
+    out, there = robot.publisher("/events"), pc.listener("/events", qos=QoSProfile(depth=100))
     server, client = bridge.both(Topic("/events", "transmit", qos={"history": "keep_all"}), outlive=OUTLIVES)
     carries([out], server, ["/events"])
     relay.refuse()

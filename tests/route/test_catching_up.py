@@ -40,3 +40,9 @@ def test_pace_does_not_drive_itself_up() -> None:
     count = catch_up.allowed(_MANY, 0.0, 400.0)
     count += sum(catch_up.allowed(_MANY, step * EVERY, 5_000.0) for step in range(1, 101))
     assert count == pytest.approx(800, rel=0.05)
+
+
+def test_a_busy_machine_catches_up_with_the_topic() -> None:
+    """Its timers are late."""
+    catch_up = CatchUp()
+    assert sum(catch_up.allowed(_MANY, 5 * step * EVERY, 400.0) for step in range(40)) >= 400.0 * 2 * 1.4

@@ -73,7 +73,7 @@ def test_a_freeze_a_cut_and_a_kill(protocol: Any, tmp_path: Path, domains: tuple
     ):
         count = through(counted, relay.cut)
     check(count)
-    assert count.ledger["unknown"] <= RATE, "a receiver reports more often than once a second"
+    assert count.ledger["unknown"] <= 4 * RATE, "a receiver reports each second, and holds up no more than some seconds"
 
 
 def test_freeze_router_that_is_killed_and_kill(tmp_path: Path, domains: tuple[int, int]) -> None:

@@ -19,6 +19,7 @@ AT_FIRST, FASTER = 100.0, 50.0
 500 a second one on a busy machine lost 13 of 200 (`bench.outages`, 20 s)."""
 _PAUSE = 1.0  # s without a late message, after which the pace begins again. A round figure
 _ROUNDED = 1e-6
+_OWN, _LATEST = 0.75, 0.1  # of twice the topic's rate, and s by which timers may be late. Round figures
 
 _STUCK_AFTER = 10.0  # s in which the backlog gets no shorter: the link carries less than is published. A round figure
 
@@ -75,8 +76,9 @@ class CatchUp:
             # Its rate from now on contains what is published late, and would drive itself up.
             self._began, since, self._least = now, EVERY, 2 * own_rate
         rate = max(AT_FIRST + FASTER * (now - self._began), self._least)
-        # Late timers do not count: where the machine is busy, nodes take messages more slowly, too.
-        self._left = min(self._left, 1.0) + rate * min(since, EVERY)
+        # Where the machine is busy, timers are late, and nodes take messages more slowly, too. But they have to keep up
+        # with the topic's own rate anyway, or it would be late for ever.
+        self._left = min(self._left, 1.0) + max(rate * min(since, EVERY), _OWN * self._least * min(since, _LATEST))
         allowed = min(count, int(self._left + _ROUNDED))
         self._left -= allowed
         return allowed
