@@ -95,7 +95,6 @@ class DataStream(Carrier, StreamHandler):
 
     Attributes:
         acknowledged: bytes that have arrived.
-        over: whether it is lost or closed.
         resumed: bytes with which routes have said that they go on on it.
         unwritten: messages in the next bytes that are written.
         counter: counts received bytes.
@@ -106,7 +105,6 @@ class DataStream(Carrier, StreamHandler):
         self.stream = stream
         self.number = number
         self.sent = self.acknowledged = self.resumed = 0
-        self.over = False
         self.unwritten: list[Sent] = []
         self.counter = ReceiptCounter()
         self._pair = pair
@@ -639,12 +637,6 @@ class StreamSender(_StreamEnd, SendingChannel):
     def take_keys(self, keys: DataKeys) -> None:
         super().take_keys(keys)
         self._writer.go_on(keys.keys.route_sealer(self._route_id, keys.role))
-
-    def ask(self) -> None:
-        if self.via.over:
-            self._asked = True  # `go_on` takes the turn
-        else:
-            super().ask()
 
     def close(self, reason: str) -> None:
         self.leave()

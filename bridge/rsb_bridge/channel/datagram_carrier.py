@@ -29,7 +29,6 @@ class Datagrams(Protocol):
 
     socket: DatagramSocket
     ready: bool
-    over: bool
 
     def send(self, datagrams: Sequence[bytes]) -> None: ...
 
@@ -83,7 +82,7 @@ class DatagramCarrier(Carrier):
     @property
     def congested(self) -> bool:
         channel = self._channel
-        if channel.socket.congested or not channel.ready or channel.over:
+        if channel.socket.congested or not channel.ready or self.over:
             return True
         if self.room() > 0:
             return False
@@ -100,7 +99,7 @@ class DatagramCarrier(Carrier):
     @property
     def is_new(self) -> bool:
         """Whether the first receipt may still come."""
-        return self._loop.time() < self._new_until
+        return not self.over and self._loop.time() < self._new_until
 
     def room(self) -> int:
         """Return the bytes that may be sent now."""
@@ -185,6 +184,7 @@ class DatagramCarrier(Carrier):
         self.scheduler.run()
 
     def close(self) -> None:
+        self.over = True
         self._channel.socket.when_writable.discard(self.writable)
         self._stop_timer()
         self.scheduler.remove(self)

@@ -33,18 +33,18 @@ link that loses 30 %, its first two copies get lost once in 11 times, and all se
 
 
 class DatagramEnd(DataChannel):
-    """The base of both ends.
-
-    Attributes:
-        is_cut: whether the link is away, and it waits for a UDP channel of its next connection.
-    """
+    """The base of both ends."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink) -> None:
         self.route = route
-        self.is_cut = False
         self._udp_channel = udp_channel
         self._route_id = route.id
         self._was_ready = False  # before the link was away
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the link is away, and it waits for a UDP channel of its next connection."""
+        return self._udp_channel.over
 
     @property
     def ready(self) -> bool:
@@ -58,13 +58,11 @@ class DatagramEnd(DataChannel):
         return None
 
     def away(self) -> None:
-        """Wait for the link's next connection; the UDP channel is about to be closed."""
-        self.is_cut = True
+        """Wait for the link's next connection; the UDP channel is closed."""
         self._was_ready = self.ready
 
     def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
         """Go on over a UDP channel of the link's next connection."""
-        self.is_cut = False
         self._udp_channel = udp_channel
 
     def close(self, reason: str) -> None:
@@ -105,9 +103,7 @@ class DatagramSender(DatagramEnd, SendingChannel):
 
     @property
     def free(self) -> bool:
-        return (self.via.is_new and not self.is_cut) or (
-            super().free and not (self.congested and self.via.pacer.path.known)
-        )
+        return self.via.is_new or (super().free and not (self.congested and self.via.pacer.path.known))
 
     def datagrams(self, size: int) -> int:
         return self._codec.datagrams(size, self._udp_channel.datagram_size())
@@ -189,16 +185,6 @@ class DatagramSender(DatagramEnd, SendingChannel):
         self.via.send(datagrams, size, times)
         return size
 
-    def ask(self) -> None:
-        if self.is_cut:
-            self._asked = True  # `go_on` takes the turn
-        else:
-            super().ask()
-
-    def away(self) -> None:
-        super().away()
-        self._repeats = 0
-
     def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
         super().go_on(udp_channel, keys)
         self._codec.go_on(keys.keys.route_sealer(self._route_id, keys.role), keys.keys.link_id)
@@ -267,10 +253,7 @@ class DatagramReceiver(DatagramEnd, ReceivingChannel):
         super().close(reason)
 
     def received(self, datagrams: Sequence[Buffer], now: float) -> bool:
-        receive = self._receive
-        whole: list[Message] = []
-        for datagram in datagrams:
-            whole += receive(datagram, now)
+        whole = self._open(datagrams, now)
         if self._codec.asked:
             self._codec.asked = False
             self._udp_channel.asked()
@@ -284,9 +267,10 @@ class DatagramReceiver(DatagramEnd, ReceivingChannel):
         self.route.deliver(whole)
         return True
 
-    def _receive(self, datagram: Buffer, now: float) -> Sequence[Message]:
-        message = self._codec.receive(datagram, now)
-        return () if message is None else (message,)
+    def _open(self, datagrams: Sequence[Buffer], now: float) -> list[Message]:
+        """Return the messages that datagrams make whole."""
+        receive = self._codec.receive
+        return [message for each in datagrams if (message := receive(each, now)) is not None]
 
     def news(self) -> Arrived | None:
         codec = self._codec

@@ -73,7 +73,12 @@ class ReliableSender(DatagramSender):
     # --- sending
 
     def take_turn(self, limit: int) -> int:
-        limit = min(limit, self.via.room())
+        if self._again and (datagrams := self._send_again(min(limit, self.via.room()))):
+            return self._pass(datagrams)
+        return super().take_turn(limit)
+
+    def _send_again(self, limit: int) -> Sequence[bytes]:
+        """Seal again what is lost, the oldest first: about `limit` bytes."""
         datagrams: list[bytes] = []
         size = 0
         while self._again and (not datagrams or size < limit):
@@ -88,7 +93,7 @@ class ReliableSender(DatagramSender):
             self._note(number, kept.pieces, range(index, index + 1), self._codec.sequence)
             datagrams += self._codec.write_pieces(cut, index, index + 1, asks=asks)
             size += length
-        return self._pass(datagrams) if datagrams else super().take_turn(limit)
+        return datagrams
 
     def _cut_again(self, number: int, kept: _Unacknowledged) -> Cut | None:
         """Return a message in the pieces that it had, or None if the path takes only smaller ones now: all go again."""
@@ -165,7 +170,7 @@ class ReliableSender(DatagramSender):
                 self._lost(sequence, flight.pop(sequence))
             elif suspected is None:
                 suspected = left  # overtaken by a later one, but it may still come
-        if self._again and not self.is_cut:
+        if self._again:
             self._scheduler.join(self)  # what takes the receipt gives the turns
         if suspected is not None:
             self._watch(max(0.001, suspected))
@@ -265,12 +270,14 @@ class ReliableReceiver(DatagramReceiver):
             self._udp_channel.send_receipts()
         return came
 
-    def _receive(self, datagram: Buffer, now: float) -> Sequence[Message]:
-        message = self._codec.receive(datagram, now)
-        if message is None:
-            return ()
-        following, self._codec.following = self._codec.following, []
-        return message, *following
+    def _open(self, datagrams: Sequence[Buffer], now: float) -> list[Message]:
+        codec = self._codec
+        whole: list[Message] = []
+        for datagram in datagrams:
+            if (message := codec.receive(datagram, now)) is not None:
+                whole += (message, *codec.following)
+                codec.following = []
+        return whole
 
     def news(self) -> Arrived | None:
         news = super().news()

@@ -55,6 +55,7 @@ class Carrier(ABC):
         time: virtual time of its last turn.
         behind: what its virtual time is behind the link's, because it was congested while other streams sent.
         moved_at: time (s) of its last receipt, or of its oldest unacknowledged byte if that came later.
+        over: whether it is lost or closed: no route gets a turn on it any more.
     """
 
     def __init__(self, scheduler: Scheduler) -> None:
@@ -62,6 +63,7 @@ class Carrier(ABC):
         self.queue: list[tuple[int, int, SendingChannel]] = []
         self.time = self.behind = 0
         self.moved_at = -math.inf
+        self.over = False
         scheduler.add(self)
 
     @property
@@ -159,8 +161,11 @@ class Scheduler:
         return not self._waiting and not self._passing and self.sent < self.window.limit and not carrier.congested
 
     def join(self, end: SendingChannel) -> None:
-        """Queue a route's end for a turn; one that had nothing to send does not make up for that."""
-        if not end.queued:
+        """Queue a route's end for a turn; one that had nothing to send does not make up for that.
+
+        Nothing happens while what carries it is over: it joins when it goes on over something else.
+        """
+        if not end.queued and not end.via.over:
             # What waits on a congested stream is behind the link's time, and so is what joins it.
             via = end.via
             end.start = max(end.start, via.time if via.congested else self._time - via.behind)

@@ -106,12 +106,12 @@ class DataChannels:
         """Have the routes wait for the next connection. None that has to be armed is open any more."""
         for pair in tuple(self._pairs.values()):
             pair.away(Reason(reason, EndCode.BROKE))
-        for route in self.ids.open_routes():
-            if isinstance(route.channel, DatagramEnd):
-                route.channel.away()
         for channel in self._udp.values():
             channel.close()
         self._udp.clear()
+        for route in self.ids.open_routes():
+            if isinstance(route.channel, DatagramEnd):
+                route.channel.away()
 
     def back(self, control: ControlChannel, keys: SessionKeys, proposed: Collection[int]) -> None:
         """Go on on the session's next connection.
