@@ -123,7 +123,7 @@ class ClientChannels(DataChannels):
     async def _open_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
         if descriptors.scarce():  # again: the handshake of the first stream may have taken seconds
             return Failure(descriptors.scarcity_message("client"))
-        link = self._link
+        link, control = self._link, self.control
         self._newest += 1
         # Channel 11 is not port 11: the link's own streams are on its own transport only.
         is_own = transport is link.transport and port == link.shared_port()
@@ -131,13 +131,13 @@ class ClientChannels(DataChannels):
         connection = DataConnection(self.session_keys, name)
 
         def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
-            if self.control.over:  # lost in this turn of the loop; the attempt is cancelled in the next one
+            if control.over:  # lost in this turn of the loop; the attempt is cancelled in the next one
                 stream.abort("the link was lost")
             else:
                 self.attach(stream, name, transport, port, connection.leftover())
 
         # The address that the control connection reached: the server's name may resolve to another by now.
-        host = self.control.stream.host if transport is link.transport else transport.host(link.context.session)
+        host = control.stream.host if transport is link.transport else transport.host(link.context.session)
         # Ranks as of topics: over some transports, small messages go ahead of large ones.
         rank = -1 if large and not transport.multiplexed else 0
         return await link.open(transport, host, port, connection, let_in, rank, self.session_keys.sample_secret)

@@ -97,7 +97,11 @@ class Keepalive:
     @property
     def control_is_silent(self) -> bool:
         """Whether nothing comes on the control connection any more, though a ping is due each second."""
-        return self.control_quiet > (DEAD_AFTER if self._patience is None else self._patience)
+        return self.control_quiet > self._silent_after
+
+    @property
+    def _silent_after(self) -> float:
+        return DEAD_AFTER if self._patience is None else self._patience
 
     @property
     def _heard(self) -> float:
@@ -128,7 +132,7 @@ class Keepalive:
 
     @property
     def _doubted_after(self) -> float:
-        return _DOUBTED * (DEAD_AFTER if self._patience is None else self._patience)
+        return _DOUBTED * self._silent_after
 
     @property
     def _doubtful_at(self) -> float:
@@ -153,7 +157,7 @@ class Keepalive:
             self._watch_silence(self._control)
 
     def _watch_silence(self, control: ChannelCarrier) -> None:
-        patience = DEAD_AFTER if self._patience is None else self._patience
+        patience = self._silent_after
         # The time of the silence, not the seconds until then: these could be too few for the clock to move.
         due = min(self._heard + patience, control.received_at + _ALONE * patience)
         now = self._context.now()

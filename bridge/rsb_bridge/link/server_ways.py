@@ -77,11 +77,12 @@ class ServerWays:
             if now >= tried.due and host not in self._trying:
                 self._trying.add(host)
                 self._link.spawn(self._try(host, _BETTER_EVERY if host in better else _WORSE_EVERY))
-        # A move disarms, and an operator who drives sees no reason for that.
-        if any(route.arming.phase in HELD for route in self._link.awake):
-            return None
         since = ((host, self._tried.get(host, _Tried()).ready_since) for host in better)
-        return next((host for host, time in since if time is not None and now - time >= HELD_FOR), None)
+        found = next((host for host, time in since if time is not None and now - time >= HELD_FOR), None)
+        # A move disarms, and an operator who drives sees no reason for that.
+        if found is None or any(route.arming.phase in HELD for route in self._link.awake):
+            return None
+        return found
 
     def _better(self) -> Sequence[str]:
         """Return the hosts before the one in use, and that one if a new connection to it leaves from elsewhere."""

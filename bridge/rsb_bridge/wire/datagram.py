@@ -75,9 +75,14 @@ class Arrived(NamedTuple):
     opened: int  # datagrams opened so far
     missing: int = 0  # of a reliable topic: bit n is set if the n-th before the newest has not come, up to bit 1,023
 
+    @property
+    def size(self) -> int:
+        """Its bytes in a receipt."""
+        return _ARRIVED.size + (self.missing.bit_length() + 7) // 8
+
     def pack(self) -> bytes:
-        missing = self.missing.to_bytes((self.missing.bit_length() + 7) // 8)
-        return _ARRIVED.pack(self.route, self.newest, self.opened, len(missing)) + missing
+        length = self.size - _ARRIVED.size
+        return _ARRIVED.pack(self.route, self.newest, self.opened, length) + self.missing.to_bytes(length)
 
 
 class Receipt(NamedTuple):
@@ -116,12 +121,11 @@ def receipts(buffer: int, at: int, arrived: Iterable[Arrived]) -> Iterator[Recei
     part: list[Arrived] = []
     size = _RECEIPT.size
     for each in arrived:
-        length = len(each.pack())
-        if size + length > _LONGEST_RECEIPT:
+        if size + each.size > _LONGEST_RECEIPT:
             yield Receipt(buffer, at, tuple(part))
             part, size = [], _RECEIPT.size
         part.append(each)
-        size += length
+        size += each.size
     if part:
         yield Receipt(buffer, at, tuple(part))
 
