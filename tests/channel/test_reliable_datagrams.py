@@ -11,9 +11,12 @@ import pytest
 from tests.channel.datagram_radio import RadioChannel, RadioSocket, datagrams_between, pass_time
 from tests.channel.sides import Radio, Route, Side, connected
 
+from rsb_bridge.channel.channel import REOPENS
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.reliable_datagrams import ReliableSender
 from rsb_bridge.channel.udp_channel import PathProbe
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
@@ -131,8 +134,6 @@ async def test_route_goes_on_with_other_keys(whole: bool) -> None:
         route.send(*expected[2:])
         await asyncio.sleep(0.2)
         ends = [(side, side.routes[1].channel) for side in (near, far)]
-        for _, end in ends:
-            end.away()
         channel.close()
         channel.air.far.close()
         export = bytes(31) + b"2"
@@ -146,7 +147,13 @@ async def test_route_goes_on_with_other_keys(whole: bool) -> None:
         for here, there in (channels, channels[::-1]):
             here.air.far = there
         for (side, end), opened in reversed([*zip(ends, channels, strict=True)]):
+            assert end.ready
             end.go_on(opened, side.keys)
+            # What is published before the new path is found waits for it.
+            opened.ready = False
+            assert (end.ready, end.trouble()) == (True, Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS))
+            opened.ready = True
+            assert end.trouble() is None
         near.scheduler.run()
         await in_a_minute(far, expected, near, channels[0])
         route.send(b"after")

@@ -5,10 +5,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
+from rsb_bridge.link import subflows
 from rsb_bridge.link.subflows import Subflows
 from rsb_bridge.transport.multipath import Subflow
 
-OWN, PEER = ("192.0.2.2", "192.0.2.3"), "192.0.2.1"  # of no device here
+OWN, PEER = ("192.0.2.2", "192.0.2.3"), "192.0.2.1"
 
 
 class Watched:
@@ -30,6 +33,22 @@ class Watched:
         ends = zip(OWN, (PEER, PEER), sent_ago, strict=False)
         self.ways = [Subflow(own, peer, ago, number != silent) for number, (own, peer, ago) in enumerate(ends)]
         self.watch.tick()
+
+
+@pytest.fixture(autouse=True)
+def devices(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Any machine may have these addresses: each one's device is told here."""
+    devices: dict[str, str] = {}
+    monkeypatch.setattr(subflows, "device_of", lambda address: devices.get(address, ""))
+    return devices
+
+
+def test_way_is_named_by_its_device(devices: dict[str, str]) -> None:
+    devices[OWN[0]] = "wlan0"
+    watched = Watched()
+    watched.pass_(0.1, 1.0)
+    assert watched.lines == ["carried via wlan0 (192.0.2.3 ready)"]
+    assert watched.watch.used == "wlan0"
 
 
 def test_carrying_way_is_told_when_it_changes() -> None:

@@ -39,7 +39,7 @@ class DatagramEnd(DataChannel):
         self.route = route
         self._udp_channel = udp_channel
         self._route_id = route.id
-        self._was_ready = False  # before the link was away
+        self._was_ready = False  # on the connection before, as messages wait for the path of this one
 
     @property
     def is_cut(self) -> bool:
@@ -51,18 +51,15 @@ class DatagramEnd(DataChannel):
         return self._was_ready or self._udp_channel.ready
 
     def trouble(self) -> Verdict | None:
+        if self.is_cut or (self._was_ready and not self._udp_channel.ready):
+            return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
         if text := self._udp_channel.trouble:
             return Verdict(State.DOWN, Cause.NO_PATH, text)
-        if self._was_ready and not self._udp_channel.ready:
-            return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
         return None
-
-    def away(self) -> None:
-        """Wait for the link's next connection; the UDP channel is closed."""
-        self._was_ready = self.ready
 
     def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
         """Go on over a UDP channel of the link's next connection."""
+        self._was_ready = self.ready
         self._udp_channel = udp_channel
 
     def close(self, reason: str) -> None:

@@ -205,7 +205,7 @@ class ReliableSender(DatagramSender):
     def _look(self) -> None:
         """Send the newest datagram again if nothing has been heard of it: no later one makes a receipt tell of it."""
         self._timer = None
-        if not self._flight:
+        if not self._flight or self.is_cut:
             return
         patience = self.via.pacer.patience
         # One datagram that asks is enough for all routes.
@@ -227,10 +227,6 @@ class ReliableSender(DatagramSender):
 
     # --- the link is away
 
-    def away(self) -> None:
-        super().away()
-        self._stop()
-
     def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
         self._flight.clear()
         self._again.clear()
@@ -242,13 +238,9 @@ class ReliableSender(DatagramSender):
         super().go_on(udp_channel, keys)
 
     def close(self, reason: str) -> None:
-        self._stop()
-        super().close(reason)
-
-    def _stop(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
-            self._timer = None
+        super().close(reason)
 
 
 class ReliableReceiver(DatagramReceiver):

@@ -109,9 +109,6 @@ class DataChannels:
         for channel in self._udp.values():
             channel.close()
         self._udp.clear()
-        for route in self.ids.open_routes():
-            if isinstance(route.channel, DatagramEnd):
-                route.channel.away()
 
     def back(self, control: ControlChannel, keys: SessionKeys, proposed: Collection[int]) -> None:
         """Go on on the session's next connection.
