@@ -110,7 +110,7 @@ class BaseLink(ABC):
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         self.context = context
-        self.transport = context.transports.of_link(context.session.server_ip)  # of the control connection
+        self.transport = context.transports.of_link(context.session.host)  # of the control connection
         self.name = name  # of the client, on both sides
         self.is_client = is_client
         self.role: Role = "client" if is_client else "server"
