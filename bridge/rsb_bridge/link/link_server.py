@@ -219,6 +219,7 @@ class Server:
             link.use_name,
             at=self._transport.announced_at,
             features=feature_names(),
+            outlive=link.outlive,
         )
         if link.keeps_name_from(hello):
             return msgspec.structs.replace(welcome, taken=link.name_taken())
