@@ -267,7 +267,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     late_after: float = 1.0  # s that messages may take until their topic is late, or 0 for no limit
     stale_warnings: int = 5  # how many times to warn of it (thesis: 5)
     outlive: float | None = None
-    """s that topics and calls wait for a link whose connection is lost, unless the peer's say less; 0 if they do not, or
+    """s that topics and calls wait for a link whose connection is lost, unless the peer says less; 0 if they do not, or
     None for the profile's."""
     multipath: bool = False  # streams over TCP may use several ways of this machine, where both kernels can
     check_messages: bool = True  # whether what peers send is checked against its type before ROS gets it
