@@ -2,7 +2,7 @@
 
 import csv
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -32,7 +32,7 @@ from textual.widgets import Button
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import PauseTopics
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import Event, Level, State
+from rsb_bridge.model.snapshot import Event, Ledger, Level, State
 from rsb_console.app import ConsoleApp
 from rsb_console.notation import formats
 from rsb_console.screens.dialog import ConfirmScreen
@@ -285,6 +285,7 @@ def test_an_export_tells_kinds_apart(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert {name: called[name] for name in figures} == figures
     assert called["refused"] == str(sum(calls.refused.values()))
     assert called["offered"] == called["dropped_total"] == ""
+    assert {each.name for each in fields(Ledger)} - {"dropped", "waiting_since"} <= called.keys()
 
 
 @on_main()

@@ -142,7 +142,7 @@ async def test_new_session_is_valid_with_own_key(app: ConsoleApp, pilot: Pilot[N
     await pilot.press("enter")
     await until(pilot, lambda: app.engine is not None, "an engine")
     expected = Session(
-        name="robot1", role="client", server_ip="10.0.0.20", other_ips=("vpn.local",), server_port=7060, domain_id=3,
+        name="robot1", role="client", server_ip=("10.0.0.20", "vpn.local"), server_port=7060, domain_id=3,
         use_name=True, key_file="robot1.key",
     )  # fmt: skip
     assert load(folder / "robot1.yaml") == expected == engine_of(app).session

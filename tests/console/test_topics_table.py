@@ -3,13 +3,15 @@
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
+from typing import Any
 
 from tests.console.driving import NARROW, fill, gone, listed, on_main, put, selected_topic, shown, until
-from tests.console.scripted import FAULTY, LINK, ROUTES, ScriptedEngine, route
+from tests.console.scripted import FAULTY, LINK, NOW, ROUTES, ScriptedEngine, route
 from textual.pilot import Pilot
 
 from rsb_bridge.model.commands import AddTopic, Command, R
 from rsb_bridge.model.snapshot import RouteSnapshot, State
+from rsb_bridge.model.verdict import Cause
 from rsb_console.app import ConsoleApp
 from rsb_console.widgets.filter import PatternProblem
 
@@ -35,6 +37,37 @@ async def test_a_name_gets_the_room_of_the_history(app: ConsoleApp, pilot: Pilot
         await shown(pilot, f" {name} " if len(name) < 22 else "_pose ")
         widths.append({column.title: width for column, width in app.main.topics.columns}.get(" HISTORY", 0))
     assert widths == [13, 12, 8, 8]
+
+
+@on_main(NARROW)
+async def test_narrow_table_tells_what_waits_for_link(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    away = replace(LINK, state=State.DOWN, session_ends=NOW + 47)
+    rows: dict[str, dict[str, Any]] = {
+        "/alarms": {"state": State.DOWN, "cause": Cause.LINK_DOWN, "reason": "waiting 13 s, 612 kept"},
+        "/odom": {
+            "state": State.DOWN,
+            "cause": Cause.LINK_DOWN,
+            "reason": "waiting 13 s, 100 kept, 2,412,118 older dropped",
+        },
+        "/map": {"cause": Cause.CATCHING_UP, "reason": "catching up, 412 left"},
+        "/scan": {"reason": "fine"},
+    }
+
+    def lines() -> dict[str, str]:
+        table = app.main.topics
+        return {key: "".join(piece for piece, _ in table.row_line(key, cursor=False)) for key in table.keys}
+
+    put(app, *(route(name, **changes) for name, changes in rows.items()), links=(away,))
+    await shown(pilot, "waiting 13 s, 612 kept")
+    shown_lines = lines()
+    assert "waiting 13 s, 100 kept, 2,412,118 older" in shown_lines["/odom"]
+    assert shown_lines["/odom"].rstrip().endswith("…")
+    assert "catching up, 412 left" in shown_lines["/map"]
+    assert "fine" not in shown_lines["/scan"]
+    assert len({len(line) for line in shown_lines.values()}) == 1
+    put(app, links=(replace(away, session_ends=None),))  # nothing waits for it any more
+    assert "612" not in lines()["/alarms"]
+    assert "412 left" in lines()["/map"]
 
 
 class Adding(ScriptedEngine):

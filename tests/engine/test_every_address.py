@@ -1,4 +1,4 @@
-"""A server on ``::`` is reached over IPv4 and IPv6, by both transports."""
+"""A server on ``::`` is reached over IPv4 and IPv6, by both transports; a client names the address that it uses."""
 
 from __future__ import annotations
 
@@ -26,3 +26,10 @@ def test_server_on_every_address_hears(bridge: Bridge, robot: Domain, pc: Domain
     carries([publisher], server, ["/chat"])
     publisher.publish(text("x"))
     eventually(lambda: listener.payloads)
+
+
+def test_client_names_the_address_in_use(bridge: Bridge) -> None:
+    server = bridge.server()
+    client = bridge.client(server_ip=("127.0.0.2", "127.0.0.1"))  # nobody listens at the first one
+    eventually(lambda: linked(server) and linked(client))
+    eventually(lambda: client.snapshot().address == f"127.0.0.1:{bridge.port}")

@@ -131,6 +131,50 @@ def test_what_waits_is_dropped_when_the_session_ends(bridge: Bridge, relay: Rela
     eventually(lambda: there.payloads)
 
 
+def test_queues_are_not_blamed_for_silent_link(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """Once something is overdue on the connection, what the QoS drops counts as an outage, before the link is away."""
+    out, there = robot.publisher("/scan"), pc.listener("/scan")
+    server, client = bridge.both(Topic("/scan", "transmit", qos={"depth": 10}), outlive=OUTLIVES)
+    carries([out], server, ["/scan"])
+    (link,) = inside(client).role.links()
+    with Steady(out, 100.0, lambda number: text(str(number))) as steady:
+        eventually(lambda: there.payloads)
+        relay.stall(new=True)
+        eventually(lambda: link.keepalive.in_doubt)
+        dropped = route(client, "/scan").ledger.dropped.get("queue full", 0)
+        eventually(lambda: away(client))
+        relay.stall(False)
+        relay.cut()
+        eventually(lambda: linked(client) and linked(server))
+    ledger = settled(client, "/scan", steady.count)
+    assert balance(ledger) == steady.count
+    assert ledger.dropped.get("queue full", 0) <= dropped + 100
+    assert ledger.dropped["outage"] > 200
+
+
+@pytest.mark.parametrize(("here", "there"), [(2.0, OUTLIVES), (OUTLIVES, 2.0)])
+def test_smaller_outlive_counts_on_both_sides(bridge: Bridge, relay: Relay, here: float, there: float) -> None:
+    server, client = bridge.server(outlive=there), bridge.client(Topic("/scan", "transmit"), outlive=here)
+    eventually(lambda: linked(client) and linked(server))
+    relay.refuse()
+    relay.cut()
+    for side in (client, server):
+        lost = eventually(lambda side=side: happened(side, EventCode.LINK_LOST))
+        closed = eventually(lambda side=side: happened(side, EventCode.LINK_CLOSED))
+        assert 1.9 < closed.time - lost.time < 10.0
+
+
+@pytest.mark.parametrize(("here", "there"), [(0.0, OUTLIVES), (OUTLIVES, 0.0)])
+def test_either_side_can_have_nothing_wait(bridge: Bridge, relay: Relay, here: float, there: float) -> None:
+    server, client = bridge.server(outlive=there), bridge.client(outlive=here)
+    eventually(lambda: linked(client) and linked(server))
+    relay.refuse()
+    relay.cut()
+    for side in (client, server):
+        eventually(lambda side=side: happened(side, EventCode.LINK_LOST))
+        assert not away(side)
+
+
 def test_what_waited_overruns_no_subscription(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
     """Each of 600 events comes to a node that keeps a hundred, and takes one in a millisecond."""
     out, there = robot.publisher("/events"), pc.listener("/events", qos=QoSProfile(depth=100))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -181,6 +182,16 @@ def test_a_message_without_a_channel_is_lost(world: World) -> None:
     world.route.channel = None
     assert publish(world, 3) == 0
     assert world.ledger.dropped["link lost"] == 3
+
+
+@pytest.mark.parametrize("world", [{"qos": 2}], indirect=True)
+def test_drops_of_silent_link_count_as_outage(world: World) -> None:
+    world.peer.channel.congested = True
+    publish(world, 3)
+    world.peer.keepalive = SimpleNamespace(in_doubt=True)
+    publish(world, 5)
+    assert world.ledger.dropped == {"queue full": 1, "outage": 5}
+    assert world.route.ledger().waiting == 2
 
 
 def test_nothing_that_is_disarmed_is_shown_to_operators(world: World) -> None:

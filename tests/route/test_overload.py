@@ -34,7 +34,9 @@ def outbox(qos: Qos | None = None, *, own: Qos | None = None) -> Outbox:
         proposal=Propose(route=1, topic="/t", remote_topic="/t", from_client=True, qos=own),
         qos=qos or AUTO,
         arming=SimpleNamespace(required=False),
-        peer=SimpleNamespace(profile=NO_PROFILE, linked=True, budget=PeerBudget(0.0)),
+        peer=SimpleNamespace(
+            profile=NO_PROFILE, linked=True, budget=PeerBudget(0.0), keepalive=SimpleNamespace(in_doubt=False)
+        ),
     )
     return Outbox(route, RouteLedger(), Backlog())
 

@@ -102,7 +102,7 @@ def advise(
     if not session.check_messages:
         yield Problem("check_messages", Advice.NO_CHECKS())
     yield from _domain(session, domain_variable)
-    if problem := interface_problem(session.server_ip):
+    if problem := interface_problem(session.host):
         yield Problem("server_ip", problem)
     yield from missing_transports(session)
     for feature in installed():
@@ -120,7 +120,7 @@ def missing_transports(session: Session) -> Iterator[Problem]:
     if session.adapter is not None and not hasattr(socket, "AF_BLUETOOTH"):
         location = "server_ip" if session.is_bluetooth else "bluetooth_address"
         yield Problem(location, Advice.NO_BLUETOOTH())
-    if problem := transports.of_link(session.server_ip).missing():
+    if problem := transports.of_link(session.host).missing():
         yield Problem("server_ip", problem)
 
 
@@ -141,7 +141,7 @@ def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
     taken = dds_ports(domain)
     listed = session.ports if isinstance(session.ports, tuple) else ()
     mine = [(join("ports", at), port) for at, port in enumerate(listed)]
-    if session.role == "server" and transports.of_link(session.server_ip).ip_ports:
+    if session.role == "server" and transports.of_link(session.host).ip_ports:
         mine.append(("server_port", session.server_port))
     first = first_open_port()
     for location, port in mine:

@@ -144,15 +144,15 @@ def did_you_mean(word: str, options: list[str]) -> str:
 
 def _value(value: object, kind: Any, problems: list[Problem], location: str) -> Any:
     """Return what the struct gets, or UNSET if the value has a problem."""
-    listed = _alternatives(kind)
-    if len(listed) != 1 or get_origin(listed[0]) is not tuple:
+    lists = [each for each in _alternatives(kind) if get_origin(each) is tuple]
+    if not lists or (not isinstance(value, list | tuple) and lists != _alternatives(kind)):
         return _entry(value, kind, problems, location)
     if not isinstance(value, list | tuple):
         message = ValueMistake.NO_VALUE() if value is None else ValueMistake.NOT_A_LIST(value=show(value))
         problems.append(Problem(location, message))
         return msgspec.UNSET
     # Each entry by itself: a mistake has its place.
-    entries = [_entry(each, get_args(listed[0])[0], problems, join(location, at)) for at, each in enumerate(value)]
+    entries = [_entry(each, get_args(lists[0])[0], problems, join(location, at)) for at, each in enumerate(value)]
     return tuple(entry for entry in entries if entry is not msgspec.UNSET)
 
 

@@ -128,8 +128,6 @@ def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
     """Return a session or a client with a list for each kind."""
     own: list[Any] = []
     for field in fields(model):
-        if field.name == "other_ips":  # in a list under `server_ip`
-            continue
         if field.name == "topics":
             own += [(name, tuple[_ENTRIES[kind], ...], ()) for kind, name in LISTS.items()]  # type: ignore[valid-type]
         elif field.name == "features":
@@ -141,11 +139,7 @@ def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
 
 
 _CLIENT = _holder(Client)
-SESSION_FILE = _holder(
-    Session,
-    server_ip=str | tuple[str, ...],
-    clients=tuple[_CLIENT, ...] | None,  # type: ignore[valid-type]
-)
+SESSION_FILE = _holder(Session, clients=tuple[_CLIENT, ...] | None)  # type: ignore[valid-type]
 """`Session` with lists for each kind, here and in its clients."""
 
 
@@ -213,8 +207,6 @@ def as_written(value: msgspec.Struct) -> msgspec.Struct:
         name: tuple(as_written(topic) for topic in value.topics if topic.kind == kind) for kind, name in LISTS.items()
     }
     if isinstance(value, Session):
-        if others := given.pop("other_ips"):
-            given["server_ip"] = (value.server_ip, *others)
         given["clients"] = None if value.clients is None else tuple(map(as_written, value.clients))
     return model(**given | {name: key.of(value) for name, key in _KEYS_OF[type(value)].items()})
 
@@ -232,9 +224,6 @@ def as_session(written: msgspec.Struct) -> Session:
         return said | {"topics": tuple(topics), "features": features}
 
     said = given(written, Session)
-    if isinstance(hosts := said["server_ip"], tuple):
-        said["server_ip"], *others = hosts or ("",)
-        said["other_ips"] = tuple(others)
     if (listed := said["clients"]) is not None:
         said["clients"] = tuple(Client(**given(client, Client)) for client in listed)
     return Session(**said)

@@ -66,7 +66,7 @@ def listings(session: Session) -> Iterator[Listing]:
     if session.role == "client":
         yield _listing(rights_of_server(session), carried, "all", "")
         return
-    if transports.of_link(session.server_ip).topic_ports is NO_PORT or session.ports == "none":
+    if transports.of_link(session.host).topic_ports is NO_PORT or session.ports == "none":
         ports = "none"
     elif session.ports is None:
         ports = f"any {PORTS_PER_CLIENT}"

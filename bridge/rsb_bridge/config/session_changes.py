@@ -48,7 +48,7 @@ def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
     restart = ChangeRefused.RESTART()
     left = [f"{change}: cannot change while the bridge runs; {restart}" for change in differences]
     features = as_said(new.features | {key.name: key.of(old) for key in keys})
-    others = {name: getattr(old, name) for name in (*fixed, "other_ips")}  # `server_ip` in a file has both
+    others = {name: getattr(old, name) for name in fixed}
     return msgspec.structs.replace(new, **others, features=features), left
 
 

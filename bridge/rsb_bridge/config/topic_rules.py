@@ -117,7 +117,7 @@ def transport_of(topic: Topic, session: Session | None) -> type[TransportTraits]
     """Return a topic's transport: its own, or the link's for its QoS. Without a session, the link is an IP link."""
     if topic.protocol is not None:
         return transports.named(topic.protocol)
-    link = transports.of_link(session.server_ip if session is not None else "")
+    link = transports.of_link(session.host if session is not None else "")
     if not link.best_effort or topic.kind != "topic" or topic.keep is not None:
         return link
     try:
@@ -283,7 +283,7 @@ def _transport_problems(topic: Topic, session: Session | None) -> Iterator[Probl
     if protocol is not None and not transports.named(protocol).reliable and topic.kind != "topic":
         yield Problem("protocol", TopicMistake.CALL_NEEDS_RELIABLE(protocol=protocol))
     elif protocol is not None and session is not None and protocol not in session.crossing:
-        link, own = transports.of_link(session.server_ip), transports.named(protocol)
+        link, own = transports.of_link(session.host), transports.named(protocol)
         crossing = [each for each in session.crossing if topic.kind == "topic" or transports.named(each).reliable]
         if protocol == "bluetooth" and link.ip_ports:
             yield Problem("protocol", TopicMistake.NEEDS_ADAPTER())

@@ -183,7 +183,7 @@ def _session(session: Session) -> Iterator[Problem]:
     if session.group is not None:
         yield from _name(session.group, "group", use_name=False)
     yield from _address(session)
-    link = transports.of_link(session.server_ip)
+    link = transports.of_link(session.host)
     if not session.server_port and 0 not in link.ports:
         yield Problem("server_port", SessionMistake.PORT_MISSING(kind=link.port_kind, range=link.ports))
     else:
@@ -225,13 +225,14 @@ def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:
 
 
 def _address(session: Session) -> Iterator[Problem]:
+    several = len(session.hosts) > 1
     for at, address in enumerate(session.hosts):
-        location = join("server_ip", at) if session.other_ips else "server_ip"
+        location = join("server_ip", at) if several else "server_ip"
         if problem := _host_problem(address, session):
             yield Problem(location, problem)
         elif address in session.hosts[:at]:
             yield Problem(location, SessionMistake.ADDRESS_TWICE(address=address))
-    if session.other_ips:
+    if several:
         if session.role == "server":
             yield Problem("server_ip", SessionMistake.ADDRESSES_OF_SERVER())
         elif {transports.of_link(each) for each in session.hosts} != {TcpTraits}:
@@ -309,7 +310,7 @@ def _clashes(topics: Sequence[Topic], session: Session, client: str | None) -> I
     sources: dict[tuple[Kind, str], int] = {}
     ports: dict[tuple[str, int], int] = {}
     shared = -1  # the index of no topic
-    link = transports.of_link(session.server_ip)
+    link = transports.of_link(session.host)
     for name in (link.name, *link.companions):
         ports[name, session.server_port] = shared
     for at, (topic, location) in enumerate(zip(topics, locations(topics), strict=True)):

@@ -216,8 +216,8 @@ class Engine(EngineApi):
         self._commands = PendingCommands()
         self._thread: threading.Thread | None = None
         self._bridge: Bridge | None = None
-        transport = self.transports.of_link(session.server_ip)
-        address = transport.format_address((session.server_ip, session.server_port))
+        transport = self.transports.of_link(session.host)
+        address = transport.format_address((session.host, session.server_port))
         started = self.clock.time_ns() / 1e9
         blank = Snapshot(started, session.name, session.role, address, session.domain_id or 0, running=False)
         self.snapshots = SnapshotPublisher(blank, self.log, self.clock)

@@ -110,7 +110,7 @@ class BaseLink(ABC):
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         self.context = context
-        self.transport = context.transports.of_link(context.session.server_ip)  # of the control connection
+        self.transport = context.transports.of_link(context.session.host)  # of the control connection
         self.name = name  # of the client, on both sides
         self.is_client = is_client
         self.role: Role = "client" if is_client else "server"
@@ -119,7 +119,7 @@ class BaseLink(ABC):
         self.encrypted = encrypted
         self._channels: DataChannels | None = None  # without a connection
         self.session: LinkSession | None = None  # while the link is up or away
-        self._lost_at = 0.0
+        self._lost_at = self._outlives = 0.0  # s that the session outlives its connection: the smaller of both sides'
         self.peer: Hello | Welcome | None = None  # before the first connection
         self.instance = ""  # process of the peer
         self.connections = 0
@@ -190,6 +190,11 @@ class BaseLink(ABC):
     def profile(self) -> LinkProfile:
         """The session's profile of the link's network."""
         return profile_of(self.context.session.profile)
+
+    @property
+    def outlive(self) -> float:
+        """Seconds that a session outlives its connection, as far as this side goes."""
+        return outlive_of(self.context.session.outlive, self.profile)
 
     @property
     @abstractmethod
@@ -294,6 +299,7 @@ class BaseLink(ABC):
             control.abort("internal error")  # `fail` does not know it, and its goodbye would end the next connection
             raise
         self.peer, self.instance = event.peer, event.peer.instance
+        self._outlives = min(self.outlive, event.peer.outlive)
         self.connections += 1
         self.via = device_of(stream.own_address) if self.transport.ip_ports else ""
         before, self.keepalive = self.keepalive, Keepalive(self, stream)
@@ -397,11 +403,6 @@ class BaseLink(ABC):
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
-
-    @property
-    def _outlives(self) -> float:
-        """Seconds that the session outlives its connection."""
-        return outlive_of(self.context.session.outlive, self.profile)
 
     def _expire(self) -> None:
         text = f"the link was away for {self._outlives:g} s: what waited for it is dropped"

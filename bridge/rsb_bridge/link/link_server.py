@@ -78,7 +78,7 @@ class Server:
         self.pending = InboundStreams(self)
         self._turned_away = 0
         self.refused_clients = RefusedClients(context)
-        self._transport = context.transports.of_link(context.session.server_ip)
+        self._transport = context.transports.of_link(context.session.host)
         self.datagrams = UdpDemultiplexer(self).received
         self._ports = Ports(context.session, context.transports, self)
         self.links: dict[str, ServerLink] = {}
@@ -99,7 +99,7 @@ class Server:
         names = (self._transport.name, *self._transport.companions)
         for name in reversed(names) if self._transport.ip_ports else names:
             await self._ports.open(name, session.server_port)
-        address = self._transport.format_address((session.server_ip, session.server_port))
+        address = self._transport.format_address((session.host, session.server_port))
         self.context.log(Level.INFO, EventCode.ENGINE_LISTENING, f"listening on {address} ({' and '.join(names)})")
 
     # --- as its transports' acceptor
@@ -219,6 +219,7 @@ class Server:
             link.use_name,
             at=self._transport.announced_at,
             features=feature_names(),
+            outlive=link.outlive,
         )
         if link.keeps_name_from(hello):
             return msgspec.structs.replace(welcome, taken=link.name_taken())

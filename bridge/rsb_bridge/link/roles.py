@@ -158,7 +158,7 @@ class ServerRole:
             await in_slices(link.entry.client.topics, link.add_entry)
         if failure := await self._bind():
             # An address of this machine that cannot be bound is a mistake; a router elsewhere may come later.
-            if self._context.transports.of_link(self._context.session.server_ip).local:
+            if self._context.transports.of_link(self._context.session.host).local:
                 raise ListenError(failure)
             self._bind_later(failure)
 
@@ -245,7 +245,7 @@ class ServerRole:
         if self._binding is not None:
             self._binding.cancel()  # it would close the ports that are bound below
         await self._leave(linked, "restart")
-        step(f"binding {self._context.session.server_ip} port {self._context.session.server_port}")
+        step(f"binding {self._context.session.host} port {self._context.session.server_port}")
         if self._stopped:  # during the farewell: a port that is bound now would stay bound
             raise LinkError(Denied.SERVER_STOPS())
         if failure := await self._bind():

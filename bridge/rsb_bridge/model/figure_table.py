@@ -145,6 +145,7 @@ FIGURES = (
     Figure(_MESSAGES, "missed_while_down", "missed_while_down_total", "Messages published while the route was closed."),
     Figure(_MESSAGES, "unsubscribed", "unsubscribed_total",
             "Messages published before the bridge subscribed, or while the topic was not to cross."),
+    Figure(_MESSAGES, "again", "again_total", "Of the messages offered, a latched topic's that were offered before."),
     Figure(_MESSAGES, "jitter", "jitter_seconds", "Variation of the latency (RFC 3550).", unit=_SECONDS,
             source="jitter"),
     Figure(_MESSAGES, "waiting", "waiting", "Messages not sent yet."),

@@ -250,12 +250,10 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
     name: str  # must match on both sides; the prefix (``/scan`` -> ``/robot1/scan``) when `use_name` is set
     role: Role  # a client connects, a server binds
-    server_ip: str
+    server_ip: str | tuple[str, ...]
     """IPv4 or IPv6 address, host name, or Bluetooth MAC, which makes the link RFCOMM. A server binds it. Or a word for
-    a transport of a feature."""
-    other_ips: tuple[str, ...] = ()
-    """On a client, the server's further addresses over the same transport, for when the ones before do not carry. In a
-    file they follow the first one, in a list under `server_ip`."""
+    a transport of a feature. On a client also several addresses over one transport, the preferred one first: a later
+    one is for when the ones before do not carry."""
     server_port: int = 0  # TCP and UDP port, or RFCOMM channel, or 0 over what has none
     bluetooth_address: str | None = None
     """MAC of the server's adapter, for single topics over Bluetooth on an IP link. Each names a channel as its port;
@@ -269,7 +267,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     late_after: float = 1.0  # s that messages may take until their topic is late, or 0 for no limit
     stale_warnings: int = 5  # how many times to warn of it (thesis: 5)
     outlive: float | None = None
-    """s that topics and calls wait for a link whose connection is lost, 0 if they do not, or None for the profile's."""
+    """s that topics and calls wait for a link whose connection is lost, unless the peer says less; 0 if they do not, or
+    None for the profile's."""
     multipath: bool = False  # streams over TCP may use several ways of this machine, where both kernels can
     check_messages: bool = True  # whether what peers send is checked against its type before ROS gets it
     shutdown_topic: str | None = "/shutdown"
@@ -303,17 +302,22 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     @property
     def hosts(self) -> tuple[str, ...]:
         """All addresses of the server, the preferred one first."""
-        return self.server_ip, *self.other_ips
+        return (self.server_ip,) if isinstance(self.server_ip, str) else self.server_ip or ("",)
+
+    @property
+    def host(self) -> str:
+        """The preferred address of the server."""
+        return self.hosts[0]
 
     @property
     def is_bluetooth(self) -> bool:
         """Whether the link is RFCOMM."""
-        return is_mac(self.server_ip)
+        return is_mac(self.host)
 
     @property
     def crossing(self) -> tuple[Protocol, ...]:
         """The transports that topics may choose, the link's own first."""
-        link = of_link(self.server_ip)
+        link = of_link(self.host)
         radio = self.bluetooth_address is not None and link.ip_ports
         return (link.name, *link.companions, *(("bluetooth",) if radio else ()))
 
@@ -338,4 +342,4 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     @property
     def adapter(self) -> str | None:
         """MAC of the server's Bluetooth adapter, or None if the session does not use one."""
-        return self.server_ip if self.is_bluetooth else self.bluetooth_address
+        return self.host if self.is_bluetooth else self.bluetooth_address

@@ -368,7 +368,7 @@ class Snapshot:
     time: float  # s since the epoch
     name: str
     role: str
-    address: str  # the address that is bound or called
+    address: str  # the address that is bound, or that of the server that was called last
     domain_id: int
     running: bool  # False: stopped, or not started
     links: tuple[LinkSnapshot, ...] = ()  # on a server, one for each known client

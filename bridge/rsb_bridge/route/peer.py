@@ -43,6 +43,9 @@ class PeerPings(Protocol):
     @property
     def ping_wait(self) -> float: ...
 
+    @property
+    def in_doubt(self) -> bool: ...
+
 
 class LinkRates(Protocol):
     """Whether a link is full in either direction (`rsb_bridge.link.fullness`)."""

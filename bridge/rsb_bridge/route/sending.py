@@ -293,9 +293,11 @@ class Outbox:
         if self._keep is not None:
             self._ledger.drop(OUTAGE, old)
             self._ledger.drop(KEEP_FULL, beyond)
+        # A connection that may be dead carries nothing either, though it takes seconds until it is given up.
+        elif self._backlog.exists or self._route.peer.keepalive.in_doubt:
+            self._ledger.drop(OUTAGE, old + beyond)
         else:
-            self._ledger.drop(OUTAGE if self._backlog.exists else "queue full", old + beyond)
-        if not self._backlog.exists:
+            self._ledger.drop("queue full", old + beyond)
             self._overload.dropped(now)
 
     def flush(self, channel: SendingChannel, now: float) -> None:

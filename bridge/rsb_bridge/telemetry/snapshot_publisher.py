@@ -261,9 +261,12 @@ class SnapshotPublisher:
             self._same.intersection_update(self._routes)
             self._shown = tuple(self._routes.values())
         links, routes = self.acknowledged.mark(self._links.values(), self._shown, now)
+        # A client with several ways to its server calls the one that its link has used last.
+        called = links[0].peer if links and self.latest.role == "client" else self.latest.address
         self.latest = dataclasses.replace(
             self.latest,
             time=now,
+            address=called,
             running=running,
             links=links,
             routes=routes,

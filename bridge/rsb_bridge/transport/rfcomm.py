@@ -71,7 +71,7 @@ class Rfcomm(RfcommTraits, StreamTransport):
     largest_message = MESSAGE_LIMIT
 
     def host(self, session: Session) -> str:
-        return session.adapter or session.server_ip
+        return session.adapter or session.host
 
     def format_address(self, address: Address) -> str:
         return _format_address(address)

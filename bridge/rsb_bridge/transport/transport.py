@@ -129,7 +129,7 @@ class _Transport(TransportTraits, ABC):
 
     def host(self, session: Session) -> str:
         """Return the server's address for this transport, as the session gives it."""
-        return session.server_ip
+        return session.host
 
     def format_address(self, address: Address) -> str:
         """Return an address as an operator reads it: ``host:port`` and the like."""

@@ -66,6 +66,7 @@ class Hello(ControlMessageBase, frozen=True):
     features: FeatureNames = ()  # the names of its features (`rsb_bridge.feature`); only what both sides have is used
     session: SessionId = b""  # that it goes on with, or empty for a new one
     handled: Count = 0  # control messages of that session that it has handled
+    outlive: Seconds = 0.0  # s that its side of a session outlives a connection, or 0 if it does not
 
 
 class Welcome(ControlMessageBase, frozen=True):
@@ -84,6 +85,7 @@ class Welcome(ControlMessageBase, frozen=True):
     features: FeatureNames = ()  # as in `Hello`
     session: SessionId = b""  # the client's, if this side goes on with it, too
     handled: Count = 0  # as in `Hello`
+    outlive: Seconds = 0.0  # as in `Hello`
 
 
 class Propose(ControlMessageBase, frozen=True, kw_only=True):

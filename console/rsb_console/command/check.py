@@ -90,7 +90,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
         places: places in its file that demand arming, by the keys of the lines.
     """
     demands, places = Demands(sources_of(session)), places or {}
-    place = of_link(session.server_ip).place(session)
+    place = of_link(session.host).place(session)
     yield f"{session.role} {session.name} {place}, {_domain(session)}"
     prefix = _prefix_of(session.name if session.clients is None else "<name>", use_name=session.use_name)
     if session.role == "client" and not session.use_name:

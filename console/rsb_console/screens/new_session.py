@@ -175,13 +175,12 @@ class NewSessionScreen(FormScreen[NewSession]):
         name = values["name"]
         encrypted = values["use_encryption"] == "yes"
         names = words(values.get("clients", "")) if values["role"] == "server" else ()
-        first, *others = words(values["server_ip"]) or ("",)
+        hosts = words(values["server_ip"])
         data = {key: number(values[key]) for key in NUMBERS if values[key]}
         session = Session(
             name=name,
             role="server" if values["role"] == "server" else "client",
-            server_ip=first,
-            other_ips=tuple(others),
+            server_ip=hosts[0] if len(hosts) == 1 else hosts,
             use_name=values["use_name"] == "yes",
             use_encryption=encrypted,
             key_file=values.get("key_file") or f"{name}.key" if encrypted and not names else None,

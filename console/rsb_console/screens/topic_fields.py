@@ -86,7 +86,7 @@ def _how(session: Session, ends: Ends, kind: Kind, begun: str | None) -> Iterato
     prefix = f", with /{ends.client} before it" if ends.use_name else ""
     blank = f"/{ends.client} and its name" if ends.use_name else "same name"
     yield Spec("remote_topic", "On the server", f"Its name there. Empty: the same{prefix}.", blank=blank)
-    link = transports.of_link(session.server_ip)
+    link = transports.of_link(session.host)
     has_radio = session.bluetooth_address is not None or begun == "bluetooth"
     if len(session.crossing) > 1:
         yield _protocol(kind, session, has_radio=has_radio)
@@ -100,7 +100,7 @@ def _how(session: Session, ends: Ends, kind: Kind, begun: str | None) -> Iterato
 
 
 def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
-    link = transports.of_link(session.server_ip)
+    link = transports.of_link(session.host)
     names = dict.fromkeys((*session.crossing, *(("bluetooth",) if has_radio else ())))
     carriers = [transports.named(name) for name in names]
     lossy = [each.name for each in carriers if not each.reliable]

@@ -281,12 +281,12 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
             binds, or a guess.
     """
     address, port = split_address(address)
-    guessed = not address and session.server_ip in _ANY_ADDRESS
+    guessed = not address and session.host in _ANY_ADDRESS
     key_file = client.key_file or session.key_file
     robot = Session(
         name=client.name,
         role="client",
-        server_ip=address or (own_address() if guessed else session.server_ip),
+        server_ip=address or (own_address() if guessed else session.host),
         server_port=session.server_port if port is None else port,
         bluetooth_address=session.bluetooth_address,
         use_encryption=session.use_encryption,

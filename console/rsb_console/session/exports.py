@@ -25,7 +25,7 @@ _ROUTE = (
 )  # fmt: skip
 _COUNTS = (
     "offered", "delivered", "throttled", "expired", "waiting", "in_flight", "dropped_total", "unknown", "lost_in_dds",
-    "missed_while_down", "unsubscribed",
+    "missed_while_down", "unsubscribed", "again",
     "asked", "answered", "refused", "lost", "late", "node_p50", "node_p99", "way_p50", "way_p99", "last_failure",
 )  # fmt: skip
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.transports import short_name
+from rsb_bridge.model.verdict import Cause
 from rsb_console.notation import formats
 from rsb_console.notation.formats import KIND_SHORT, PatternRow, Row, rows_of
 from rsb_console.notation.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
@@ -192,12 +193,13 @@ COLUMNS: tuple[Column[Row], ...] = (
         for each in ADDED
     ),
 )
-STATE, SIGN, TOPIC, PEER, _AGE, HISTORY_COLUMN = (
+STATE, SIGN, TOPIC, PEER, _RATE_COLUMN, _AGE, HISTORY_COLUMN = (
     next(column for column in COLUMNS if column.title == title)
-    for title in ("STATE", "", "TOPIC", "PEER", "AGE", " HISTORY")
+    for title in ("STATE", "", "TOPIC", "PEER", "HZ/EXP", "AGE", " HISTORY")
 )
 
 _ALWAYS = (STATE, SIGN, TOPIC)
+_FIGURED = COLUMNS[COLUMNS.index(_RATE_COLUMN) :]
 
 
 @cache
@@ -256,12 +258,14 @@ class TopicsTable(SortedTable[Row]):
         self.wanted_columns: frozenset[str] | None = None  # headings besides state and topic; None for all that fit
         self.now = 0.0
         self._peers = self._calls = False
+        self._away: frozenset[str] = frozenset()  # links that are awaited, with what waits for them
         self._names = 0
 
     def show(self, snapshot: Snapshot) -> None:
         self.now = snapshot.time
         self.rows = {row.key: row for row in rows_of(snapshot)}
         self._peers = len(snapshot.links) > 1
+        self._away = frozenset(link.name for link in snapshot.links if link.session_ends is not None)
         self._calls = any(row.spec.kind != "topic" for row in self.rows.values())
         self._names = min(_LONGEST_NAME, max((len(row.topic) for row in self.rows.values()), default=0))
         self.relist()
@@ -312,13 +316,28 @@ class TopicsTable(SortedTable[Row]):
     def row_line(self, key: str, *, cursor: bool) -> Line:
         row = self.rows[key]
         pieces = [("▌", row.state.value) if cursor else (" ", "")]
+        note, look = self._note(row), "dim" if row.acknowledged is not None else row.state.value
         for column, width in self.columns:
+            if note and column in _FIGURED:
+                pieces.append((f"{note[: width + 1]:<{width + 1}}", look))
+                note = note[width + 1 :]
+                continue
             if column is _AGE and not isinstance(row, PatternRow) and row.last_at is not None:
                 text = column.aligned(formats.age_of(row.last_at, self.now), width)
             else:
                 text = column.cell(row, width)
             pieces.append((text, _look(column, row)))
         return tuple(pieces)
+
+    def _note(self, row: Row) -> str:
+        """Return what waits for a row's link, or still crosses, or an empty string.
+
+        It stands in place of figures, which say nothing meanwhile.
+        """
+        if row.cause != Cause.CATCHING_UP and (row.cause != Cause.LINK_DOWN or row.link not in self._away):
+            return ""
+        room = sum(width + 1 for column, width in self.columns if column in _FIGURED)
+        return row.reason if len(row.reason) <= room else f"{row.reason[: max(0, room - 1)]}…"
 
     @property
     def columns(self) -> Layout[Row]:

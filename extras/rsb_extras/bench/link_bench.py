@@ -439,7 +439,7 @@ class LinkBench(Extension):
 
     async def _opened(self, order: BenchmarkStep) -> Route:
         """Return the route, once messages can cross on it."""
-        link_transport = self._context.transports.of_link(self._context.session.server_ip)
+        link_transport = self._context.transports.of_link(self._context.session.host)
         transport = order.transport or link_transport.name
         name = BENCH.route_name(transport, order.direction)
         route = next((each for each in self._internal.proposed(here=True) if each.spec.topic == name), None)

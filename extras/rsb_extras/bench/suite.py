@@ -385,7 +385,7 @@ def _result(engine: EngineApi, order: BenchmarkStep) -> Outcome:
 
 def ways_of(session: Session, transports: tuple[str, ...], directions: tuple[str, ...]) -> list[Way]:
     """Return the transports and directions to measure over a session's link: its own transports by default."""
-    link = of_link(session.server_ip)
+    link = of_link(session.host)
     over = transports or (link.name, *link.companions)
     return [Way(transport, direction) for direction in directions for transport in over]
 

@@ -121,7 +121,7 @@ def _multipath(session: Session, root: Path) -> Iterator[Finding]:
             text = NeedText.WAYS(addresses=", ".join(further))
             yield finding(grade=Grade.OK, text=text, facts={"addresses": further})
         else:
-            device, address = next(iter(_other_addresses(session.server_ip)), ("DEVICE", "ADDRESS"))
+            device, address = next(iter(_other_addresses(session.host)), ("DEVICE", "ADDRESS"))
             remedy = NeedText.SECOND_WAY_REMEDY(device=device, address=address)
             yield finding(grade=Grade.WARNING, text=NeedText.ONE_WAY(), remedy=remedy)
     else:
@@ -239,9 +239,9 @@ def _peers_clocks(running: Callable[[], Snapshot | None]) -> Iterator[Finding]:
 
 
 def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
-    if session.role != "server" or not transports.of_link(session.server_ip).ip_ports:
+    if session.role != "server" or not transports.of_link(session.host).ip_ports:
         return
-    port, address = session.server_port, session.server_ip
+    port, address = session.server_port, session.host
     finding = partial(Finding, "ports", subject="ports", facts={"port": port, "address": address})
     if not _is_address(address):
         yield finding(grade=Grade.UNKNOWN, text=NeedText.NAME(port=port, address=address))
@@ -328,7 +328,7 @@ def _transports(session: Session, root: Path) -> Iterator[Finding]:
             yield lacks(NeedText.NO_BLUETOOTH_SOCKETS(), MachineText.BLUETOOTH_REMEDY(), facts)
         elif not bluetooth_adapters(root):
             yield lacks("the session uses Bluetooth, and this machine has no adapter", NeedText.ADAPTER_REMEDY(), facts)
-    transport = transports.of_link(session.server_ip)
+    transport = transports.of_link(session.host)
     if missing := transport.missing():
         text, _, remedy = missing.partition(": ")
         yield lacks(text, remedy, {"lacks": transport.name})

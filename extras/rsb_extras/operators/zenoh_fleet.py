@@ -91,7 +91,7 @@ class EngineAnnouncement:
     """
 
     def __init__(self, server: ControlServer, access: Access, network: Network) -> None:
-        self._says_so = server.engine.session.server_ip != ZENOH_HOST  # else the links do
+        self._says_so = server.engine.session.host != ZENOH_HOST  # else the links do
         self._events = access.events
         server.summarize = SummaryBuilder(server.engine, server.info.program)
         self._acceptor = SealedAcceptor(server, access)

@@ -38,7 +38,7 @@ class ZenohMistake(Wording):
 
 def problems(session: Session) -> Iterator[tuple[str, str]]:
     """Yield the mistakes in a session's network, and where it is missing."""
-    settings, over_zenoh = ZENOH.of(session), session.server_ip == ZENOH_HOST
+    settings, over_zenoh = ZENOH.of(session), session.host == ZENOH_HOST
     if over_zenoh and session.bluetooth_address is not None:
         yield "bluetooth_address", "a link over Zenoh cannot have topics over Bluetooth: leave it out"
     if settings is not None:
@@ -84,7 +84,7 @@ def advice(session: Session) -> Iterator[tuple[str, str]]:
             if match is not None and (problem := interface_problem(match["host"].strip("[]"))):
                 yield join(join(ZENOH.name, key), at), problem
     # A link over Zenoh has it from its transport.
-    if session.server_ip != ZENOH_HOST and (problem := ZenohTraits.missing()):
+    if session.host != ZENOH_HOST and (problem := ZenohTraits.missing()):
         yield ZENOH.name, problem
 
 
@@ -97,7 +97,7 @@ def client_session(session: Session, client: Session, address: str, port: int | 
     settings = ZENOH.of(session)
     if settings is None:
         return client
-    over_zenoh = session.server_ip == ZENOH_HOST
+    over_zenoh = session.host == ZENOH_HOST
     connect = settings.connect
     if not connect and settings.listen:
         from rsb_console.session.client_files import own_address  # noqa: PLC0415 -- a bridge has no console

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,6 +87,12 @@ def test_names_and_labels_are_as_prometheus_wants_them() -> None:
         assert not re.search(r"_(ms|milliseconds|percent|kilobytes|count|sum|bucket)(_|$)", family.name)
         assert family.text.endswith(".")
         assert {"reason", "peer", "text"}.isdisjoint(family.labels)
+
+
+def test_each_count_of_the_ledger_is_a_metric() -> None:
+    names = {family.name for family in FAMILIES}
+    for count in {each.name for each in fields(Ledger)} - {"waiting_since"}:
+        assert names & {f"rsb_messages_{count}", f"rsb_messages_{count}_total"}, count
 
 
 def test_every_family_has_samples_in_both_formats(scraped: Scraped) -> None:
