@@ -13,15 +13,12 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rclpy.publisher import Publisher
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain, Listener
     from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.snapshot import Ledger
 
 
 def publish(publisher: Publisher, numbers: range, size: int = 0) -> None:
@@ -45,7 +42,7 @@ def test_datagrams_that_are_lost(bridge: Bridge, relay: Relay, robot: Domain, pc
 
     relay.to_server = lose_some
     publish(out, range(300))
-    ledger = delivers(client, 300, lambda count: count == 300 - len(lost))
+    ledger = settled(client, "/count", 300, delivered=lambda: 300 - len(lost))
     assert len(lost) >= 30
     hears_just(there, ledger.delivered)
     assert ledger.dropped == {"lost on the way": len(lost)}
@@ -78,7 +75,7 @@ def test_fragments_that_are_lost_late_and_twice(bridge: Bridge, relay: Relay, ro
     eventually(lambda: torn, what="a datagram that the relay has lost")
     relay.to_server = lambda datagram: [datagram]
     least = 100 - len(torn) - len(held)
-    ledger = delivers(client, 100, lambda count: least <= count == len(there.payloads))
+    ledger = settled(client, "/count", 100, delivered=lambda: max(least, len(there.payloads)))
     assert len(set(there.payloads)) == len(there.payloads)
     assert ledger.delivered + sum(ledger.dropped.get(each, 0) for each in ("incomplete", "lost on the way")) == 100
     assert ledger.delivered <= 100 - len(torn)
@@ -112,11 +109,6 @@ def test_what_is_lost_of_a_reliable_topic_comes_again(bridge: Bridge, relay: Rel
     assert (ledger.delivered, ledger.dropped, balance(ledger)) == (100, {}, 100)
     hears_just(there, 100)
     assert [int(each[8:].split(b" ")[0].rstrip(b"\0")) for each in there.payloads] == [*range(100)]
-
-
-def delivers(client: Engine, offered: int, condition: Callable[[int], bool]) -> Ledger:
-    """Wait for a number of delivered messages: those that take more than 2 s count as lost until they arrive."""
-    return eventually(lambda: found if condition((found := settled(client, "/count", offered)).delivered) else None)
 
 
 def hears_just(there: Listener, count: int) -> None:
