@@ -15,6 +15,7 @@ from typing import Any, get_args
 
 import pytest
 from tests.support import replaced, surroundings
+from tests.support.captured import own_lines
 from tests.support.commands import Ran, rsb_console
 from tests.support.long import long
 from tests.support.wording import says
@@ -521,11 +522,6 @@ def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,
     )
-
-
-def own_lines(errors: str) -> list[str]:
-    """Leave out what Fast DDS says of ports in shared memory that killed processes of other tests left."""
-    return [line for line in errors.splitlines() if "RTPS_TRANSPORT_SHM" not in line]
 
 
 @pytest.mark.parametrize("number", [*long(signal.SIGINT), signal.SIGTERM])

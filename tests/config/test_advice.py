@@ -18,6 +18,7 @@ CLIENT: dict[str, Any] = {"name": "a", "role": "client", "server_ip": "10.0.0.1"
 SERVER: dict[str, Any] = {**CLIENT, "role": "server"}
 LATCHED = {"profile": "latched", "depth": LATCHED_DEPTH + 1}
 INTERFACES = ", ".join(name for _, name in socket.if_nameindex())
+NO_ZONE = f"fe80::1%{1 + max(index for index, _ in socket.if_nameindex())}"
 MAC = "5C:F3:70:9A:1B:2E"
 
 
@@ -47,7 +48,7 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         ({**SERVER, "server_port": 9900}, "0", "server_port", Advice.PORT_OF_DISCOVERY, {"domain": 10}),
         (one(port=7660), None, "topics[0].port", Advice.TOPIC_PORT_OF_DISCOVERY, {"domain": 1}),
         ({**CLIENT, "server_ip": "fe80::1%nope"}, None, "server_ip", Advice.NO_INTERFACE, {"zone": "nope"}),
-        ({**SERVER, "server_ip": "fe80::1%777"}, None, "server_ip", Advice.NO_INTERFACE, {"interfaces": INTERFACES}),
+        ({**SERVER, "server_ip": NO_ZONE}, None, "server_ip", Advice.NO_INTERFACE, {"interfaces": INTERFACES}),
         (topics(Topic("/shutdown", "transmit")), None, "topics[0]", Advice.SHUTDOWN_TOPIC, {}),
         (one(port=80), None, "topics[0].port", Advice.TOPIC_PORT_LOW, {"limit": 1024}),
         (topics(*many(ROUTES_PER_LINK + 1)), None, "topics", Advice.TOO_MANY_TOPICS, {"limit": ROUTES_PER_LINK}),

@@ -55,7 +55,7 @@ class Cut:
 
     @property
     def offered(self) -> int:
-        return route(self.client, "/events").ledger.offered
+        return outgoing(self.client, "/events").ledger().offered
 
     def publish(self, count: int, first: int = 0, *, publisher: int = 0, size: int = 0) -> None:
         """Have the bridge take numbered messages, a few at a time, as its subscription keeps ten, too."""

@@ -14,6 +14,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Int32
 from std_srvs.srv import SetBool
+from tests.support.addresses import foreign_address
 from tests.support.bridge import carries, find, happened, heard, link, now, route, says
 from tests.support.domain import BEST_EFFORT, LATCHED, text
 from tests.support.long import long, long_cases
@@ -297,10 +298,10 @@ def test_a_server_whose_port_is_taken(kind: Any, bridge: Bridge) -> None:
 
 
 def test_addresses_that_will_not_do(bridge: Bridge) -> None:
-    with pytest.raises(
-        EngineError, match=pattern(ListenProblem.NOT_OF_THIS_MACHINE, address=f"192.0.2.1:{bridge.port}")
-    ):
-        bridge.server(server_ip="192.0.2.1")
+    foreign = foreign_address()
+    words = pattern(ListenProblem.NOT_OF_THIS_MACHINE, address=f"{foreign}:{bridge.port}")
+    with pytest.raises(EngineError, match=words):
+        bridge.server(server_ip=foreign)
     with pytest.raises(EngineError, match=pattern(ListenProblem.NAME_UNKNOWN)):
         bridge.server(server_ip="no-such-host.invalid")
     client = bridge.client(server_ip="no-such-host.invalid")

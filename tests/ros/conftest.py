@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import replaced
+from tests.support.captured import own_lines
 
 from rsb_bridge.ros.self_test import findings
 
@@ -42,14 +43,9 @@ def open_node() -> Iterator[Callable[..., RosNode]]:
 
 
 @pytest.fixture
-def printed(capfd: pytest.CaptureFixture[str]) -> Callable[[], str]:
-    """Return the output since the last time, without Fast DDS's lines about ports of killed processes."""
-
-    def read() -> str:
-        lines = "".join(capfd.readouterr()).splitlines(keepends=True)
-        return "".join(line for line in lines if "RTPS_TRANSPORT_SHM" not in line)
-
-    return read
+def printed(capfd: pytest.CaptureFixture[str]) -> Callable[[], list[str]]:
+    """Return the output since the last time, without that of Fast DDS about killed processes."""
+    return lambda: own_lines("".join(capfd.readouterr()))
 
 
 @pytest.fixture(params=["raw", "typed"])

@@ -25,7 +25,7 @@ from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 STRING, SET = "std_msgs/msg/String", "std_srvs/srv/SetBool"
 
 
-def test_errors_say_what_and_what_to_do(open_node: Callable[..., RosNode], printed: Callable[[], str]) -> None:
+def test_errors_say_what_and_what_to_do(open_node: Callable[..., RosNode], printed: Callable[[], list[str]]) -> None:
     """And rcl itself says nothing: there may be a terminal user interface where it would."""
     node = open_node()
     node.advertise(TopicSpec("/taken", STRING, "", Qos()), "link")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
+
+from tests.support.captured import captured, own_lines
 
 from rsb_bridge.ros import memory
 
@@ -43,7 +44,7 @@ def test_its_histories_are_the_bridges_own() -> None:
 def test_fast_dds_takes_the_profile(spare_domains: int) -> None:
     environ = os.environ | {memory.profile_variable(os.environ): str(_PROFILE)}
     command = [sys.executable, "-c", _NODE, str(spare_domains)]
-    ran = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=120, check=True)
-    assert "Error" not in ran.stderr
+    ran = captured(*command, env=environ, check=True)
+    assert not [line for line in own_lines(ran.stderr) if "Error" in line]
     segments = [int(line.split()[1]) for line in ran.stdout.splitlines() if line.startswith("segment ")]
     assert 0.9 * _SEGMENT < max(segments) < 1.1 * _SEGMENT

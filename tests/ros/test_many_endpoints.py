@@ -40,7 +40,7 @@ def mapped() -> set[str]:
 )
 @pytest.mark.usefixtures("way")
 def test_hundreds_of_services_and_clients_leave_nothing(
-    open_node: Callable[..., RosNode], printed: Callable[[], str], kind: tuple[str, str]
+    open_node: Callable[..., RosNode], printed: Callable[[], list[str]], kind: tuple[str, str]
 ) -> None:
     """They go before they are matched, with a request in flight, with one that has no answer, and when all is done."""
     gc.collect()  # leftovers of earlier tests' stock nodes are reported by now

@@ -25,7 +25,7 @@ from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
     from enum import StrEnum
     from pathlib import Path
 
@@ -296,15 +296,20 @@ def reloaded(engine: Engine, path: Path, **changes: object) -> Reloaded:
     return engine.reload().result(60)
 
 
-def settled(engine: Engine, topic: str, offered: int, within: float = 180.0) -> Ledger:
-    """Wait until the ledger of a topic has so many messages offered, or lost in DDS before, and none in flight."""
+def settled(engine: Engine, topic: str, offered: int, delivered: Callable[[], int] | None = None) -> Ledger:
+    """Wait until the ledger of a topic has so many messages offered, or lost in DDS before, and none in flight.
+
+    Args:
+        delivered: how many of a lossy topic arrive; those that take more than 2 s count as lost until then.
+    """
 
     def done() -> Ledger | None:
         ledger = route(engine, topic).ledger
-        return ledger if ledger.offered + ledger.lost_in_dds == offered and not ledger.open else None
+        is_done = ledger.offered + ledger.lost_in_dds == offered and not ledger.open
+        return ledger if is_done and (delivered is None or ledger.delivered == delivered()) else None
 
     try:
-        return eventually(done, within)
+        return eventually(done)
     except AssertionError:
         raise AssertionError(f"not settled: {route(engine, topic).ledger}, {offered} were offered") from None
 

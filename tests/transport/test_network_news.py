@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import replaced
+from tests.support.addresses import foreign_address
 from tests.support.coroutines import until
 
 from rsb_bridge.transport.network_news import NetworkNews, device_of, news_of_kernel, open_news
@@ -63,12 +64,13 @@ async def test_refused_socket_is_no_news(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 async def test_addresses_lead_to_their_devices() -> None:
+    foreign = foreign_address()
     assert device_of("127.0.0.1") == "lo"
-    assert not device_of("192.0.2.77")
+    assert not device_of(foreign)
     open_news().close()  # this machine lets us have them
     news = Tcp().network_news(lambda: None)
     assert news is not None
     assert not news.why_silent("127.0.0.1")
     assert not news.why_silent("23772509d18c9f91")  # of an endpoint of Zenoh's
-    assert news.why_silent("192.0.2.77") == "192.0.2.77 is no address of this machine any more"
+    assert news.why_silent(foreign) == f"{foreign} is no address of this machine any more"
     news.close()

@@ -32,15 +32,15 @@ async def test_the_kernel_says_when_a_datagram_came() -> None:
     """A process that comes late to read knows it: only the path's time counts for its rate."""
     async with pair("127.0.0.1") as (server, client, came, _):
         loop = asyncio.get_running_loop()
-        waited = []
-        for _ in range(2):  # the kernel begins to stamp a moment after it is asked to
+        waited = [1.0]
+        while abs(waited[-1]) > 0.1:  # the kernel begins to stamp late, or this process stood still between two clocks
+            assert len(waited) < 50, waited
             came.clear()
             client.send([b"x"], None)
             sent_at = loop.time()
             time.sleep(0.2)  # noqa: ASYNC251 - a busy process
             await until(lambda: came)
             waited.append(server.arrived_at() - sent_at)
-        assert abs(waited[-1]) < 0.1
 
 
 def address_of(host: str, port: int) -> Any:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.console.scripted import LINK, ScriptedEngine
 from tests.support import surroundings
+from tests.support.addresses import foreign_address
 from tests.support.ports import free_port, taken
 from tests.support.wording import says
 
@@ -112,7 +113,7 @@ def test_a_name_is_not_looked_up(tmp_path: Path) -> None:
 
 
 def test_an_address_of_another_machine(tmp_path: Path) -> None:
-    (finding,) = found("ports", session(server_ip="192.0.2.1"), tmp_path)
+    (finding,) = found("ports", session(server_ip=foreign_address()), tmp_path)
     assert (finding.grade, bool(finding.remedy)) == (Grade.ERROR, True)
 
 
