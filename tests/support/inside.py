@@ -53,7 +53,7 @@ def pretend_linked(link: Link, control: Any) -> None:
     """Let a link have a connection of which there is only a stand-in of its control channel."""
     channels: Any = SimpleNamespace(control=control, is_silent=False, away=lambda _: None, close=lambda: None)
     link._channels, link.session = channels, LinkSession(bytes(8), "", channels)
-    link._outlives = link.outlive  # as if the peer's session were this one's
+    link.outlives = link.own_outlive  # as if the peer's session were this one's
 
 
 def renew_snapshot(engine: Engine) -> None:

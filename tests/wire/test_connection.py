@@ -157,7 +157,7 @@ def test_first_message_needs_more_than_claimed_key() -> None:
         assert refusal.code is RefusalCode.WRONG_KEY
         assert says(refusal.message, words, name="robot1")
     server = make_server(CipherSuite.PLAIN)
-    assert server.receive_data(make_client(CipherSuite.PLAIN).start().replace(bytes(8), fingerprint_of(KEY))) == []
+    assert server.receive_data(make_client(CipherSuite.PLAIN).start().replace(bytes(8), fingerprint_of(KEY), 1)) == []
     assert (server.accepted, server.fingerprint) == (True, b"")
 
 

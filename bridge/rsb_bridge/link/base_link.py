@@ -119,7 +119,8 @@ class BaseLink(ABC):
         self.encrypted = encrypted
         self._channels: DataChannels | None = None  # without a connection
         self.session: LinkSession | None = None  # while the link is up or away
-        self._lost_at = self._outlives = 0.0  # s that the session outlives its connection: the smaller of both sides'
+        self._lost_at = 0.0
+        self.outlives = 0.0  # s that the session outlives its connection: the smaller number of both sides
         self.peer: Hello | Welcome | None = None  # before the first connection
         self.instance = ""  # process of the peer
         self.connections = 0
@@ -192,7 +193,7 @@ class BaseLink(ABC):
         return profile_of(self.context.session.profile)
 
     @property
-    def outlive(self) -> float:
+    def own_outlive(self) -> float:
         """Seconds that a session outlives its connection, as far as this side goes."""
         return outlive_of(self.context.session.outlive, self.profile)
 
@@ -299,7 +300,7 @@ class BaseLink(ABC):
             control.abort("internal error")  # `fail` does not know it, and its goodbye would end the next connection
             raise
         self.peer, self.instance = event.peer, event.peer.instance
-        self._outlives = min(self.outlive, event.peer.outlive)
+        self.outlives = min(self.own_outlive, event.peer.outlive)
         self.connections += 1
         self.via = device_of(stream.own_address) if self.transport.ip_ports else ""
         before, self.keepalive = self.keepalive, Keepalive(self, stream)
@@ -392,7 +393,7 @@ class BaseLink(ABC):
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.clock.steady()
         self._lost_at = self.context.now()
-        session, seconds = self.session, self._outlives
+        session, seconds = self.session, self.outlives
         is_broken = channels.control.is_fault or code is not EventCode.LINK_LOST
         if session is None or session.is_over or is_broken or not seconds:
             self.end_session()
@@ -405,7 +406,7 @@ class BaseLink(ABC):
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
 
     def _expire(self) -> None:
-        text = f"the link was away for {self._outlives:g} s: what waited for it is dropped"
+        text = f"the link was away for {self.outlives:g} s: what waited for it is dropped"
         self.log(Level.WARNING, EventCode.LINK_CLOSED, text, link_status=True)
         self.end_session()
 

@@ -225,7 +225,7 @@ class ClientLink(Link):
     async def _connect(self, key: Key | None) -> Failure | None:
         """Connect to the server, or to the announced one that proves the key. Return the failure, if any."""
         secret, began = key.secret if key else None, self.context.now()
-        hello = msgspec.structs.replace(self._hello, outlive=self.outlive)
+        hello = msgspec.structs.replace(self._hello, outlive=self.own_outlive)
         if self.session is not None:
             hello = msgspec.structs.replace(hello, session=self.session.id, handled=self.handled)
 

@@ -219,7 +219,7 @@ class Server:
             link.use_name,
             at=self._transport.announced_at,
             features=feature_names(),
-            outlive=link.outlive,
+            outlive=link.own_outlive,
         )
         if link.keeps_name_from(hello):
             return msgspec.structs.replace(welcome, taken=link.name_taken())
