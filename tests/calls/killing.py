@@ -82,7 +82,7 @@ class Killing:
         return self._server, self._client
 
     def once(self) -> None:
-        """Start the halves, and kill them while calls of all callers are in flight."""
+        """Start the halves, and kill them while calls are in flight, of which each caller has had an answer."""
         began = time.monotonic()
         victims = [self._programs.start(session) for session in self._sessions]
         for service in self._services:
@@ -116,7 +116,10 @@ class Killing:
         return True
 
     def _under_way(self) -> bool:
-        return all(counts(engine, name).in_flight for engine, name in zip(self.engines, self._services, strict=True))
+        outcomes = (caller.outcome(service) for caller in self._callers for service in self._services)
+        return all(each.answered for each in outcomes) and all(
+            counts(engine, name).in_flight for engine, name in zip(self.engines, self._services, strict=True)
+        )
 
     def _note(self, outcome: Outcome) -> None:
         assert not outcome.wrong, outcome.wrong

@@ -18,5 +18,4 @@ def test_no_answer_is_wrong_anothers_or_left_over(
     bridge: Bridge, programs: Programs, near: CallNode, far: CallNode, another: Callable[[int], CallNode], service: str
 ) -> None:
     tally = kill(Killing(bridge, programs, far, (near, another(bridge.robot.id)), service), 3)
-    assert tally.calls["answered"] > 15, "more than one of each caller after each start"
     assert tally.grown.resident < 20 << 20
