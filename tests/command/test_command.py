@@ -40,7 +40,7 @@ MOST_MODULES = 305
 SESSION = """\
 name: robot1
 role: client
-server_ip: 10.0.0.1
+server_ip: 127.8.0.1
 server_port: 49152
 key_file: key.txt
 topics:
@@ -49,7 +49,7 @@ topics:
 CLIENT_WITHOUT_KEY = """\
 name: robot1
 role: client
-server_ip: 10.0.0.1
+server_ip: 127.8.0.1
 server_port: 7060
 key_file: robot1.key
 topics: [{topic: /scan, direction: transmit}]
@@ -122,7 +122,7 @@ def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, 
 def test_check_says_what_would_be_bridged_and_warns() -> None:
     run = rsb_console("check", "robot1.yaml")
     assert run.returncode == 3, "it would not start"
-    assert "client robot1 to 10.0.0.1 port 49152" in run.stdout
+    assert "client robot1 to 127.8.0.1 port 49152" in run.stdout
     assert "transmit /scan over udp: type auto, qos auto, at most 5 Hz" in run.stdout
     assert f"encryption on, {SessionCheckText.PREFIX_IF_USED(name='robot1')}" in run.stdout
     assert f"warning: {KeyFileProblem.NO_SUCH_FILE(path='key.txt')}" in run.stdout

@@ -155,11 +155,13 @@ class CountedBridge:
         time.sleep(seconds)
         self.server.program.signal(signal.SIGCONT)
 
-    def restart(self, after: float = 0.0) -> None:
-        """Kill the receiving bridge, and start it again."""
+    def restart(self, after: float = 0.0) -> float:
+        """Kill the receiving bridge, and start it again. Return the time (s, monotonic) of its death."""
         self.server.program.kill()
+        killed_at = time.monotonic()
         time.sleep(after)
         self.server.start()
+        return killed_at
 
     def settled(self) -> Count:
         """Stop publishing; the counts once they change no more."""

@@ -37,9 +37,11 @@ def test_what_is_no_command_is_refused(command: str | tuple[str, ...]) -> None:
     ] == ["on_fault"]
 
 
-@pytest.mark.parametrize("value", ["7", "true", "{a: b}", "[1, 2]"])
-def test_what_is_neither_text_nor_list_is_refused(value: str) -> None:
-    assert [problem.location for problem in problems(f"{dump(SESSION)}on_fault: {value}\n")] == ["on_fault"]
+@pytest.mark.parametrize(
+    ("value", "places"), [*((each, ["on_fault"]) for each in ("7", "true", "{a: b}")), ("[a, 2]", ["on_fault[1]"])]
+)
+def test_what_is_neither_text_nor_list_of_texts_is_refused(value: str, places: list[str]) -> None:
+    assert [problem.location for problem in problems(f"{dump(SESSION)}on_fault: {value}\n")] == places
 
 
 @pytest.mark.parametrize("command", ["./tell 'the operator'", ("./tell", "the operator")])
