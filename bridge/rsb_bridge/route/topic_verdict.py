@@ -63,10 +63,6 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
         Cause.QUEUE_FULL,
         "more waits for the link than there is room for: give its keep more megabytes",
     ),
-    "outage": (
-        Cause.QUEUE_FULL,
-        "more is published than the link carries, for longer than keep: set max_rate, compression: zstd or priority",
-    ),
     "too large": (
         Cause.TOO_LARGE,
         "they are larger than its transport carries",
