@@ -15,6 +15,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.session import Topic
+from rsb_bridge.route.catching_up import LATE
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -67,6 +68,8 @@ class Cut:
 
     def come_back(self, count: int) -> list[int]:
         """Return the numbers of the messages that come as the link is back, once there are so many."""
+        late_at = time.monotonic() + LATE  # younger ones come together
+        eventually(lambda: time.monotonic() > late_at)
         self._relay.refuse(False)
         deadline = time.monotonic() + 60
         while len(self.there.payloads) < self._came + count and time.monotonic() < deadline:  # as a node that spins

@@ -6,7 +6,6 @@ though DDS has acknowledged them. So late messages are published one by one, and
 
 from __future__ import annotations
 
-from itertools import takewhile
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -23,9 +22,11 @@ AT_FIRST, FASTER = 100.0, 50.0
 500 a second one on a busy machine lost 13 of 200 (`bench.outages`, 20 s)."""
 _PAUSE = 1.0  # s without a late message, after which the pace begins again. A round figure
 _ROUNDED = 1e-6
-_LEAST, _LEAST_BUSY = 3.0, 1.5
-"""Seconds of a topic's messages in a second, and while timers are late. They count by the messages' own stamps: on a
-Wi-Fi with a gap of 3 s each 30 s no rate is ever learned, and joint states of 100 Hz were late for 5 s (`bench.robot`).
+_LEAST, _LEAST_BUSY = 2.0, 1.5
+"""Times the topic's rate, and while timers are late. Round figures."""
+_TELLS = 0.5
+"""Seconds of late messages whose stamps tell the topic's rate. On a Wi-Fi with a gap of 3 s each 30 s it is never
+learned, and joint states of 100 Hz were late for 5 s after each (`bench.robot`). In a shorter time it may be a burst's.
 """
 _LATEST = 0.1  # s by which timers may be late. A round figure
 
@@ -71,22 +72,31 @@ class Backlog:
 
 
 class CatchUp:
-    """The pace of one topic. It is never below three times that of its publishers: else it would be late for long."""
+    """The pace of one topic. It is at least twice the topic's rate: else it would be late for long."""
 
     def __init__(self) -> None:
         self._began = self._asked = float("-inf")
-        self._left = self._until = 0.0
+        self._own = self._left = 0.0
+        self._first = self._count = 0  # stamp of the first late message, and how many are published
 
-    def allowed(self, messages: Sequence[Message], now: float) -> int:
-        """Return how many of a topic's late messages, at least one, may be published at `now` (s)."""
+    def allowed(self, messages: Sequence[Message], now: float, own_rate: float) -> int:
+        """Return how many late messages of a topic may be published at `now` (s).
+
+        Args:
+            own_rate: the topic's rate (Hz), or less if it is not known.
+        """
         since, self._asked = now - self._asked, now
         if since > _PAUSE:
-            self._began, since, self._until = now, EVERY, messages[0][1]
+            # Its rate from now on contains what is published late, and would drive itself up.
+            self._began, since, self._own, self._first, self._count = now, EVERY, own_rate, messages[0][1], 0
+        if (seconds := (messages[0][1] - self._first) / 1e9) >= _TELLS:
+            self._own = max(self._own, self._count / seconds)
+        rate = max(AT_FIRST + FASTER * (now - self._began), _LEAST * self._own)
         # Where the machine is busy, timers are late, and nodes take messages more slowly, too. But they have to keep up
-        # with the topic's publishers anyway, or it would be late for ever.
-        self._until += 1e9 * max(_LEAST * min(since, EVERY), _LEAST_BUSY * min(since, _LATEST))
-        self._left = min(self._left, 1.0) + (AT_FIRST + FASTER * (now - self._began)) * min(since, EVERY)
-        by_age = sum(1 for _ in takewhile(lambda message: message[1] < self._until, messages))
-        allowed = min(len(messages), max(by_age, int(self._left + _ROUNDED)))
-        self._left = max(0.0, self._left - allowed)
+        # with the topic's own rate anyway, or it would be late for ever.
+        self._left = min(self._left, 1.0)
+        self._left += max(rate * min(since, EVERY), _LEAST_BUSY * self._own * min(since, _LATEST))
+        allowed = min(len(messages), int(self._left + _ROUNDED))
+        self._left -= allowed
+        self._count += allowed
         return allowed

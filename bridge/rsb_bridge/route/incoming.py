@@ -370,7 +370,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if offset is None or not LATE < (now - messages[0][1]) / 1e9 + offset < OUTLIVE.high or self._must_be_fresh:
             self._publish(messages, now, began)
             return
-        allowed = self._catch_up.allowed(messages, began)
+        allowed = self._catch_up.allowed(messages, began, max(self.meter.rate, self.meter.usual_rate or 0.0))
         self._publish(messages[:allowed], now, began)
         if later := messages[allowed:]:
             self._unpacker.pause(later, EVERY)
