@@ -16,6 +16,7 @@ from rsb_console.notation.formats import KIND_SHORT, PatternRow, Row, rows_of
 from rsb_console.notation.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.notation.topic_column import ADDED
 from rsb_console.widgets.filter import table_title
+from rsb_console.widgets.lines import fit
 from rsb_console.widgets.selectable_list import Column, Order, SortedTable, filled
 
 if TYPE_CHECKING:
@@ -316,28 +317,26 @@ class TopicsTable(SortedTable[Row]):
     def row_line(self, key: str, *, cursor: bool) -> Line:
         row = self.rows[key]
         pieces = [("▌", row.state.value) if cursor else (" ", "")]
-        note, look = self._note(row), "dim" if row.acknowledged is not None else row.state.value
+        note = self._note(row)
         for column, width in self.columns:
             if note and column in _FIGURED:
-                pieces.append((f"{note[: width + 1]:<{width + 1}}", look))
+                pieces.append((f"{note[: width + 1]:<{width + 1}}", _look(STATE, row)))
                 note = note[width + 1 :]
-                continue
-            if column is _AGE and not isinstance(row, PatternRow) and row.last_at is not None:
-                text = column.aligned(formats.age_of(row.last_at, self.now), width)
+            elif column is _AGE and not isinstance(row, PatternRow) and row.last_at is not None:
+                pieces.append((column.aligned(formats.age_of(row.last_at, self.now), width), _look(column, row)))
             else:
-                text = column.cell(row, width)
-            pieces.append((text, _look(column, row)))
+                pieces.append((column.cell(row, width), _look(column, row)))
         return tuple(pieces)
 
     def _note(self, row: Row) -> str:
         """Return what waits for a row's link, or still crosses, or an empty string.
 
-        It stands in place of figures, which say nothing meanwhile.
+        It replaces the figures, which say nothing meanwhile.
         """
         if row.cause != Cause.CATCHING_UP and (row.cause != Cause.LINK_DOWN or row.link not in self._away):
             return ""
         room = sum(width + 1 for column, width in self.columns if column in _FIGURED)
-        return row.reason if len(row.reason) <= room else f"{row.reason[: max(0, room - 1)]}…"
+        return "".join(text for text, _ in fit(((row.reason, ""),), room))
 
     @property
     def columns(self) -> Layout[Row]:
