@@ -34,7 +34,7 @@ THEME_COLORS = (
     "boost",
 )  # fmt: skip
 _THEME_SWITCHES = ("dark", "ansi")
-_DEFAULT_THEME, SIXTEEN_COLORS, SIXTEEN_ON_LIGHT = "dark", "terminal", "terminal-light"
+DEFAULT_THEME, LIGHT_THEME, SIXTEEN_COLORS, SIXTEEN_ON_LIGHT = "dark", "light", "terminal", "terminal-light"
 THEME_VARIABLES = {
     "row-cursor": "#303030",
     "row-cursor-blurred": "#262626",
@@ -167,7 +167,7 @@ def _check_color(key: str, value: Any) -> None:
 def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:
     """Return the name of the theme that suits this terminal: of sixteen colours if the terminal announces no more."""
     many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256color" in environ.get("TERM", "")
-    return _DEFAULT_THEME if many else SIXTEEN_COLORS
+    return DEFAULT_THEME if many else SIXTEEN_COLORS
 
 
 def load_keymap(path: Path) -> dict[str, str]:
@@ -239,6 +239,7 @@ class Preferences:
 
     Attributes:
         theme: the name of the one to begin with.
+        suits_terminal: whether nobody chose it, so it may change once the terminal tells its colours.
         keymap: action ids to the user's keys.
         bell: whether the terminal's bell for new faults is on at the start.
         refresh_rate: one of `REFRESH_RATES`, or None for one that suits the line.
@@ -267,6 +268,7 @@ class Preferences:
             wanted = None
         if problems:
             self.problems.append(("Themes skipped", "\n".join(problems)))
+        self.suits_terminal = wanted is None
         return wanted or default_theme()
 
     def _load_settings(self) -> dict[str, Any]:

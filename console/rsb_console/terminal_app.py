@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from platformdirs import user_log_path
+from rich.console import COLOR_SYSTEMS
 from textual.app import App, ReturnType
 from textual.screen import SystemModalScreen
 
@@ -22,6 +23,8 @@ from rsb_console.actions.action import Action, Group
 from rsb_console.actions.all_actions import ACTIONS, bindings
 from rsb_console.notation.glyphs import STATE_SIGN, AsciiFilter, ControlFilter
 from rsb_console.preferences import (
+    DEFAULT_THEME,
+    LIGHT_THEME,
     REFRESH_RATES,
     SIXTEEN_COLORS,
     SIXTEEN_ON_LIGHT,
@@ -34,6 +37,7 @@ from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
 from rsb_console.terminal.pulse import ASKED_EVERY
+from rsb_console.terminal.terminal_facts import facts_before_answers
 from rsb_console.widgets.lines import LOOK_CLASSES
 
 if TYPE_CHECKING:
@@ -44,6 +48,7 @@ if TYPE_CHECKING:
     from textual.screen import Screen
 
     from rsb_console.preferences import Setting
+    from rsb_console.terminal.terminal_facts import TerminalFacts
 
 T = TypeVar("T")
 _ENDS_WITHIN = 10.0
@@ -76,6 +81,7 @@ class TerminalApp(App[ReturnType]):
         needs_young_keys: something can be driven, armed, resumed or linked again, so that the terminal has to prove how
             young its keys are.
         terminal: file descriptor of the terminal.
+        facts: what the terminal can show, as far as it is known.
     """
 
     TITLE = "rsb-console"
@@ -101,6 +107,7 @@ class TerminalApp(App[ReturnType]):
         self._readonly = readonly
         self.ascii_only = ascii_only
         self.config = config_path() if config is None else config
+        self.facts = facts_before_answers(os.environ, self.terminal)
         self.preferences = Preferences(self.config, theme)
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, dialogs)
@@ -229,18 +236,22 @@ class TerminalApp(App[ReturnType]):
     def action_palette(self) -> None:
         self.action_command_palette()
 
-    @property
-    def theme_suits_background(self) -> bool:
-        """Whether the first theme depends on the terminal's background."""
-        return self.preferences.theme == SIXTEEN_COLORS
-
-    def suit_background(self, light: bool) -> None:
-        """Take the terminal's answer about its background."""
-        if light and self.theme == SIXTEEN_COLORS:
+    def suit_terminal(self, facts: TerminalFacts) -> None:
+        """Take what the terminal has told of itself: draw with its colours, in a theme for them."""
+        had, self.facts = self.facts.colours, facts
+        if facts.colours > had and self.console.color_system is not None:
+            # rich finds out the colours once, by TERM. It has no public way to be told.
+            vars(self.console)["_color_system"] = COLOR_SYSTEMS[facts.colour_system]
+            self.refresh_css(animate=False)
+        few, many = (SIXTEEN_COLORS, SIXTEEN_ON_LIGHT), (DEFAULT_THEME, LIGHT_THEME)
+        if self.preferences.suits_terminal and self.theme in (*few, *many):
+            self.theme = (many if facts.colours > 16 else few)[bool(facts.light)]
+        elif self.theme == SIXTEEN_COLORS and facts.light:
             self.theme = SIXTEEN_ON_LIGHT
 
     def action_theme(self) -> None:
         names = sorted(self.available_themes)
+        self.preferences.suits_terminal = False
         self.theme = names[(names.index(self.theme) + 1) % len(names)]
         self.remember("theme", self.theme)
         self.notify(f"theme: {self.theme}", timeout=2)

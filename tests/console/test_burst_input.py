@@ -232,9 +232,9 @@ def test_an_answer_among_keys_loses_none(size: int) -> None:
         for event in parser.feed(typed[at : at + size])
         if isinstance(event, Key)
     ]
-    answers = [event.character for event in found if event.key == "<terminal-background>"]
+    answers = [event.character for event in found if event.key == "<terminal-fact>"]
     assert answers == ["]11;rgb:ffff/ffff/ffff\x07", "]11;rgb:0000/0000/0000\x1b\\"]
-    keys = [event.key for event in found if event.key != "<terminal-background>"]
+    keys = [event.key for event in found if event.key != "<terminal-fact>"]
     assert keys == ["a", "b", "c", "d", "escape", "right_square_bracket", "e"]
 
 

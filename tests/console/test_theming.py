@@ -12,7 +12,7 @@ from textual.pilot import Pilot
 from rsb_console import preferences
 from rsb_console.app import ConsoleApp
 from rsb_console.preferences import PreferenceProblem, ThemeProblem
-from rsb_console.terminal import background
+from rsb_console.terminal.terminal_facts import TerminalFacts
 from rsb_console.widgets import topics
 
 SHIPPED, PROBLEMS = preferences.load_themes(preferences.shipped_themes())
@@ -140,29 +140,14 @@ def test_a_light_background_has_no_yellow_or_cyan() -> None:
     assert not [color for color in used if color is not None and ("yellow" in color or "cyan" in color)]
 
 
-@pytest.mark.parametrize(
-    ("answer", "light"),
-    [
-        ("]11;rgb:ffff/ffff/ffff\x07", True),
-        ("]11;rgb:ff/fd/d0\x1b\\", True),
-        ("]11;rgba:0000/0000/0000/ffff\x1b\\", False),
-        ("]11;rgb:1c1c/1c1c/ffff\x07", False),
-        ("]11;rgb:ffff/ffff/ffff", None),
-        ("]10;rgb:ffff/ffff/ffff\x07", None),
-    ],
-)
-def test_an_answer_tells_whether_the_background_is_light(answer: str, light: bool | None) -> None:
-    assert background.is_light(answer) is light
-
-
 @on_main(theme="terminal")
 async def test_the_terminal_theme_suits_a_light_background(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    app.suit_background(False)
+    app.suit_terminal(TerminalFacts(light=False, colours=16))
     assert app.theme == "terminal"
-    app.suit_background(True)
+    app.suit_terminal(TerminalFacts(light=True, colours=16))
     assert app.theme == "terminal-light"
     app.theme = "dark"
-    app.suit_background(True)
+    app.suit_terminal(TerminalFacts(light=True, colours=16))
     assert app.theme == "dark"
 
 

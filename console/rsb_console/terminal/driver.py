@@ -22,7 +22,7 @@ from textual.drivers import linux_driver
 from textual.drivers.linux_driver import LinuxDriver
 from textual.screen import Screen
 
-from rsb_console.terminal import background
+from rsb_console.terminal import terminal_facts
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse, without_answers
 
 if TYPE_CHECKING:
@@ -33,10 +33,13 @@ if TYPE_CHECKING:
     from textual.app import App
     from textual.message import Message
 
+    from rsb_console.terminal.terminal_facts import TerminalFacts
+
 _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
 _KEEP_TITLE, _GIVE_TITLE_BACK = "\x1b[22;0t", "\x1b[23;0t"
-_KIND, _BACKGROUND = "<terminal-kind>", "<terminal-background>"
+_KIND, _FACT = "<terminal-kind>", "<terminal-fact>"
+_BEGINS_ANSWER = "][P_"  # after an Escape
 _ANSWER_WITHIN = 0.5
 """s in which an answer has to come whole. A round figure: Escape and ] wait for so long if no key follows."""
 # Textual 8 ends on bytes that are not UTF-8, such as the legacy mouse reports that tmux sends (its issue 6668).
@@ -45,7 +48,7 @@ vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
 
 
 class KeyParser(XTermParser):
-    """Reads Escape and another key that arrive together as those two keys, and the answer about the background.
+    """Reads Escape and another key that arrive together as those two keys, and what the terminal says of itself.
 
     Textual reads the two as Alt with the key, which means nothing to the console; of two Escapes it makes ``^``, and of
     an answer that it does not know keys.
@@ -67,7 +70,7 @@ class KeyParser(XTermParser):
         if not data:
             yield from super().feed(data)
         for char in data:
-            if self._answer or (self._after_escape and self._waits and char == "]"):
+            if self._answer or (self._after_escape and self._waits and char in _BEGINS_ANSWER):
                 yield from self._feed_answer(char)
             else:
                 yield from self._feed_key(char)
@@ -97,13 +100,13 @@ class KeyParser(XTermParser):
             self._timeout_time = None
             self._answer_due = time.monotonic() + _ANSWER_WITHIN
         self._answer += char
-        if background.is_light(self._answer) is not None:
+        if terminal_facts.is_answer(self._answer):
             self._end_escape()
             self._tokens.clear()  # its Escape is none
             self._after_escape = False
             answer, self._answer = self._answer, ""
-            yield events.Key(_BACKGROUND, answer)
-        elif not background.may_become_answer(self._answer):
+            yield events.Key(_FACT, answer)
+        elif not terminal_facts.may_become_answer(self._answer):
             yield from self._end_answer()
 
     def _end_answer(self) -> Iterator[Message]:
@@ -221,10 +224,10 @@ class ConsoleDriver(LinuxDriver):
         self._unwatched = threading.Event()
         self._continuing = False
         self._asks = False
-        self._suit_background: Callable[[bool], None] = app.suit_background
+        self._suit_terminal: Callable[[TerminalFacts], None] = app.suit_terminal
+        self._facts: TerminalFacts = app.facts
         self._title = ""
-        self._has_title = background.can_be_asked(os.environ)
-        self._asks_background = app.theme_suits_background and background.can_be_asked(os.environ)
+        self._has_title = terminal_facts.can_be_asked(os.environ)
         self.pulse = Pulse(os.environ)
 
     def _get_terminal_size(self) -> tuple[int, int]:
@@ -260,9 +263,8 @@ class ConsoleDriver(LinuxDriver):
             self.entitle(title)
         self._asks = True
         self.write(WHO_ARE_YOU)
-        if self._asks_background:
-            self._asks_background = False
-            self.write(background.QUESTION)
+        if self._has_title:
+            self.write(terminal_facts.BACKGROUND)
         self.ask()  # last: the end waits for this answer, after which no other one comes
 
     def stop_application_mode(self) -> None:
@@ -288,17 +290,33 @@ class ConsoleDriver(LinuxDriver):
             case events.CursorPosition():
                 self.pulse.answered(message.y + 1, message.x + 1)
                 return
-            case events.Key(key=key, character=answer) if key == _BACKGROUND:
-                # On the app's thread, as this one reads the keys.
-                self._app.call_later(self._suit_background, background.is_light(answer or ""))
+            case events.Key(key=key, character=answer) if key == _FACT:
+                self._take_facts(self._facts.told(answer or ""))
                 return
             case events.Key(key=key) if key == _KIND:
-                self.pulse.is_kind(KIND.fullmatch(message.character or "")["kind"])  # type: ignore[index]
+                self._take_kind(KIND.fullmatch(message.character or "")["kind"])  # type: ignore[index]
                 return
             case events.Paste():
                 message.text = without_answers(message.text)
         self.pulse.stamp(message)
         super().process_message(message)
+
+    def _take_kind(self, kind: str) -> None:
+        """Take the kind of the terminal, and ask one that will not show the questions for the rest."""
+        self.pulse.is_kind(kind)
+        is_first = not self._facts.kind
+        self._take_facts(self._facts.of_kind(kind))
+        if is_first and self._has_title and self._facts.can_be_asked_more:
+            self._app.call_later(self._ask_more)
+
+    def _ask_more(self) -> None:
+        self.write(terminal_facts.QUESTIONS)
+        self.ask()  # after the answer to this one, none comes
+
+    def _take_facts(self, facts: TerminalFacts) -> None:
+        if facts != self._facts:
+            self._facts = facts
+            self._app.call_later(self._suit_terminal, facts)  # on the app's thread, as this one reads the keys
 
     def disable_input(self) -> None:
         """Read no more keys, but wait for the last answer, which the shell would take for keys."""
