@@ -39,6 +39,8 @@ BRINGS_ACTIONS: Mapping[str, str] = {
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""
+BRINGS_SETTINGS: Mapping[str, str] = {}
+"""The same of settings in ``console.yaml``."""
 
 T = TypeVar("T")
 _logger = logging.getLogger(__name__)
@@ -279,6 +281,10 @@ class Feature:
 
     def actions(self) -> Iterable[Any]:
         """Return actions with their keys, each a `rsb_console.actions.action.Action` with `run`."""
+        return ()
+
+    def console_settings(self) -> Iterable[Any]:
+        """Return settings of ``console.yaml``, each a `rsb_console.notation.console_setting.ConsoleSetting`."""
         return ()
 
     def message_views(self) -> Iterable[Any]:

@@ -19,13 +19,15 @@ from textual.color import Color, ColorParseError
 from textual.theme import Theme
 
 from rsb_bridge.config.files import is_there, replace_file, why_not_written
-from rsb_bridge.feature import BRINGS_ACTIONS
+from rsb_bridge.feature import BRINGS_ACTIONS, BRINGS_SETTINGS
+from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.all_actions import screens
+from rsb_console.notation.console_setting import feature_settings
 from rsb_console.notation.topic_column import ADDED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from rsb_console.actions.action import Action
 
@@ -66,6 +68,7 @@ TOPIC_COLUMNS = {
     **{column.title: column.shows for column in ADDED},
 }
 """Columns of the topics that an operator may leave out, and what they show; state and topic stay."""
+OWN_SETTINGS = ("bell", "columns", "refresh_rate", "theme")
 _SETTING = r"^{name}\s*:[^#\n]*?(?P<comment>\s*#.*)?$"
 
 
@@ -85,13 +88,14 @@ class PreferenceProblem(Wording):
 
     NO_KEYMAP = "{path}: must map action ids to keys, like 'pause: P'"
     UNKNOWN_ACTIONS = "{path}: no action is named {actions}; the help (?) lists them"
-    OF_FEATURE = "{path}: this installation has no {feature}: install all of rsb-console, or leave {action} out"
+    OF_FEATURE = "{path}: this installation has no {feature}: install all of rsb-console, or leave {name} out"
     SHARED_KEY = "{path}: {key!r} is the key of both {one} and {other}; change one of them"
     NO_SETTINGS = "{path}: must map names to values, like 'bell: true'"
-    UNKNOWN_SETTINGS = "{path}: {names}: no setting; there are bell, columns, refresh_rate and theme"
+    UNKNOWN_SETTINGS = "{path}: {names}: no setting; there are {known}"
     NO_BELL = "{path}: bell: give true or false"
     NO_RATE = "{path}: refresh_rate: give one of {rates}"
     NO_COLUMNS = "{path}: columns: give a list of {columns}"
+    BY_FEATURE = "{path}: {mistake}"
     LAYOUT = "{path}: its layout cannot be changed here: write {line} into it"
     UNKNOWN_THEME = "no theme is named {theme!r}; choose one of {themes}"
 
@@ -184,7 +188,7 @@ def load_keymap(path: Path) -> dict[str, str]:
     unknown = sorted(set(keymap) - {action.id for actions in screens() for action in actions})
     if absent := next((action for action in unknown if action in BRINGS_ACTIONS), ""):
         feature = BRINGS_ACTIONS[absent]
-        raise PreferenceError(PreferenceProblem.OF_FEATURE(path=path, feature=feature, action=absent))
+        raise PreferenceError(PreferenceProblem.OF_FEATURE(path=path, feature=feature, name=absent))
     if unknown:
         raise PreferenceError(PreferenceProblem.UNKNOWN_ACTIONS(path=path, actions=", ".join(unknown)))
     # Each by itself: two screens are never in one app, and share keys such as space.
@@ -214,8 +218,13 @@ def _settings_problem(path: Path, settings: object) -> str:
     """Return the first mistake in the settings, or an empty string."""
     if not isinstance(settings, dict):
         return PreferenceProblem.NO_SETTINGS(path=path)
-    if unknown := [str(name) for name in settings if name not in ("bell", "columns", "refresh_rate", "theme")]:
-        return PreferenceProblem.UNKNOWN_SETTINGS(path=path, names=", ".join(unknown))
+    known = sorted({*OWN_SETTINGS, *feature_settings()})
+    unknown = [str(name) for name in settings if name not in known]
+    if absent := next((name for name in unknown if name in BRINGS_SETTINGS), ""):
+        return PreferenceProblem.OF_FEATURE(path=path, feature=BRINGS_SETTINGS[absent], name=absent)
+    if unknown:
+        listed = join_first(known, len(known))
+        return PreferenceProblem.UNKNOWN_SETTINGS(path=path, names=", ".join(unknown), known=listed)
     if not isinstance(settings.get("bell", False), bool):
         return PreferenceProblem.NO_BELL(path=path)
     if settings.get("refresh_rate", REFRESH_RATES[0]) not in REFRESH_RATES:
@@ -223,7 +232,16 @@ def _settings_problem(path: Path, settings: object) -> str:
     columns = settings.get("columns", [])
     if not isinstance(columns, list) or any(column not in TOPIC_COLUMNS for column in columns):
         return PreferenceProblem.NO_COLUMNS(path=path, columns=", ".join(TOPIC_COLUMNS))
+    try:
+        _of_features(settings)
+    except ValueError as error:
+        return PreferenceProblem.BY_FEATURE(path=path, mistake=error)
     return ""
+
+
+def _of_features(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of the features' settings, or raise ValueError with the first mistake."""
+    return {name: setting.read(settings[name]) for name, setting in feature_settings().items() if name in settings}
 
 
 def split_keys(keys: str) -> Iterable[str]:
@@ -244,6 +262,7 @@ class Preferences:
         bell: whether the terminal's bell for new faults is on at the start.
         refresh_rate: one of `REFRESH_RATES`, or None for one that suits the line.
         columns: some of `TOPIC_COLUMNS`, or None for all that fit.
+        features: values of the features' settings that the user has written, by name; `ConsoleSetting.of` reads them.
         problems: titles and texts of mistakes.
     """
 
@@ -254,6 +273,7 @@ class Preferences:
         self.bell: bool = settings.get("bell", False)
         self.refresh_rate: float | None = settings.get("refresh_rate")
         self.columns: frozenset[str] | None = frozenset(settings["columns"]) if "columns" in settings else None
+        self.features: Mapping[str, Any] = _of_features(settings)
         self.theme = self._load_themes(config, settings.get("theme") if theme is None else theme)
         try:
             self.keymap = load_keymap(config / "keys.yaml")

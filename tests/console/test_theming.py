@@ -11,6 +11,7 @@ from textual.pilot import Pilot
 
 from rsb_console import preferences
 from rsb_console.app import ConsoleApp
+from rsb_console.notation.console_setting import ConsoleSetting
 from rsb_console.preferences import PreferenceProblem, ThemeProblem
 from rsb_console.terminal.terminal_facts import TerminalFacts
 from rsb_console.widgets import topics
@@ -196,6 +197,48 @@ def test_a_mistake_in_the_settings_is_named(
     (tmp_path / "console.yaml").write_text(text)
     ((_, reported),) = preferences.Preferences(tmp_path, None).problems
     assert says(reported, problem, **parameters)
+
+
+def read_tiles(given: object) -> tuple[str, ...]:
+    if not isinstance(given, list):
+        raise ValueError("tiles: give a list")  # noqa: TRY004 -- as the door says
+    return tuple(map(str, given))
+
+
+TILES = ConsoleSetting[tuple[str, ...]]("tiles", (), read_tiles)
+
+
+@pytest.fixture
+def tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A feature has the setting `TILES`."""
+    monkeypatch.setattr(preferences, "feature_settings", lambda: {TILES.name: TILES})
+
+
+@pytest.mark.usefixtures("tiles")
+def test_setting_of_a_feature_is_read_and_kept(tmp_path: Path) -> None:
+    file = tmp_path / "console.yaml"
+    file.write_text("tiles: [map, scan]\n")
+    preferences.Preferences(tmp_path, None).remember("bell", True)
+    kept = preferences.Preferences(tmp_path, None)
+    assert (TILES.of(kept), kept.bell, kept.problems) == (("map", "scan"), True, [])
+    file.unlink()
+    assert TILES.of(preferences.Preferences(tmp_path, None)) == ()
+
+
+@pytest.mark.usefixtures("tiles")
+def test_mistake_in_feature_setting_has_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "console.yaml"
+    file.write_text("bell: true\ntiles: map\n")
+    found = preferences.Preferences(tmp_path, None)
+    assert [text for _, text in found.problems] == [f"{file}: tiles: give a list"]
+    assert (TILES.of(found), found.bell) == ((), False)
+
+
+@pytest.mark.usefixtures("tiles")
+def test_unknown_setting_lists_those_of_features(tmp_path: Path) -> None:
+    (tmp_path / "console.yaml").write_text("tile: []")
+    ((_, reported),) = preferences.Preferences(tmp_path, None).problems
+    assert says(reported, PreferenceProblem.UNKNOWN_SETTINGS, known="bell, columns, refresh_rate, theme and tiles")
 
 
 def chosen_columns() -> dict[str, object]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, BRINGS_TRANSPORTS, installed
+from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, BRINGS_SETTINGS, BRINGS_TRANSPORTS, installed
 from rsb_console.actions.all_actions import OF_CORE
 
 ROOT = Path(__file__).parents[2]
@@ -60,6 +60,16 @@ def test_the_core_knows_which_feature_brings_which_action() -> None:
         if action.id not in of_core
     }
     assert brought == BRINGS_ACTIONS
+
+
+@pytest.mark.skipif(not FOLDERS, reason="the core alone")
+def test_the_core_knows_which_feature_brings_which_setting() -> None:
+    found = {
+        setting.name: name
+        for name in FOLDERS
+        for setting in importlib.import_module(f"rsb_extras.{name}").FEATURE.console_settings()
+    }
+    assert found == BRINGS_SETTINGS
 
 
 def test_action_of_missing_feature_names_it(tmp_path: Path) -> None:

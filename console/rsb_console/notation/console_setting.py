@@ -1,0 +1,40 @@
+"""Settings of ``console.yaml`` that features add."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from rsb_bridge.feature import installed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class ConsoleSetting(Generic[T]):
+    """A setting that the user writes into ``console.yaml``.
+
+    Attributes:
+        default: without the setting.
+        read: makes the value of what YAML gave, or raises ValueError with a reason that begins with the place of the
+            mistake: ``commands.x.run: give a text``.
+    """
+
+    name: str
+    default: T
+    read: Callable[[object], T]
+
+    def of(self, preferences: Any) -> T:
+        """Return the setting's value in the `rsb_console.preferences.Preferences`."""
+        value: T = preferences.features.get(self.name, self.default)
+        return value
+
+
+@cache
+def feature_settings() -> Mapping[str, ConsoleSetting[Any]]:
+    """Return the features' settings by name."""
+    return {setting.name: setting for feature in installed() for setting in feature.console_settings()}
