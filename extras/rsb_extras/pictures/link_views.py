@@ -189,7 +189,13 @@ class LinkViews(Extension):
         await self._internal.opened(route, look.route)  # the peer may have found it open before this side does
         if (source := self._internal.source(route)) is None:
             raise LinkError(ViewRefused.NO_VIEW())
-        view = TopicView(self._context, look.topics, wish, partial(_send, self._context, source))
+        view = TopicView(
+            self._context,
+            look.topics,
+            wish,
+            partial(_send, self._context, source),
+            may_look=lambda topic: not self._refusal((topic,), route),
+        )
         await view.check()
         if self._link.ids.open_route(look.route) is not route:  # it was closed while the graph was asked
             view.close()

@@ -38,6 +38,7 @@ from rsb_console.command.target import UsageError, attached, done, failed, other
 from rsb_console.notation import formats
 from rsb_console.notation.glyphs import to_ascii
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
+from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS, Picture, Pixels, Wish, in_full
 from rsb_extras.pictures.picture_files import FORMATS, picture_file, png
 from rsb_extras.pictures.picture_rows import COLOURS, UnreadableError, picture_rows, reads_webp, rgb_of
@@ -58,10 +59,12 @@ _SETTLE_SECONDS = 2.0
 """s after the first picture of several topics. A round figure: a rare transform may still be missing then."""
 _STYLES = {
     "dim": "bright_black", "strong": "bold", "axis": "bright_black", "ok": "green", "warning": "yellow",
-    "error": "bold red", "robot": "bold bright_cyan", "path": "cyan", "scan": "magenta", "occupied": "",
-    "free": "bright_black", "goal": "bold bright_yellow",
+    "error": "bold red", "robot": "bold bright_cyan", "path": "cyan", "scan": "bright_magenta", "curve": "magenta",
+    "occupied": "", "free": "bright_black", "goal": "bold bright_yellow", "lethal": "red",
 }  # fmt: skip
 """The styles of pictures on a terminal, without a theme."""
+_INK = "#d0d0d0"
+_PAPER = Paper.of("#121212", _INK)
 _HOME, _CLEAR_REST, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
 _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 _DETAIL = 6
@@ -328,10 +331,17 @@ def _encoded(console: Console, row: Row, *, ascii_only: bool) -> str:
         if system is None:
             parts.append(shown)
             continue
-        fore = _STYLES.get(style, style)
-        look = Style.parse(f"{fore} on {background}" if background else fore or "none")
-        parts.append(look.render(shown, color_system=system))
+        parts.append(Style.parse(_look(style, background)).render(shown, color_system=system))
     return "".join(parts)
+
+
+def _look(style: str, background: str) -> str:
+    """Return rich's words for the style of a part."""
+    fore = _PAPER.colour(style[1:]) or _PAPER.own if style.startswith("@") else _STYLES.get(style, style)
+    if background.startswith("@"):  # a map's ground, on which the terminal's own foreground may be unreadable
+        background = _PAPER.colour(background[1:]) or _PAPER.own
+        fore = fore or _INK
+    return f"{fore} on {background}" if background else fore or "none"
 
 
 def _status(viewed: Viewed) -> str:

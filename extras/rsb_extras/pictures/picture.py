@@ -34,7 +34,7 @@ MOST_VALUE = 1e300
 _Value: TypeAlias = Annotated[float, Meta(ge=-MOST_VALUE, le=MOST_VALUE)]
 _Place: TypeAlias = Annotated[float, Meta(ge=-1e100, le=1e100)]
 _Step: TypeAlias = Annotated[float, Meta(ge=1e-12, le=1e100)]
-_Style: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A(|[a-z]+|#[0-9a-fA-F]{6})\Z")]
+_Style: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A(|@?[a-z]+|@?#[0-9a-fA-F]{6})\Z")]
 
 
 class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -122,17 +122,23 @@ class Cells(msgspec.Struct, frozen=True, omit_defaults=True, tag="cells"):
     Attributes:
         rows: of the text. Each character takes one cell; rows may be shorter than the picture is wide.
         styles: for each character of each row, one after the other, the index of its style in `palette`.
-        palette: names of styles (`STYLES`), or colours as ``#rrggbb``.
+        palette: names of styles (`STYLES`), or colours as ``#rrggbb``. Behind a character they are tints, which a
+            viewer mixes with its own background; ``@`` before one gives a character itself the colour of that tint.
         scale: the place of the cells in the world, if they are a map.
+        backgrounds: for each character, as in `styles`, the index of the tint behind it, or empty for none at all.
     """
 
     rows: Annotated[tuple[Annotated[str, Meta(max_length=MOST_COLUMNS)], ...], Meta(max_length=MOST_ROWS)]
     styles: bytes = b""
     palette: Annotated[tuple[_Style, ...], Meta(max_length=256)] = ()
     scale: Scale | None = None
+    backgrounds: bytes = b""
 
 
-STYLES = ("", "dim", "strong", "axis", "ok", "warning", "error", "robot", "path", "scan", "occupied", "free", "goal")
+STYLES = (
+    "", "dim", "strong", "axis", "ok", "warning", "error", "robot", "path", "scan", "occupied", "free", "goal",
+    "unknown", "lethal",
+)  # fmt: skip
 """Styles of `Cells` that a viewer's theme colours."""
 
 
@@ -247,11 +253,13 @@ def check_picture(picture: Picture) -> Picture:
         if content.coding == "rgb" and len(content.data) != 3 * content.width * content.height:
             raise PictureError("an image has not as many bytes as its size says")
     elif isinstance(content, Cells):
-        if len(content.styles) not in (0, sum(map(len, content.rows))):
-            raise PictureError("not each character has a style")
-        if max(content.styles, default=0) >= max(1, len(content.palette)):  # 0 needs no palette
-            raise PictureError("a character has a style that is not in the palette")
-        if not all(style in STYLES or style.startswith("#") for style in content.palette):
+        characters = sum(map(len, content.rows))
+        for indices in (content.styles, content.backgrounds):
+            if len(indices) not in (0, characters):
+                raise PictureError("not each character has a style")
+            if max(indices, default=0) >= max(1, len(content.palette)):  # 0 needs no palette
+                raise PictureError("a character has a style that is not in the palette")
+        if not all((name := style.removeprefix("@")) in STYLES or name.startswith("#") for style in content.palette):
             raise PictureError("the palette has a style that is none")
         if content.scale is not None and min(content.scale.column, content.scale.row) <= 0:
             raise PictureError("a map's cells have no size")

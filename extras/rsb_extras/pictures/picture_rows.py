@@ -23,7 +23,9 @@ _BAYER = ((0, 8, 2, 10), (12, 4, 14, 6), (3, 11, 1, 9), (15, 7, 13, 5))
 """Thresholds of ordered dithering, in sixteenths of a step: unlike diffused errors they do not flicker from picture to
 picture."""
 _SIDE = len(_BAYER)
-_CURVE_STYLES = ("scan", "path", "goal", "ok", "warning", "error", "robot", "strong")
+_COST = "·"
+"""A cell with a cost, on a terminal without colours."""
+_CURVE_STYLES = ("curve", "path", "goal", "ok", "warning", "error", "robot", "strong")
 _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE = 0x2800
 _DOTS_ACROSS, _DOTS_DOWN = 2, 4
@@ -47,8 +49,9 @@ class Part(NamedTuple):
     """Some cells of one row.
 
     Attributes:
-        style: a style of `rsb_extras.pictures.picture.STYLES`, or the characters' colour as ``#rrggbb``.
-        background: a colour as ``#rrggbb``, or an empty string for the terminal's own.
+        style: a style of `rsb_extras.pictures.picture.STYLES`, or the characters' colour as ``#rrggbb``; after an ``@``
+            a tint (`rsb_extras.pictures.paper`).
+        background: a colour as ``#rrggbb``, or after an ``@`` a tint, or an empty string for the terminal's own.
     """
 
     text: str
@@ -82,7 +85,7 @@ def picture_rows(
         return _dithered(content) if colours else _brightness(content)
     if isinstance(content, Series):
         return _plot(content, width, height, cursor)
-    return _cells(content)
+    return _cells(content, colours)
 
 
 def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) -> list[Row]:
@@ -99,6 +102,8 @@ def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) ->
     after: list[Part] = []
     at = 0
     for each in rows[row]:
+        if at <= column < at + len(each.text) and each.background.startswith("@"):
+            part = part._replace(background=each.background)  # the ground of a map goes on below the mark
         before.append(each._replace(text=each.text[: max(0, column - at)]))
         after.append(each._replace(text=each.text[max(0, column + 1 - at) :]))
         at += len(each.text)
@@ -190,20 +195,38 @@ def _brightness(pixels: Pixels) -> list[Row]:
     return rows
 
 
-def _cells(cells: Cells) -> list[Row]:
+def _cells(cells: Cells, colours: int) -> list[Row]:
     rows: list[Row] = []
     at = 0
+    palette = cells.palette or ("",)
+    tints = [f"@{tint}" if _is_shown(tint := style.removeprefix("@"), colours) else "" for style in palette]
     for text in cells.rows:
         styles = cells.styles[at : at + len(text)] or bytes(len(text))
+        backgrounds = cells.backgrounds[at : at + len(text)] or bytes(len(text))
         at += len(text)
         parts: list[Part] = []
         begin = 0
-        for style, same in groupby(styles):
-            count = len([*same])
-            parts.append(Part(text[begin : begin + count], cells.palette[style] if cells.palette else ""))
-            begin += count
+        for (style, background), same in groupby(zip(styles, backgrounds, strict=True)):
+            end = begin + len([*same])
+            name, tint = palette[style], tints[background] if cells.backgrounds else ""
+            shown = text[begin:end]
+            begin = end
+            if name.startswith("@") and not tints[style]:
+                shown, name = " " * len(shown), ""  # half of a cell in a colour that this terminal lacks
+            elif name == "free" and tint:
+                shown, name = " " * len(shown), ""  # the dots say what the colour says
+            elif not colours and cells.backgrounds and not shown.strip() and palette[background].startswith("#"):
+                shown = _COST * len(shown)
+            if parts and parts[-1][1:] == (name, tint):
+                shown = parts.pop().text + shown
+            parts.append(Part(shown, name, tint))
         rows.append(tuple(parts))
     return rows
+
+
+def _is_shown(tint: str, colours: int) -> bool:
+    """Whether a terminal has colours for a tint; 16 are too few for those between background and foreground."""
+    return tint != "" and (colours > _FEW or (colours == _FEW and tint.startswith("#")))
 
 
 def _plot(series: Series, width: int, height: int, cursor: int | None) -> list[Row]:

@@ -36,6 +36,7 @@ from rsb_extras.pictures.drawing import VIEWS, is_layer, is_map
 from rsb_extras.pictures.goal_on_map import POSE, Goal
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.look_screen import LookScreen, Subject
+from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import (
     MOST_COLUMNS,
     MOST_RATE,
@@ -69,7 +70,7 @@ _ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
 _WAYS = ("", "plot", "tree")
 _LOOKS = {
     "dim": "dim", "strong": "strong", "axis": "dim", "ok": "ok", "warning": "stale", "error": "down",
-    "robot": "ok", "path": "key", "scan": "plot", "free": "dim", "goal": "stale",
+    "robot": "ok", "path": "key", "curve": "plot", "free": "dim", "goal": "stale", "lethal": "down",
 }  # fmt: skip
 """The theme's look of each style of a picture."""
 _KEYS = ("space hold", "t text", "+- zoom", "p file", "h how", "<> rate", "←→↑↓")
@@ -180,17 +181,29 @@ class PicturePane(Widget, can_focus=True):
             strip = self._strips[y] = strip.adjust_cell_length(self.size.width, self.visual_style.rich_style)
         return strip
 
+    @property
+    def _paper(self) -> Paper:
+        own = self.visual_style
+        assert own.background is not None
+        assert own.foreground is not None
+        return Paper(own.background.rgb, own.foreground.rgb)
+
     def _style(self, name: str, background: str) -> Style:
-        style = self._styles.get((name, background))
+        key = name, background
+        style = self._styles.get(key)
         if style is None:
             if len(self._styles) > 20_000:  # each pixel of an image may have colours of its own
                 self._styles.clear()
             style = self.visual_style.rich_style
-            if name.startswith("#"):
-                style += Style(color=name, bgcolor=background or None)
-            elif (look := _LOOKS.get(name)) is not None:
+            if not background or background.startswith("@"):  # a character's colour, not an image's
+                name, background = self._paper.ink(name) or name, self._paper.colour(background[1:])
+            if name.startswith("@"):
+                name = self._paper.colour(name[1:]) or self._paper.own
+            if background or name.startswith("#"):
+                style += Style(color=name if name.startswith("#") else None, bgcolor=background or None)
+            if (look := _LOOKS.get(name)) is not None:
                 style += self.app.get_component_styles(LOOK_CLASSES[look]).partial_rich_style
-            self._styles[name, background] = style
+            self._styles[key] = style
         return style
 
 
