@@ -26,7 +26,7 @@ from rsb_extras.pictures.picture import Cells
 
 if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Message, Value
-    from rsb_extras.pictures.picture import Pixels, Scale, Series, Wish
+    from rsb_extras.pictures.picture import FieldNumber, Pixels, Scale, Series, Wish
 
 _GROUP = "rsb_console.views"
 _PLOTTED = {
@@ -51,6 +51,7 @@ VIEWS: dict[str, str] = {
     **{f"{package}/msg/{name}": "plots:PlotView" for package, names in _PLOTTED.items() for name in names},
     "plot": "plots:PlotView",
     "tree": "lists:FieldsView",
+    "fields": "plots:NumbersView",
     **dict.fromkeys(_MAPPED, "map_view:MapView"),
     "map": "map_view:MapView",
     "tf2_msgs/msg/TFMessage": "lists:TfTree",
@@ -98,11 +99,13 @@ class Drawn:
     Attributes:
         content: the picture, or None before the first message, or with a problem.
         problem: the reason why it is missing or incomplete, and what to do.
+        numbers: `rsb_extras.pictures.picture.Picture.numbers`.
     """
 
     content: Pixels | Cells | Series | None = None
     notes: tuple[str, ...] = ()
     problem: str = ""
+    numbers: tuple[FieldNumber, ...] = ()
 
 
 class UndrawableError(Exception):

@@ -29,6 +29,8 @@ PICTURE_LIMIT = 1 << 20
 _TEXT = 255
 _Text: TypeAlias = Annotated[str, Meta(max_length=_TEXT, pattern=rf"\A[^{UNPRINTABLE}]*\Z")]
 _Number: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
+MOST_NUMBERS = 1000
+"""Numbers of which a viewer chooses some to plot."""
 MOST_VALUE = 1e300
 """Largest value of a plot: differences and sums stay finite."""
 _Value: TypeAlias = Annotated[float, Meta(ge=-MOST_VALUE, le=MOST_VALUE)]
@@ -45,8 +47,9 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
         height: cells of the picture's area.
         rate: Hz of pictures, at most.
         how: kind of picture, or an empty string for the usual one of the type: ``plot`` draws numbers over time,
-            ``tree`` shows all fields.
-        fields: paths of the numbers to plot (``pose.position.x``, ``ranges[3]``), or none for the first few.
+            ``tree`` shows all fields, ``fields`` lists the numbers to plot (`Picture.numbers`).
+        fields: paths of the numbers to plot (``pose.position.x``, ``ranges[3]``), with the topic before them if there
+            are several (``/odom:pose.position.x``, `field_of`), or none for the usual ones.
         zoom: factor; above 1 shows less, larger.
         x: shift of the view to the right, in parts of its width.
         y: shift of the view upwards, in parts of its height.
@@ -81,6 +84,17 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
 def in_full(wish: Wish) -> Wish:
     """Return a wish for an image in its own resolution, up to `LONGEST_SIDE`, if the viewer reads WebP."""
     return msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS, detail=MOST_DETAIL)
+
+
+def field_of(topic: str, path: str) -> str:
+    """Return the path of a number of one of several topics, as in `Wish.fields`."""
+    return f"{topic}:{path}"
+
+
+def split_field(field: str) -> tuple[str, str]:
+    """Return the topic of a path in `Wish.fields`, or an empty string, and the path in its messages."""
+    topic, colon, path = field.partition(":")
+    return (topic, path) if colon and topic.startswith("/") else ("", field)
 
 
 class Pixels(msgspec.Struct, frozen=True, omit_defaults=True, tag="pixels"):
@@ -173,6 +187,19 @@ class Curve(msgspec.Struct, frozen=True, omit_defaults=True):
     mean: _Value | None = None
 
 
+class FieldNumber(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A number that can be plotted.
+
+    Attributes:
+        path: in the topic's messages.
+        value: newest one, or None if that is no number (NaN) or infinite.
+    """
+
+    topic: _Text
+    path: _Text
+    value: _Value | None = None
+
+
 class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     """A picture of messages, or the reason why it is missing.
 
@@ -186,6 +213,7 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
         notes: lines about the picture (``1920×1080 rgb8``).
         problem: the reason why there is no picture, or why it is incomplete, and what to do.
         waiting: before the first message: facts about the topic's publishers, and what to do.
+        numbers: all that can be plotted, if the wish asks for ``fields``; then there is no content.
     """
 
     content: Pixels | Cells | Series | None = None
@@ -197,6 +225,7 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     notes: Annotated[tuple[_Text, ...], Meta(max_length=16)] = ()
     problem: Annotated[str, Meta(max_length=500, pattern=rf"\A[^{UNPRINTABLE}]*\Z")] = ""
     waiting: _Text = ""
+    numbers: Annotated[tuple[FieldNumber, ...], Meta(max_length=MOST_NUMBERS)] = ()
 
 
 class Viewed(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -174,6 +174,7 @@ class Artist:
             stamp=stamp,
             notes=tuple(sanitize_text(each, 255) for each in drawn.notes[:16]),  # docs/picture-protocol.md
             problem=sanitize_text(problem or drawn.problem),
+            numbers=drawn.numbers,
         )
 
     def _type(self, name: str, text: str, type_hash: str) -> TypeDescription:
