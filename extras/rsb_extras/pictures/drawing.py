@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import math
+import struct
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
@@ -31,11 +32,11 @@ if TYPE_CHECKING:
 _GROUP = "rsb_console.views"
 _PLOTTED = {
     "sensor_msgs": (
-        "JointState", "Imu", "BatteryState", "Range", "Temperature", "FluidPressure", "MagneticField",
-        "RelativeHumidity", "Illuminance",
+        "Imu", "Joy", "Range", "Temperature", "FluidPressure", "MagneticField", "RelativeHumidity", "Illuminance",
     ),
     "geometry_msgs": (
-        "Twist", "TwistStamped", "Vector3", "Vector3Stamped", "Wrench", "WrenchStamped", "Accel", "AccelStamped",
+        "Twist", "TwistStamped", "TwistWithCovarianceStamped", "Vector3", "Vector3Stamped", "Wrench", "WrenchStamped",
+        "Accel", "AccelStamped",
     ),
     "std_msgs": (
         "Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32", "UInt64",
@@ -58,6 +59,8 @@ VIEWS: dict[str, str] = {
     "diagnostic_msgs/msg/DiagnosticArray": "lists:DiagnosticsView",
     "diagnostic_msgs/msg/DiagnosticStatus": "lists:DiagnosticsView",
     "rcl_interfaces/msg/Log": "lists:LogView",
+    "sensor_msgs/msg/BatteryState": "bars:BatteryView",
+    "sensor_msgs/msg/JointState": "bars:JointsView",
     "sensor_msgs/msg/NavSatFix": "track:TrackView",
     "sensor_msgs/msg/LaserScan": "points:PointsView",
     "sensor_msgs/msg/PointCloud2": "points:PointsView",
@@ -316,6 +319,22 @@ def elements(message: Message, path: str) -> list[Message]:
     """Return the messages in an array by its path, or an empty list if it is missing."""
     value = nested(message, path)
     return [each for each in value.shown if isinstance(each, dict)] if isinstance(value, Items) else []
+
+
+def first_values(items: Items, most: int) -> list[Value]:
+    """Return the first elements of an array, also of one of primitive elements."""
+    if items.raw is None:
+        return items.shown[:most]
+    count = min(items.total, most)
+    size = struct.calcsize(items.code)
+    return list(struct.unpack(f"{items.code[0]}{count}{items.code[1:]}", items.raw[: count * size]))
+
+
+def floats(message: Message, path: str, most: int) -> list[float]:
+    """Return the first numbers in an array by its path, or an empty list if it is missing."""
+    value = nested(message, path)
+    found = first_values(value, most) if isinstance(value, Items) else []
+    return [float(each) for each in found if isinstance(each, int | float)]
 
 
 def raw(message: Message, path: str) -> tuple[memoryview, str]:

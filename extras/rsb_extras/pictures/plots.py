@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_extras.pictures.drawing import Drawn, UndrawableError, View
+from rsb_extras.pictures.drawing import Drawn, UndrawableError, View, first_values
 from rsb_extras.pictures.picture import (
     MOST_NUMBERS,
     MOST_VALUE,
@@ -222,19 +222,11 @@ def _numbers(value: Value, path: str, names: list[str]) -> Iterator[tuple[str, f
         for name, inner in value.items():
             yield from _numbers(inner, f"{path}.{name}" if path else name, names)
     elif isinstance(value, Items):
-        for at, inner in enumerate(_items(value)):
+        for at, inner in enumerate(first_values(value, _ITEMS)):
             yield from _numbers(inner, f"{path}[{names[at] if value.total == len(names) else at}]", names)
         yield from _summary(value, path)
     elif isinstance(value, int | float):
         yield path, float(value)
-
-
-def _items(items: Items) -> list[Value]:
-    if items.raw is None:
-        return items.shown[:_ITEMS]
-    count = min(items.total, _ITEMS)
-    size = struct.calcsize(items.code)
-    return list(struct.unpack(f"{items.code[0]}{count}{items.code[1:]}", items.raw[: count * size]))
 
 
 def _summary(items: Items, path: str) -> Iterator[tuple[str, float]]:

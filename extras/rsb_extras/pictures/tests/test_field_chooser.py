@@ -17,10 +17,18 @@ from rsb_extras.pictures.picture import TOPICS_AT_ONCE, FieldNumber, Picture, Vi
 from rsb_extras.pictures.plots import MOST_CURVES
 from rsb_extras.pictures.tests.looking_engine import LookingEngine
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from concurrent.futures import Future
+
+    from textual.pilot import Pilot
+
+    from rsb_bridge.model.commands import Command
+    from rsb_console.app import ConsoleApp
+
 SCAN = "/robot2/scan"
-NUMBERS = tuple(
-    FieldNumber("/odom", path, value) for path, value in (("twist.x", 0.25), ("twist.z", -1.5), ("bad", None))
-)
+VALUES = (("twist.x", 0.25), ("twist.z", -1.5), ("bad", None))
+NUMBERS = tuple(FieldNumber("/odom", path, value) for path, value in VALUES)
 OTHER = FieldNumber("/battery", "voltage", 24.5)
 TOPICS = tuple(
     TopicInfo(name, "pkg/msg/Name", "", None, 1, 0)
