@@ -199,7 +199,13 @@ class LinkViews(Extension):
         await self._internal.opened(route, look.route)  # the peer may have found it open before this side does
         if (source := self._internal.source(route)) is None:
             raise LinkError(ViewRefused.NO_VIEW())
-        view = TopicView(self._context, look.topics, wish, _Sender(self._context, source).send)
+        view = TopicView(
+            self._context,
+            look.topics,
+            wish,
+            _Sender(self._context, source).send,
+            may_look=lambda topic: not self._refusal((topic,), route),
+        )
         await view.check()
         if self._link.ids.open_route(look.route) is not route:  # it was closed while the graph was asked
             view.close()

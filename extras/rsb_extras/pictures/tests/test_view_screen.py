@@ -782,7 +782,7 @@ async def test_a_picture_larger_than_the_pane_is_cut(app: ConsoleApp, pilot: Pil
     await until(pilot, lambda: has_picture(app), "the picture")
     await shown(pilot, "xxx")
     assert all(len(line) == NARROW[0] for line in text(app).splitlines())
-    await comes(pilot, viewed(Pixels(400, 300, bytes(360_000))))
+    await comes(pilot, viewed(Pixels(400, 300, (bytes(2400) + b"\xff" * 2400) * 75)))
     await shown(pilot, "▀▀")
 
 
