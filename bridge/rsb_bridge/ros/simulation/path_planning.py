@@ -42,7 +42,8 @@ def plan(start: tuple[float, float], goal: tuple[float, float]) -> Floats:
 def _prices() -> list[list[float]]:
     """Return the cost of a metre in each cell, or infinity where the robot does not fit."""
     far = clearance()[::_STRIDE, ::_STRIDE]
-    return np.where(far < _CLEAR, np.inf, 1 + _NARROW * np.exp((_CLEAR - far) / _WIDE)).tolist()
+    prices: list[list[float]] = np.where(far < _CLEAR, np.inf, 1 + _NARROW * np.exp((_CLEAR - far) / _WIDE)).tolist()
+    return prices
 
 
 @cache

@@ -151,14 +151,14 @@ def _light(depth: Floats) -> NDArray[np.uint32]:
 
 def _lit(pixels: NDArray[np.uint32], light: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """Return colours in a light, red and blue at once."""
-    both = pixels & 0xFF00FF
+    both: NDArray[np.uint32] = pixels & np.uint32(0xFF00FF)
     both *= light
-    both >>= 8
-    both &= 0xFF00FF
-    green = pixels & 0xFF00
+    both >>= np.uint32(8)
+    both &= np.uint32(0xFF00FF)
+    green = pixels & np.uint32(0xFF00)
     green *= light
-    green >>= 8
-    green &= 0xFF00
+    green >>= np.uint32(8)
+    green &= np.uint32(0xFF00)
     both |= green
     return both
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-Floats: TypeAlias = "NDArray[np.float64]"
+Floats: TypeAlias = "NDArray[np.floating[Any]]"
 LEFT, RIGHT, BOTTOM, TOP = -8.0, 8.0, -6.0, 6.0
 CEILING = 2.5
 DOOR_HEIGHT = 2.05
@@ -113,12 +113,12 @@ def _inner_walls() -> Iterator[Box]:
             end = min(door - _DOOR, RIGHT)
             yield Box(begin, y - _THICK, end, y + _THICK)
             begin = door + _DOOR
-    for x, bottom, top, door in _ROOM_DOORS:
-        if door is None:
+    for x, bottom, top, middle in _ROOM_DOORS:
+        if middle is None:
             yield Box(x - _THICK, bottom, x + _THICK, top)
         else:
-            yield Box(x - _THICK, bottom, x + _THICK, door - _DOOR)
-            yield Box(x - _THICK, door + _DOOR, x + _THICK, top)
+            yield Box(x - _THICK, bottom, x + _THICK, middle - _DOOR)
+            yield Box(x - _THICK, middle + _DOOR, x + _THICK, top)
 
 
 def _door_frames() -> Iterator[Box]:
@@ -240,7 +240,9 @@ def crossings(x: float, y: float, rays: Floats, edges: Floats) -> tuple[Floats, 
 
 def measured_ranges(x: float, y: float, angles: Floats) -> Floats:
     """Return the distances that a laser measures at a place, by the angles (rad) of its beams in the map."""
-    return crossings(x, y, np.stack([np.cos(angles), np.sin(angles)], axis=1), _MEASURED)[0].min(axis=1)
+    rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    nearest: Floats = crossings(x, y, rays, _MEASURED)[0].min(axis=1)
+    return nearest
 
 
 @cache

@@ -6,7 +6,7 @@ A texture is an array of rows of colours, 0xRRGGBB.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Colours: TypeAlias = "NDArray[np.uint32]"
-    _Image: TypeAlias = "NDArray[np.float64]"
+    _Image: TypeAlias = "NDArray[np.floating[Any]]"
     _Colour: TypeAlias = "tuple[float, float, float]"
 
 SIZE = 128
@@ -57,14 +57,15 @@ def _wall(colour: _Colour) -> _Image:
     image = np.where(rows < 0.95, image * 0.86, image)
     image = np.where((rows > 0.93) & (rows < 0.98), np.array(_WHITE) * 0.9, image)
     image = np.where(rows < 0.12, np.array((120, 98, 78)), image)
-    shadow = 1 - 0.25 * np.exp(-rows / 0.12) - 0.22 * np.exp(-(2.5 - rows) / 0.2)
-    return image * shadow
+    lit: _Image = image * (1 - 0.25 * np.exp(-rows / 0.12) - 0.22 * np.exp(-(2.5 - rows) / 0.2))
+    return lit
 
 
 def _wood(colour: _Colour) -> _Image:
     grain = np.sin(40 * _row + 5 * np.sin(5 * _column) + 3 * np.sin(11 * _row)) * 0.06
     fine = _chance.normal(0, 0.03, (SIZE, 1)) + _chance.normal(0, 0.015, (SIZE, SIZE))
-    return np.array(colour) * (1 + grain + fine)[:, :, None]
+    wood: _Image = np.array(colour) * (1 + grain + fine)[:, :, None]
+    return wood
 
 
 def _framed(image: _Image, colour: _Colour, part: float = 0.06) -> _Image:
@@ -193,16 +194,14 @@ def _tools() -> _Image:
 
 
 def _crate(colour: _Colour) -> _Image:
-    return _framed(_panels(_plain(colour, 3), 1, 4, 0.7), tuple(0.7 * each for each in colour), 0.07)  # type: ignore[arg-type]
+    red, green, blue = colour
+    return _framed(_panels(_plain(colour, 3), 1, 4, 0.7), (0.7 * red, 0.7 * green, 0.7 * blue), 0.07)
 
 
 def _sofa(colour: _Colour) -> _Image:
     soft = 1 + 0.12 * np.sin(np.pi * (_column * 3 % 1)) - 0.3 * (np.abs(_column * 3 % 1 - 0.5) > 0.48)
-    return _plain(colour, 4) * soft[:, :, None]
-
-
-def _pillow() -> _Image:
-    return _plain(_WHITE, 2) * (1 - 0.25 * (np.abs(_column - 0.5) < 0.02) + 0 * _row)[:, :, None]
+    sofa: _Image = _plain(colour, 4) * soft[:, :, None]
+    return sofa
 
 
 _LOOKS: dict[str, Callable[[], _Image]] = {
@@ -234,7 +233,7 @@ _LOOKS: dict[str, Callable[[], _Image]] = {
     "stool": lambda: _plain((220, 132, 56), 3),
     "chair": lambda: _plain((56, 76, 130), 3),
     "bed": lambda: np.where((_row < 0.55)[:, :, None], _plain((92, 116, 164), 4), _wood(_DARK_WOOD)),
-    "pillow": _pillow,
+    "pillow": lambda: _plain(_WHITE, 2),
     "tools": _tools,
     "blue crate": lambda: _crate((62, 108, 172)),
     "orange crate": lambda: _crate((226, 126, 48)),
@@ -381,4 +380,5 @@ def _sunlight(x: _Image, y: _Image) -> _Image:
 
 def _packed(image: _Image) -> Colours:
     red, green, blue = np.moveaxis(image.clip(0, 255).astype(np.uint32), 2, 0)
-    return red << 16 | green << 8 | blue
+    packed: Colours = red << 16 | green << 8 | blue
+    return packed
