@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import time
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.simulation.robot_frames import FrameListener
 from rsb_bridge.ros.simulation.rooms import TOUR
 from rsb_bridge.ros.simulation.simulated_node import CALL_EVERY, LATCHED, SimulatedNode
 
@@ -40,9 +43,18 @@ class Desk(SimulatedNode):
         self._counts(Odometry, "/odom", 10, self._see)
         self._counts(OccupancyGrid, "/map", LATCHED)
         self._counts(BatteryState, "/battery_state", 10)
+        self._counts(Path, "/plan", 10)
+        self._frames: FrameListener | None = None
+        with contextlib.suppress(RosError, RuntimeError):  # as the robot
+            self._frames = FrameListener(self._node)
         self._publishes(PoseStamped, "/goal_pose", 10, _GOAL_RATE, self._goal)
         self._calls(SetBool, "/set_light", lambda t: SetBool.Request(data=int(t / CALL_EVERY) % 2 == 0))
         self._calls(GetParameters, "/simulated_robot/get_parameters", lambda _: GetParameters.Request(names=["speed"]))
+
+    def close(self) -> None:
+        if self._frames is not None:
+            self._frames.close()
+        super().close()
 
     def _see(self, odometry: Odometry) -> None:
         """Send it to the next place once it has stayed at this one."""

@@ -19,7 +19,7 @@ from sensor_msgs.msg import BatteryState, Image, Imu, JointState, LaserScan
 from std_srvs.srv import SetBool
 
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.simulation.frame_broadcaster import Frame, FrameBroadcaster
+from rsb_bridge.ros.simulation.robot_frames import Frame, FrameBroadcaster
 from rsb_bridge.ros.simulation.robot_motion import SPEED, TOP_SPEED, Motion
 from rsb_bridge.ros.simulation.room_camera import EYE, room_picture
 from rsb_bridge.ros.simulation.rooms import (
@@ -49,6 +49,8 @@ _BEAMS, _REACH = 360, 20.0
 _LASER_AHEAD = 0.1
 """m from the robot's middle."""
 _IMAGE_WIDTH, _IMAGE_HEIGHT = 640, 480
+_PLANNED = 2
+"""Poses of its path to one that is published, as each takes 76 bytes."""
 _LOCAL_SIDE = 64
 """Cells of the rolling costmap's side."""
 _WHEEL = 0.1
@@ -83,7 +85,7 @@ class SimulatedRobot(SimulatedNode):
         # Reliable: the fragments of so large a message overrun a socket's buffer, and 4 of 10 pictures got lost.
         self._shows(Image, "/camera/image_raw", 1, _CAMERA_RATE, self._image)
         self._shows(OccupancyGrid, "/local_costmap/costmap", 10, _COSTMAP_RATE, self._local_costmap)
-        self._shows(Path, "/plan", 10, _COSTMAP_RATE, self._plan)
+        self._shows(Path, "/plan", 10, _SLOW_RATE, self._plan)
         self._shows(PolygonStamped, "/footprint", 10, _COSTMAP_RATE, self._footprint)
         self._shows(Imu, "/imu", qos_profile_sensor_data, _IMU_RATE, self._imu)
         self._shows(JointState, "/joint_states", 10, _JOINT_RATE, self._joints)
@@ -93,7 +95,6 @@ class SimulatedRobot(SimulatedNode):
         fixed = (
             Frame("base_link", "laser", x=_LASER_AHEAD, z=LASER_HEIGHT),
             Frame("base_link", "camera", z=EYE),
-            Frame("base_link", "imu", z=LASER_HEIGHT),
         )
         self._frames: FrameBroadcaster | None = None
         with contextlib.suppress(RosError, RuntimeError):  # without the package tf2_msgs in a ROS that needs it
@@ -165,7 +166,7 @@ class SimulatedRobot(SimulatedNode):
     def _plan(self) -> Path:
         path = Path()
         path.header.stamp, path.header.frame_id = self._stamp(), "map"
-        for x, y in self._motion.path.tolist():
+        for x, y in self._motion.path[::-_PLANNED][::-1].tolist():
             pose = PoseStamped(header=path.header)
             pose.pose.position.x, pose.pose.position.y = x, y
             path.poses.append(pose)
@@ -180,7 +181,7 @@ class SimulatedRobot(SimulatedNode):
 
     def _imu(self) -> Imu:
         imu = Imu()
-        imu.header.stamp, imu.header.frame_id = self._stamp(), "imu"
+        imu.header.stamp, imu.header.frame_id = self._stamp(), "base_link"
         heading = self._in_odom()[2]
         imu.orientation.z, imu.orientation.w = math.sin(heading / 2), math.cos(heading / 2)
         forward, turn = self._motion.velocity

@@ -1,7 +1,7 @@
-"""Publishes the robot's frames on /tf and /tf_static, also where ROS lacks the package tf2_msgs, as its wheels do.
+"""The robot's frames on /tf and /tf_static, also where ROS lacks the package tf2_msgs, as its wheels do.
 
-There, nobody but the node that publishes them can tell others what a tf2_msgs/msg/TFMessage is. rclpy's own service for
-that knows installed types only.
+There, only the nodes that use them can tell others what a tf2_msgs/msg/TFMessage is, and rclpy's own service for that
+knows installed types only.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import json
 import math
 import struct
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from type_description_interfaces.msg import Field, FieldType, IndividualTypeDescription, TypeDescription
 from type_description_interfaces.srv import GetTypeDescription
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 _TYPE, _OF_ONE = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TransformStamped"
 _SEQUENCE = 145
 """Type id of a sequence of messages (type_description_interfaces/msg/FieldType)."""
-_NAME = "robot_state_publisher"
 
 
 class Frame(NamedTuple):
@@ -43,40 +42,58 @@ class Frame(NamedTuple):
     heading: float = 0.0
 
 
-class FrameBroadcaster:
-    """Publishes frames as a node of its own.
-
-    Args:
-        node: serves what the other one cannot: the description of the type.
+class _FrameNode:
+    """A node by rclpy's extension module, as rclpy's own classes want the layout of a type.
 
     Raises:
         RosError: the type is not installed, and this ROS carries only types that are.
-        RuntimeError: rcl refused a publisher.
+        RuntimeError: rcl refused an endpoint.
+    """
+
+    def __init__(self, node: Node, name: str, kind: Literal["publisher", "subscription"], depth: int) -> None:
+        text = _description()
+        interface = borrow_type(_TYPE, hash_of_text(text)).interface
+        self._node = own = findings().node(name, node.context)
+        self._moving = own.create(kind, interface, "/tf", Qos(depth=depth))
+        self._static = own.create(kind, interface, "/tf_static", Qos(durability="transient_local", depth=depth))
+        node.create_service(GetTypeDescription, f"/{name}/get_type_description", partial(_describe, text))
+
+    def close(self) -> None:
+        """Free the endpoints, before their context."""
+        for each in (self._moving, self._static, self._node):
+            each.destroy()
+
+
+class FrameBroadcaster(_FrameNode):
+    """A node that publishes frames.
+
+    Args:
+        node: describes the type in its stead.
     """
 
     def __init__(self, node: Node, fixed: Iterable[Frame]) -> None:
+        super().__init__(node, "robot_state_publisher", "publisher", 1)
         self._clock = node.get_clock()
-        text = _description()
-        interface = borrow_type(_TYPE, hash_of_text(text)).interface
-        # By rclpy's extension module: rclpy's own class wants a type's layout.
-        self._node = own = findings().node(_NAME, node.context)
-        self._static = own.create("publisher", interface, "/tf_static", Qos(durability="transient_local", depth=1))
-        self._moving = own.create("publisher", interface, "/tf", Qos(depth=100))
         self._static.rclpy.publish_raw(self._message(fixed))
-        node.create_service(GetTypeDescription, f"/{_NAME}/get_type_description", partial(_describe, text))
 
     def publish(self, frames: Callable[[], Iterable[Frame]]) -> None:
         """Publish moving frames, if anybody subscribes."""
         if self._moving.rclpy.get_subscription_count():
             self._moving.rclpy.publish_raw(self._message(frames()))
 
-    def close(self) -> None:
-        """Free the publishers, before their context."""
-        for each in (self._static, self._moving, self._node):
-            each.destroy()
-
     def _message(self, frames: Iterable[Frame]) -> bytes:
         return serialized(frames, self._clock.now().nanoseconds)
+
+
+class FrameListener(_FrameNode):
+    """A node that subscribes to frames, as a desk's programs do, and leaves them to the middleware.
+
+    Args:
+        node: describes the type in its stead.
+    """
+
+    def __init__(self, node: Node) -> None:
+        super().__init__(node, "frame_listener", "subscription", 1)
 
 
 def _describe(text: str, request: Any, response: Any) -> Any:
