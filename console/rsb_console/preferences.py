@@ -68,7 +68,7 @@ TOPIC_COLUMNS = {
     **{column.title: column.shows for column in ADDED},
 }
 """Columns of the topics that an operator may leave out, and what they show; state and topic stay."""
-OWN_SETTINGS = ("bell", "columns", "refresh_rate", "theme")
+OWN_SETTINGS = ("bell", "columns", "notify", "refresh_rate", "theme")
 _SETTING = r"^{name}\s*:[^#\n]*?(?P<comment>\s*#.*)?$"
 
 
@@ -93,6 +93,7 @@ class PreferenceProblem(Wording):
     NO_SETTINGS = "{path}: must map names to values, like 'bell: true'"
     UNKNOWN_SETTINGS = "{path}: {names}: no setting; there are {known}"
     NO_BELL = "{path}: bell: give true or false"
+    NO_NOTIFY = "{path}: notify: give true or false"
     NO_RATE = "{path}: refresh_rate: give one of {rates}"
     NO_COLUMNS = "{path}: columns: give a list of {columns}"
     BY_FEATURE = "{path}: {mistake}"
@@ -227,6 +228,8 @@ def _settings_problem(path: Path, settings: object) -> str:
         return PreferenceProblem.UNKNOWN_SETTINGS(path=path, names=", ".join(unknown), known=listed)
     if not isinstance(settings.get("bell", False), bool):
         return PreferenceProblem.NO_BELL(path=path)
+    if not isinstance(settings.get("notify", False), bool):
+        return PreferenceProblem.NO_NOTIFY(path=path)
     if settings.get("refresh_rate", REFRESH_RATES[0]) not in REFRESH_RATES:
         return PreferenceProblem.NO_RATE(path=path, rates=", ".join(f"{rate:g}" for rate in REFRESH_RATES))
     columns = settings.get("columns", [])
@@ -260,6 +263,7 @@ class Preferences:
         keymap: action ids to the user's keys.
         bell: whether the terminal's bell for new faults is on at the start.
         refresh_rate: one of `REFRESH_RATES`, or None for one that suits the line.
+        notify: whether the desktop gets a notification when the bell rings.
         columns: some of `TOPIC_COLUMNS`, or None for all that fit.
         features: values of the features' settings that the user has written, by name; `ConsoleSetting.of` reads them.
         problems: titles and texts of mistakes.
@@ -271,6 +275,7 @@ class Preferences:
         settings = self._load_settings()
         self.bell: bool = settings.get("bell", False)
         self.refresh_rate: float | None = settings.get("refresh_rate")
+        self.notify: bool = settings.get("notify", False)
         self.columns: frozenset[str] | None = frozenset(settings["columns"]) if "columns" in settings else None
         self.features: Mapping[str, Any] = _of_features(settings)
         self.theme = self._load_themes(config, settings.get("theme") if theme is None else theme)

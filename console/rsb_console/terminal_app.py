@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import signal
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from platformdirs import user_log_path
+from textual import work
 from textual.app import App, ReturnType
 from textual.screen import SystemModalScreen
 
@@ -31,6 +33,7 @@ from rsb_console.preferences import (
     config_path,
 )
 from rsb_console.screens.help import ActionsProvider
+from rsb_console.terminal import desktop_notification
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
 from rsb_console.terminal.pulse import ASKED_EVERY
@@ -176,6 +179,13 @@ class TerminalApp(App[ReturnType]):
         title = " ".join(filter(None, (name or self.TITLE, f"{sign}{faults}" if faults else "")))
         if isinstance(self._driver, ConsoleDriver):
             self._driver.entitle("".join(filter(str.isprintable, title)))
+
+    @work
+    async def tell_desktop(self, title: str, text: str) -> None:
+        """Show a notification on the operator's desktop, if the terminal is known to pass it on."""
+        made = await asyncio.to_thread(desktop_notification.sequence, os.environ, title, text)
+        if made and isinstance(self._driver, ConsoleDriver):
+            self._driver.write(made)
 
     async def ask(self, dialog: Screen[T]) -> T | None:
         self.input_queue.waits_for(dialog)
