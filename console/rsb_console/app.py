@@ -90,8 +90,16 @@ class ConsoleApp(TerminalApp[None]):
         resources: ExitStack | None = None,
     ) -> None:
         super().__init__(
-            readonly=readonly, ascii_only=ascii_only, theme=theme, config=config, dialogs={Group.OPERATE, Group.SESSION}
+            readonly=readonly,
+            ascii_only=ascii_only,
+            theme=theme,
+            config=config,
+            dialogs={Group.OPERATE, Group.SESSION, Group.OWN},
         )
+        self.actions = self.preferences.actions
+        for action in self.actions:
+            if action.group is Group.OWN:
+                self.bind(action.keys, f"screen.{action.id}", description=action.label, show=False)
         self.engine: EngineApi | None = None
         self.base = Path()
         self.path = path
@@ -328,6 +336,11 @@ class ConsoleApp(TerminalApp[None]):
         if gives is not None and self.engine is not None:
             await self.command(self.engine.answer_asker(route.key, gives=gives, who=question.who))
 
+    def _ring(self, begun: Sequence[FaultChange]) -> None:
+        self.bell()
+        if self.preferences.notify:
+            self.tell_desktop(self.snapshot().name or self.TITLE, fault_text([change.subject for change in begun]))
+
     # --- actions
 
     def request_quit(self) -> None:
@@ -336,11 +349,6 @@ class ConsoleApp(TerminalApp[None]):
     def action_bell_on_fault(self) -> None:
         """Turn the bell for new faults on or off."""
         self.fault_bell.is_on = not self.fault_bell.is_on
-    def _ring(self, begun: Sequence[FaultChange]) -> None:
-        self.bell()
-        if self.preferences.notify:
-            self.tell_desktop(self.snapshot().name or self.TITLE, fault_text([change.subject for change in begun]))
-
         self.remember("bell", self.fault_bell.is_on)
         self.notify("the bell rings when a fault begins" if self.fault_bell.is_on else "the bell is off", timeout=3)
 

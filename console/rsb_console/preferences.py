@@ -19,10 +19,10 @@ from textual.color import Color, ColorParseError
 from textual.theme import Theme
 
 from rsb_bridge.config.files import is_there, replace_file, why_not_written
-from rsb_bridge.feature import BRINGS_ACTIONS, BRINGS_SETTINGS
+from rsb_bridge.feature import BRINGS_ACTIONS, BRINGS_SETTINGS, installed
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
-from rsb_console.actions.all_actions import screens
+from rsb_console.actions.all_actions import ACTIONS, screens
 from rsb_console.notation.console_setting import feature_settings
 from rsb_console.notation.topic_column import ADDED
 
@@ -261,9 +261,10 @@ class Preferences:
     Attributes:
         theme: the name of the one to begin with.
         keymap: action ids to the user's keys.
+        actions: of the console, and those that the settings make.
         bell: whether the terminal's bell for new faults is on at the start.
-        refresh_rate: one of `REFRESH_RATES`, or None for one that suits the line.
         notify: whether the desktop gets a notification when the bell rings.
+        refresh_rate: one of `REFRESH_RATES`, or None for one that suits the line.
         columns: some of `TOPIC_COLUMNS`, or None for all that fit.
         features: values of the features' settings that the user has written, by name; `ConsoleSetting.of` reads them.
         problems: titles and texts of mistakes.
@@ -274,8 +275,8 @@ class Preferences:
         self._path = config / "console.yaml"
         settings = self._load_settings()
         self.bell: bool = settings.get("bell", False)
-        self.refresh_rate: float | None = settings.get("refresh_rate")
         self.notify: bool = settings.get("notify", False)
+        self.refresh_rate: float | None = settings.get("refresh_rate")
         self.columns: frozenset[str] | None = frozenset(settings["columns"]) if "columns" in settings else None
         self.features: Mapping[str, Any] = _of_features(settings)
         self.theme = self._load_themes(config, settings.get("theme") if theme is None else theme)
@@ -284,6 +285,19 @@ class Preferences:
         except PreferenceError as error:
             self.keymap = {}
             self.problems.append(("The default keys are used", str(error)))
+        self.actions = self._all_actions()
+
+    def _all_actions(self) -> tuple[Action, ...]:
+        actions = [*ACTIONS]
+        owner = {key: action.id for action in actions for key in self.keys(action)}
+        for action in (each for feature in installed() for each in feature.own_actions(self)):
+            if shared := next((key for key in self.keys(action) if key in owner), ""):
+                names = {"key": shared, "one": owner[shared], "other": action.id}
+                self.problems.append(("A key left out", PreferenceProblem.SHARED_KEY(path=self._path, **names)))
+            else:
+                actions.append(action)
+                owner |= dict.fromkeys(self.keys(action), action.id)
+        return tuple(actions)
 
     def _load_themes(self, config: Path, wanted: str | None) -> str:
         self.themes, problems = load_themes(shipped_themes(), config / "themes")
