@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from platformdirs import user_log_path
 from rich.console import COLOR_SYSTEMS
+from textual import work
 from textual.app import App, ReturnType
 from textual.screen import SystemModalScreen
 
@@ -36,6 +37,7 @@ from rsb_console.preferences import (
     config_path,
 )
 from rsb_console.screens.help import ActionsProvider
+from rsb_console.terminal import desktop_notification
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
 from rsb_console.terminal.pulse import ASKED_EVERY
@@ -208,6 +210,13 @@ class TerminalApp(App[ReturnType]):
         title = " ".join(filter(None, (name or self.TITLE, f"{sign}{faults}" if faults else "")))
         if isinstance(self._driver, ConsoleDriver):
             self._driver.entitle("".join(filter(str.isprintable, title)))
+
+    @work
+    async def tell_desktop(self, title: str, text: str) -> None:
+        """Show a notification on the operator's desktop, if the terminal is known to pass it on."""
+        made = await asyncio.to_thread(desktop_notification.sequence, os.environ, title, text)
+        if made and isinstance(self._driver, ConsoleDriver):
+            self._driver.write(made)
 
     async def ask(self, dialog: Screen[T]) -> T | None:
         self.input_queue.waits_for(dialog)
