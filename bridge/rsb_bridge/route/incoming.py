@@ -59,7 +59,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.gates import LastLook
     from rsb_bridge.route.idling import Signs
-    from rsb_bridge.route.peeking import Tap
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.source_publishers import VolatileTopic
 
@@ -139,7 +138,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.outputs = SourcePublishers(self, self._unpacker)
         self.rest = RestAfterArming(self)
         self.check = MessageCheck(context, peer.budget.checks)
-        self.set_tap(self.peek_slot.tap)
+        self._choose_pace()
         compose_when_switched(self, self._compose_gates)
         self._received = 0
         self._report_at = _REPORTS_AFTER  # messages received
@@ -357,10 +356,13 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         batch, arriving, leaving = incoming_gates(self)
         self._gates = chained(batch), chained(arriving), chained(leaving)
 
-    def set_tap(self, tap: Tap | None) -> None:
-        super().set_tap(tap)
-        # No message is asked whether there is a tap.
-        self._hand_on = self._publish if tap is None else self._publish_one_by_one
+    def renew_tap(self) -> None:
+        super().renew_tap()
+        self._choose_pace()
+
+    def _choose_pace(self) -> None:
+        # Here, so that without a tap no message is asked for it.
+        self._hand_on = self._publish if self.peek_slot.tap is None else self._publish_one_by_one
 
     def deliver(self, messages: Sequence[Message]) -> None:
         """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop."""

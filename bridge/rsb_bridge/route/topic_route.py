@@ -175,7 +175,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self._flows_since = context.now()
         self._full_at: float | None = None  # s, when the link was last full in this direction
         self.set_stale_after()
-        self.peek_slot = PeekSlot(context.tap_of(self))
+        self.peek_slot = PeekSlot(self._new_tap())
         self.traffic = TrafficMeter(context.now())
         self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
         self._logged_ends: tuple[str, str, str] | None = None
@@ -197,9 +197,12 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     # --- what is the same for both
 
-    def set_tap(self, tap: Tap | None) -> None:
-        """Give all messages to a tap from now on, or to none."""
-        self.peek_slot.set_tap(tap)
+    def _new_tap(self) -> Tap | None:
+        return self.context.tap_of(self.local_topic, self) if self.purpose.in_graph else None
+
+    def renew_tap(self) -> None:
+        """Give all messages to another tap from now on, or to none: `Context.tap_of` has changed."""
+        self.peek_slot.set_tap(self._new_tap())
 
     @property
     def present_type(self) -> TypeVersion:

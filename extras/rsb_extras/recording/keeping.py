@@ -121,25 +121,25 @@ class Keeping(EnginePart):
     def _set_ring(self, ring: MessageRing | None) -> None:
         """Keep messages in a new ring, or none, of all present and coming routes."""
         self._ring = ring
-        self._context.tap_of = lambda route: None if ring is None else self._tap_of(route, ring)
+        self._context.tap_of = lambda topic, source: None if ring is None else self._tap_of(topic, source, ring)
         for link in self._bridge.role.links():
             for route in link.routes.values():
                 if isinstance(route, TopicRoute):
-                    route.set_tap(self._context.tap_of(route))
+                    route.renew_tap()
 
-    def _tap_of(self, route: TopicRoute[Any], ring: MessageRing) -> Tap | None:
-        if not route.purpose.in_graph:
-            return None
+    def _tap_of(self, name: str, source: Any, ring: MessageRing) -> Tap:
         now, is_own = self._context.now, self._context.announcements.is_own
-        topic = TopicSpec(route.local_topic, "", "", Qos())
+        topic = TopicSpec(name, "", "", Qos())
 
         def tap(content: bytes, time: int, published: int, publisher: bytes, number: int) -> None:
             nonlocal topic
+            if self._ring is not ring:  # a view outlives the switch
+                return
             # What comes from ROS may have come over another link, where it is kept already.
             if publisher and (is_own(publisher) or ring.is_known(publisher, number or published)):
                 return
-            if topic.type_hash != route.type_hash or topic.qos is not route.qos:
-                topic = TopicSpec(topic.topic, route.type_name, route.type_hash, route.qos or Qos())
+            if topic.type_hash != source.type_hash or topic.qos is not source.qos:
+                topic = TopicSpec(name, source.type_name, source.type_hash, source.qos or Qos())
             ring.add(RingMessage(now(), topic, content, time, published, number))
 
         return tap
