@@ -65,8 +65,8 @@ class Context:
         moved_by: the rest messages of the routes that have moved a topic last, by the topic's name.
         rests: tasks that publish rests after an arming, to be awaited before the ROS side stops.
         names_changed: to be called when another set of names of the graph is followed (`link.graph_watch.NameWatch`).
-        tap_of: returns what gets all messages of a topic (`route.peeking.Tap`), or None. It takes the name on this side,
-            and a route or another object with `type_name`, `type_hash` and `qos`.
+        tap_of: returns what gets all messages of a topic (`route.peeking.Tap`), or None. It takes the topic's name on
+            this side, and a route or another object with `type_name`, `type_hash` and `qos`.
     """
 
     session: Session

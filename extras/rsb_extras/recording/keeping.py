@@ -90,13 +90,17 @@ def _window(latched: Sequence[RingMessage], messages: Sequence[RingMessage], beg
 
 
 class Keeping(EnginePart):
-    """Answers `KeepLast`. While the session keeps nothing, no route has a tap."""
+    """Answers `KeepLast`. While the session keeps nothing, no route has a tap.
+
+    Attributes:
+        ring: what is kept, or None while nothing is.
+    """
 
     def __init__(self, bridge: Bridge) -> None:
         super().__init__()
         self._bridge = bridge
         self._context: Context = bridge.context
-        self._ring: MessageRing | None = None
+        self.ring: MessageRing | None = None
         self._writing = asyncio.Lock()
         self._stopping = threading.Event()
         self.handlers = {KeepLast: self._keep}
@@ -106,8 +110,8 @@ class Keeping(EnginePart):
         self._switch()
 
     def tick(self, snapshot: Snapshot) -> None:
-        if self._ring is not None:
-            self._ring.trim(self._context.now())
+        if self.ring is not None:
+            self.ring.trim(self._context.now())
 
     async def close(self) -> None:
         self._stopping.set()
@@ -120,7 +124,7 @@ class Keeping(EnginePart):
 
     def _set_ring(self, ring: MessageRing | None) -> None:
         """Keep messages in a new ring, or none, of all present and coming routes."""
-        self._ring = ring
+        self.ring = ring
         self._context.tap_of = lambda topic, source: None if ring is None else self._tap_of(topic, source, ring)
         for link in self._bridge.role.links():
             for route in link.routes.values():
@@ -133,7 +137,7 @@ class Keeping(EnginePart):
 
         def tap(content: bytes, time: int, published: int, publisher: bytes, number: int) -> None:
             nonlocal topic
-            if self._ring is not ring:  # a view outlives the switch
+            if self.ring is not ring:  # a view outlives the switch
                 return
             # What comes from ROS may have come over another link, where it is kept already.
             if publisher and (is_own(publisher) or ring.is_known(publisher, number or published)):
@@ -147,7 +151,7 @@ class Keeping(EnginePart):
     # --- writing
 
     async def _keep(self, command: KeepLast) -> KeptRecording:
-        ring = self._ring
+        ring = self.ring
         if ring is None:
             raise LinkError(KeepProblem.OFF())
         if self._writing.locked():
