@@ -214,7 +214,7 @@ class TerminalApp(App[ReturnType]):
     @work
     async def tell_desktop(self, title: str, text: str) -> None:
         """Show a notification on the operator's desktop, if the terminal is known to pass it on."""
-        made = await asyncio.to_thread(desktop_notification.sequence, os.environ, title, text)
+        made = await asyncio.to_thread(desktop_notification.sequence, os.environ, self.facts.name, title, text)
         if made and isinstance(self._driver, ConsoleDriver):
             self._driver.write(made)
 

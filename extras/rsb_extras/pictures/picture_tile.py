@@ -149,12 +149,10 @@ class PictureTile(Tile):
         return sum(size for _, size in self._sizes) / _COST_OVER
 
     def on_mount(self) -> None:
-        super().on_mount()
         # The age of a picture grows without a new one.
         self.set_interval(1.0, self._entitle)
 
     def on_unmount(self) -> None:
-        super().on_unmount()
         self.end()
 
     def begin(self) -> None:

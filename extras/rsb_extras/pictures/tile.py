@@ -107,17 +107,13 @@ class _LinesTile(Tile):
 
     title: str
 
-    def on_mount(self) -> None:
-        super().on_mount()
-        self._timer = self.set_interval(_REDRAWN_EVERY, self.fit)
-        self.entitle(f" {self.title} ")
-
     def begin(self) -> None:
-        self._timer.resume()
+        self.entitle(f" {self.title} ")
+        self._timer = self.set_interval(_REDRAWN_EVERY, self.fit)
         self.fit()
 
     def end(self) -> None:
-        self._timer.pause()
+        self._timer.stop()
 
     def fit(self) -> None:
         self.show([fit_row(row, self.size.width) for row in self.rows(self.size.height)])
