@@ -185,6 +185,8 @@ class MapView(View):
         spaces: set[str] = set()
         for name in _ROBOTS:
             for frame in self._tree:
+                if frame not in self._broadcast:  # an odometry's, which is a layer of its own
+                    continue
                 space, slash, last = frame.rpartition("/")
                 if last != name or space + slash in spaces or frame == target or len(found) >= _MOST_ROBOTS:
                     continue
