@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import TopicInfo
     from rsb_console.console_api import Console
     from rsb_console.widgets.lines import Line
-    from rsb_extras.pictures.look_screen import Subject
+    from rsb_extras.pictures.layouts import Subject
     from rsb_extras.pictures.picture import FieldNumber
 
 _KEYS = " type to search · ↑↓ move · space choose, open a topic · ⏎ plot · esc close"

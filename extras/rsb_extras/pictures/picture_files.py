@@ -9,13 +9,17 @@ import zlib
 from html import escape
 from typing import TYPE_CHECKING
 
+from rich.color import Color
+
 from rsb_console.session.exports import cell
 from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import Cells, Pixels, Series
 from rsb_extras.pictures.picture_rows import picture_rows, rgb_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
+
+    from rsb_extras.pictures.picture_rows import Row
 
 # A character of a monospace font of 15 px (below) is about 9 px wide.
 _CELL_WIDTH, _CELL_HEIGHT = 9, 18
@@ -58,14 +62,18 @@ def png(pixels: Pixels) -> bytes:
 
 
 def _svg(cells: Cells) -> bytes:
-    """Return characters as SVG."""
-    rows = picture_rows(cells, 0, 0)
-    width = max(map(len, cells.rows), default=1) * _CELL_WIDTH
+    return svg(picture_rows(cells, 0, 0))
+
+
+def svg(rows: Sequence[Row]) -> bytes:
+    """Return rows of characters as SVG."""
+    width = max((sum(len(part.text) for part in row) for row in rows), default=1) * _CELL_WIDTH
     lines = []
     for number, row in enumerate(rows, 1):
         column, top = 0, (number - 1) * _CELL_HEIGHT
         for part in row:
-            if background := _ON.colour(part.background.removeprefix("@")):
+            tint = part.background.removeprefix("@")
+            if background := _ON.colour(tint) if tint != part.background else part.background and _colour(tint):
                 place = f'x="{column * _CELL_WIDTH}" y="{top}" width="{len(part.text) * _CELL_WIDTH}"'
                 lines.append(f'<rect {place} height="{_CELL_HEIGHT}" fill="{background}"/>')
             column += len(part.text)
@@ -79,6 +87,8 @@ def _svg(cells: Cells) -> bytes:
 
 
 def _colour(style: str) -> str:
+    if style.startswith("color("):
+        return Color.parse(style).get_truecolor().hex
     if style.startswith("@"):
         return _ON.colour(style[1:]) or _PAPER
     return style if style.startswith("#") else _COLOURS.get(style, "#d0d0d0")

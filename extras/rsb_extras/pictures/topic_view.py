@@ -7,6 +7,7 @@ import contextlib
 import math
 import threading
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.ros.ros_interface import RawMessage, Subscription
+    from rsb_bridge.route.peeking import Tap
 
 KEPT_BYTES, KEPT_MESSAGES = 256 << 10, 2000
 """Messages between two pictures that are kept for the next one, of each topic; the newest is always kept. Round
@@ -311,7 +313,15 @@ class TopicView:
                 self._has_news = True
                 self._context.call(self._news.set)
 
-        return sink
+        tap = self._context.tap_of(feed.viewable.topic, feed.viewable)
+        if tap is None:
+            return sink
+
+        def tapped(batch: Sequence[RawMessage]) -> None:
+            sink(batch)
+            self._context.call(partial(_hand_to, tap, batch, self._context.wall_ns()))
+
+        return tapped
 
     async def _resolve(self, topic: str) -> tuple[TopicSpec, dict[bytes, str] | None]:
         """Return a topic as it is published now, and its publishers' nodes as in `_Feed.authors`.
@@ -339,6 +349,11 @@ class TopicView:
             raise LinkError(f"{topic} has publishers of several types")
         authors = {each.gid: each.node for each in publishers}
         return TopicSpec(topic, type_name, type_hash, _qos_for([each.qos for each in publishers])), authors
+
+
+def _hand_to(tap: Tap, batch: Sequence[RawMessage], time_ns: int) -> None:
+    for each in batch:
+        tap(each.payload, time_ns, each.source or time_ns, each.gid, each.number)
 
 
 def _qos_for(offered: Sequence[Qos]) -> Qos:

@@ -12,7 +12,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.commands import Topics
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_extras.pictures.field_chooser import ChooserText, FieldChooser
-from rsb_extras.pictures.look_screen import Subject
+from rsb_extras.pictures.layouts import Subject
 from rsb_extras.pictures.picture import TOPICS_AT_ONCE, FieldNumber, Picture, Viewed
 from rsb_extras.pictures.plots import MOST_CURVES
 from rsb_extras.pictures.tests.looking_engine import LookingEngine
