@@ -40,7 +40,7 @@ _MOST_ROBOTS = 8
 """Robots of a tree of frames that are drawn, as namespaces may have one each: a round figure."""
 _LOST = 5.0
 """s after which a robot's transform is named as old. A round figure: a localization sends several a second."""
-_OTHERS = {"path": ("path", "ok", "warning"), "scan": ("scan", "warning", "ok")}
+_OTHERS = {"path": ("path", "warning", "strong"), "scan": ("scan", "warning", "ok")}
 """Styles of several layers of the same kind, one after the other."""
 _LOW = 3
 """Rows of a picture that has none to spare for a legend."""
