@@ -26,6 +26,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.actions.all_actions import ACTIONS, screens
 from rsb_console.notation.console_setting import feature_settings
 from rsb_console.notation.topic_column import ADDED
+from rsb_console.terminal.terminal_facts import TerminalSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -69,7 +70,7 @@ TOPIC_COLUMNS = {
     **{column.title: column.shows for column in ADDED},
 }
 """Columns of the topics that an operator may leave out, and what they show; state and topic stay."""
-OWN_SETTINGS = ("bell", "columns", "notify", "refresh_rate", "theme")
+OWN_SETTINGS = ("bell", "columns", "notify", "refresh_rate", "terminal", "theme")
 _SETTING = r"^{name}\s*:[^#\n]*?(?P<comment>\s*#.*)?$"
 
 
@@ -237,6 +238,7 @@ def _settings_problem(path: Path, settings: object) -> str:
     if not isinstance(columns, list) or any(column not in TOPIC_COLUMNS for column in columns):
         return PreferenceProblem.NO_COLUMNS(path=path, columns=", ".join(TOPIC_COLUMNS))
     try:
+        TerminalSettings.read(settings.get("terminal", {}))
         _of_features(settings)
     except ValueError as error:
         return PreferenceProblem.BY_FEATURE(path=path, mistake=error)
@@ -269,6 +271,7 @@ class Preferences:
         refresh_rate: one of `REFRESH_RATES`, or None for one that suits the line.
         columns: some of `TOPIC_COLUMNS`, or None for all that fit.
         features: values of the features' settings that the user has written, by name; `ConsoleSetting.of` reads them.
+        terminal: what the user has set about the terminal.
         problems: titles and texts of mistakes.
     """
 
@@ -280,6 +283,7 @@ class Preferences:
         self.notify: bool = settings.get("notify", False)
         self.refresh_rate: float | None = settings.get("refresh_rate")
         self.columns: frozenset[str] | None = frozenset(settings["columns"]) if "columns" in settings else None
+        self.terminal = TerminalSettings.read(settings.get("terminal", {}))
         self.features: dict[str, Any] = _of_features(settings)
         self.theme = self._load_themes(config, settings.get("theme") if theme is None else theme)
         try:

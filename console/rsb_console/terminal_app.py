@@ -113,8 +113,10 @@ class TerminalApp(App[ReturnType]):
         self._readonly = readonly
         self.ascii_only = ascii_only
         self.config = config_path() if config is None else config
-        self.facts = facts_before_answers(os.environ, self.terminal)
         self.preferences = Preferences(self.config, theme)
+        self.facts = self.preferences.terminal.over(facts_before_answers(os.environ, self.terminal))
+        if self.preferences.terminal.colours is not None:
+            self._use_colours()
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
@@ -214,7 +216,7 @@ class TerminalApp(App[ReturnType]):
     @work
     async def tell_desktop(self, title: str, text: str) -> None:
         """Show a notification on the operator's desktop, if the terminal is known to pass it on."""
-        made = await asyncio.to_thread(desktop_notification.sequence, os.environ, title, text)
+        made = await asyncio.to_thread(desktop_notification.sequence, os.environ, self.facts.name, title, text)
         if made and isinstance(self._driver, ConsoleDriver):
             self._driver.write(made)
 
@@ -273,16 +275,21 @@ class TerminalApp(App[ReturnType]):
 
     def suit_terminal(self, facts: TerminalFacts) -> None:
         """Take what the terminal has told of itself: draw with its colours, in a theme for them."""
+        facts = self.preferences.terminal.over(facts)
         had, self.facts = self.facts.colours, facts
-        if facts.colours > had and self.console.color_system is not None:
-            # rich finds out the colours once, by TERM. It has no public way to be told.
-            vars(self.console)["_color_system"] = COLOR_SYSTEMS[facts.colour_system]
+        if facts.colours > had:
+            self._use_colours()
             self.refresh_css(animate=False)
         few, many = (SIXTEEN_COLORS, SIXTEEN_ON_LIGHT), (DEFAULT_THEME, LIGHT_THEME)
         if self.preferences.suits_terminal and self.theme in (*few, *many):
             self.theme = (many if facts.colours > 16 else few)[bool(facts.light)]
         elif self.theme == SIXTEEN_COLORS and facts.light:
             self.theme = SIXTEEN_ON_LIGHT
+
+    def _use_colours(self) -> None:
+        """Have Textual write the colours that the terminal has: rich finds them out by TERM, and once."""
+        if self.console.color_system is not None and self.facts.colours:
+            vars(self.console)["_color_system"] = COLOR_SYSTEMS[self.facts.colour_system]  # no public way is there
 
     def action_theme(self) -> None:
         names = sorted(self.available_themes)

@@ -63,18 +63,18 @@ scripted_app(make_engine=Faulty, config=Path(sys.argv[1])).run()
     ],
 )  # fmt: skip
 def test_terminal_gets_what_it_knows(environ: dict[str, str], expected: str) -> None:
-    assert sequence(environ, "robot1", "/scan down") == expected
+    assert sequence(environ, "", "robot1", "/scan down") == expected
 
 
 @pytest.mark.parametrize("term", ["xterm-kitty", "foot", "xterm-ghostty"])
 def test_text_of_others_ends_no_sequence(term: str) -> None:
     nasty = "\x1b\\\x07\x9c\x1b]0;title\x07\n" + "x" * 1000
-    harmless = sequence({"TERM": term}, "a", "b")
-    made = sequence({"TERM": term}, nasty, nasty)
+    harmless = sequence({"TERM": term}, "", "a", "b")
+    made = sequence({"TERM": term}, "", nasty, nasty)
     for control in "\x1b\x07\x9c\n":
         assert made.count(control) == harmless.count(control)
     assert len(made) < 400
-    assert sequence({"TERM": "foot"}, "a;b", "c").count(";") == 3
+    assert sequence({"TERM": "foot"}, "", "a;b", "c").count(";") == 3
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_notification_passes_tmux(tmp_path: Path) -> None:
 @NEEDS_TMUX
 def test_tmux_that_passes_nothing_gets_none(tmp_path: Path) -> None:
     program = "import os; from rsb_console.terminal.desktop_notification import names_of_terminal as names; "
-    program += f"open({str(tmp_path / 'names')!r}, 'w').write(repr(names(os.environ)))"
+    program += f"open({str(tmp_path / 'names')!r}, 'w').write(repr(names(os.environ, '')))"
     environ = ("env", f"PYTHONPATH={os.pathsep.join(filter(None, sys.path))}")
     with Terminal(*in_tmux(tmp_path, "off"), *environ, sys.executable, "-c", program, environ=OUTER) as terminal:
         terminal.exit_code()
@@ -146,4 +146,11 @@ def test_tmux_that_passes_nothing_gets_none(tmp_path: Path) -> None:
 
 
 def test_names_of_a_dead_tmux_are_none(tmp_path: Path) -> None:
-    assert names_of_terminal({"TMUX": f"{tmp_path}/none,1,0", "TERM": "xterm-kitty"}) == ("", True)
+    assert names_of_terminal({"TMUX": f"{tmp_path}/none,1,0", "TERM": "xterm-kitty"}, "") == ("", True)
+
+
+def test_name_of_terminal_counts_as_term() -> None:
+    """SSH carries neither KITTY_WINDOW_ID nor, where its TERM is unknown, kitty's own."""
+    assert sequence({"TERM": "xterm-256color"}, "kitty(0.26.5)", "a", "b") == sequence(
+        {"TERM": "xterm-kitty"}, "", "a", "b"
+    )

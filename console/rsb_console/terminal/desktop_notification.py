@@ -38,14 +38,17 @@ _BY_NAME: Final[Mapping[str, Callable[[str, str], str]]] = {
 """By a part of the terminal's name in lower case. Other terminals might print the sequence."""
 
 
-def names_of_terminal(environ: Mapping[str, str]) -> tuple[str, bool]:
+def names_of_terminal(environ: Mapping[str, str], name: str) -> tuple[str, bool]:
     """Return the names of the terminal that the operator sees, as far as they are known, and whether tmux is before it.
 
     Within tmux that is tmux's own terminal, or none if tmux passes nothing on to it. It takes up to `_ANSWERS_WITHIN`.
+
+    Args:
+        name: the terminal's own (`rsb_console.terminal.terminal_facts.TerminalFacts.name`).
     """
     if not environ.get("TMUX"):
         kitty = "kitty" if environ.get("KITTY_WINDOW_ID") else ""
-        return f"{environ.get('TERM', '')} {environ.get('TERM_PROGRAM', '')} {kitty}".lower(), False
+        return f"{name} {environ.get('TERM', '')} {environ.get('TERM_PROGRAM', '')} {kitty}".lower(), False
     tmux = shutil.which("tmux")
     if tmux is None:
         return "", True
@@ -60,9 +63,9 @@ def names_of_terminal(environ: Mapping[str, str]) -> tuple[str, bool]:
     return (names.lower() if passes.strip() not in _PASSES_NOTHING else ""), True
 
 
-def sequence(environ: Mapping[str, str], title: str, text: str) -> str:
+def sequence(environ: Mapping[str, str], name: str, title: str, text: str) -> str:
     """Return what makes the terminal show a notification, or an empty string if it is not known to do so."""
-    names, in_tmux = names_of_terminal(environ)
+    names, in_tmux = names_of_terminal(environ, name)
     make = next((make for name, make in _BY_NAME.items() if name in names), None)
     if make is None:
         return ""

@@ -77,7 +77,7 @@ class ViewText(Wording):
     HELD = "HELD: space goes on"
     OLD = "{age} old"
     SIDE = "drawn by {side}"
-    COST = "{rate}"
+    FEW_COLOURS = "{colours} colours: COLORTERM=truecolor or terminal: {{colours: true}} in console.yaml shows more"
     WRITTEN = "written: {files}"
     NOT_WRITTEN = "the picture cannot be written: {error}"
     NO_PICTURE = "there is no picture yet"
@@ -143,19 +143,15 @@ class PictureTile(Tile):
 
     @property
     def cost(self) -> float:
+        """Bytes a second that it takes of a link."""
         now = time.monotonic()
         while self._sizes and now - self._sizes[0][0] > _COST_OVER:
             self._sizes.popleft()
         return sum(size for _, size in self._sizes) / _COST_OVER
 
     def on_mount(self) -> None:
-        super().on_mount()
         # The age of a picture grows without a new one.
         self.set_interval(1.0, self._entitle)
-
-    def on_unmount(self) -> None:
-        super().on_unmount()
-        self.end()
 
     def begin(self) -> None:
         self.fit()
@@ -321,12 +317,19 @@ class PictureTile(Tile):
         return [
             *parts,
             *picture.notes,
-            ViewText.COST(rate=formats.byte_rate(self.cost)) if where else "",
+            formats.byte_rate(self.cost) if where else "",
             ViewText.SIDE(side=side),
             f"at most {self._wish.rate:g} Hz",
-            self.terminal.facts.line() if isinstance(picture.content, Pixels) else "",
+            self._how_shown if isinstance(picture.content, Pixels) else "",
             picture.type_name,
         ]
+
+    @property
+    def _how_shown(self) -> str:
+        """What the terminal was found to show, or how to get more."""
+        facts = self.terminal.facts
+        few = facts.colours <= 16 and not self.app.no_color
+        return ViewText.FEW_COLOURS(colours=facts.colours or "no") if few else facts.line()
 
     # -- keys ---------------------------------------------------------------------------------------------------------
 

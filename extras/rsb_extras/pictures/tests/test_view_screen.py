@@ -652,7 +652,7 @@ async def test_an_image_is_written_in_its_own_resolution(app: ConsoleApp, pilot:
 async def test_without_full_image_visible_one_is_written(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     await comes(pilot, viewed(IMAGE))
     await until(pilot, lambda: has_picture(app), "the picture")
-    await written(pilot, EngineError("4 views of this link are open already"))
+    await written(pilot, EngineError("9 views of this link are open already"))
     await notified(pilot, ViewText.WRITTEN)
     file, drawing = sorted(folder.iterdir())
     assert ElementTree.parse(drawing).getroot().tag.endswith("svg")
