@@ -258,7 +258,7 @@ def _wish(arguments: Namespace) -> Wish:
         width=max(1, min(MOST_COLUMNS, arguments.width or size.columns)),
         height=max(1, min(MOST_ROWS, arguments.height or size.lines - 1)),
         rate=arguments.rate,
-        how=arguments.how,
+        how=arguments.how or ("plot" if arguments.field else ""),
         fields=tuple(arguments.field),
         zoom=arguments.zoom,
         tilt=arguments.tilt,

@@ -240,7 +240,8 @@ class PictureTile(Tile):
 
     @property
     def _topics(self) -> tuple[str, ...]:
-        if of_fields := tuple(dict.fromkeys(filter(None, (split_field(each)[0] for each in self._wish.fields)))):
+        of_fields = tuple(dict.fromkeys(filter(None, (split_field(each)[0] for each in self._wish.fields))))
+        if of_fields and self._wish.how == "plot":
             return of_fields
         is_usual = not self._wish.how
         return self.subject.topics + (self._layers if self._shows_layers and is_usual else ())
