@@ -41,7 +41,7 @@ def record_limits(session: Any) -> RecordLimits | None:
     return RecordLimits() if value is True else value or None
 
 
-class Recording(Feature):
+class RecordingFeature(Feature):
     name = "recording"
     libraries: ClassVar[Mapping[str, str]] = {"record": "mcap"}
 
@@ -93,4 +93,4 @@ class Recording(Feature):
         )  # fmt: skip
 
 
-FEATURE = Recording()
+FEATURE = RecordingFeature()

@@ -15,7 +15,7 @@ from tests.support.wording import says
 
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Session
-from rsb_extras.recording import Recording, RecordLimits, record_limits
+from rsb_extras.recording import RecordingFeature, RecordLimits, record_limits
 from rsb_extras.recording.keep_last import KeepLast
 from rsb_extras.recording.keeping import KeepProblem
 from rsb_extras.recording.mcap_file import McapText
@@ -155,6 +155,6 @@ def test_session_says_whether_and_how_much(value: object, limits: RecordLimits |
 
 def test_check_advises_to_install_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    advice = [*Recording().advice(session(True), None)]
+    advice = [*RecordingFeature().advice(session(True), None)]
     assert advice == [("record", McapText.NOT_INSTALLED())]
-    assert not [*Recording().advice(session(False), None)]
+    assert not [*RecordingFeature().advice(session(False), None)]
