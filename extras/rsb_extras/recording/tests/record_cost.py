@@ -6,7 +6,7 @@ import time
 from random import Random
 from typing import TYPE_CHECKING
 
-from tests.route.test_loop_filter import FIRST, SCAN, Graph, Peer
+from tests.route.test_loop_filter import FIRST, SCAN, Graph, Peer, World
 from tests.route.test_unpacking import OnePublisher, opened
 from tests.support.offline import FakePeer, half_of
 from tests.support.virtual_time import VirtualClock, virtual_loop
@@ -54,11 +54,12 @@ def _sending(loop: VirtualLoop, record: object) -> Callable[[int], None]:
     route.open(1)
     route.on_accepted()
     peer.answer(route)
+    world = World(route, graph, peer, context, loop)
     numbers = iter(range(1, 1 << 40))
 
     def pass_on(together: int) -> None:
         peer.channel.sent.clear()
-        route._path.offer([RawMessage(bytes(_SIZE), 1, FIRST, next(numbers), 0, 1) for _ in range(together)])
+        world.path.offer([RawMessage(bytes(_SIZE), 1, FIRST, next(numbers), 0, 1) for _ in range(together)])
 
     return pass_on
 
