@@ -42,7 +42,7 @@ BRINGS_ACTIONS: Mapping[str, str] = {
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""
-BRINGS_SETTINGS: Mapping[str, str] = {}
+BRINGS_SETTINGS: Mapping[str, str] = {"commands": "own_commands"}
 """The same of settings in ``console.yaml``."""
 
 T = TypeVar("T")
@@ -288,6 +288,14 @@ class Feature:
 
     def console_settings(self) -> Iterable[Any]:
         """Return settings of ``console.yaml``, each a `rsb_console.notation.console_setting.ConsoleSetting`."""
+        return ()
+
+    def own_actions(self, preferences: Any) -> Iterable[Any]:
+        """Return actions that the user's settings make, of `rsb_console.actions.action.Group.OWN`.
+
+        Args:
+            preferences: the `rsb_console.preferences.Preferences`.
+        """
         return ()
 
     def message_views(self) -> Iterable[Any]:

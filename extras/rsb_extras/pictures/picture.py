@@ -6,6 +6,7 @@ on an internal route of its own (`rsb_extras.pictures.link_views.VIEW`).
 
 from __future__ import annotations
 
+import contextlib
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
@@ -16,8 +17,8 @@ from rsb_bridge.model.text import UNPRINTABLE, sanitize_text, single_cells
 # Limits of the protocol (docs/picture-protocol.md).
 MOST_COLUMNS, MOST_ROWS = 400, 150
 """Cells of the largest picture."""
-MOST_DETAIL = 16
-"""Pixels across a cell, of terminals that show pixels."""
+MOST_ACROSS, MOST_DOWN = 16, 32
+"""Pixels of an image across and down a cell."""
 LONGEST_SIDE = 1920
 """Pixels of an image's width and height."""
 MOST_RATE = 10.0
@@ -29,12 +30,14 @@ PICTURE_LIMIT = 1 << 20
 _TEXT = 255
 _Text: TypeAlias = Annotated[str, Meta(max_length=_TEXT, pattern=rf"\A[^{UNPRINTABLE}]*\Z")]
 _Number: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
+MOST_NUMBERS = 1000
+"""Numbers of which a viewer chooses some to plot."""
 MOST_VALUE = 1e300
 """Largest value of a plot: differences and sums stay finite."""
 _Value: TypeAlias = Annotated[float, Meta(ge=-MOST_VALUE, le=MOST_VALUE)]
 _Place: TypeAlias = Annotated[float, Meta(ge=-1e100, le=1e100)]
 _Step: TypeAlias = Annotated[float, Meta(ge=1e-12, le=1e100)]
-_Style: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A(|[a-z]+|#[0-9a-fA-F]{6})\Z")]
+_Style: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A(|@?[a-z]+|@?#[0-9a-fA-F]{6})\Z")]
 
 
 class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -45,8 +48,9 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
         height: cells of the picture's area.
         rate: Hz of pictures, at most.
         how: kind of picture, or an empty string for the usual one of the type: ``plot`` draws numbers over time,
-            ``tree`` shows all fields.
-        fields: paths of the numbers to plot (``pose.position.x``, ``ranges[3]``), or none for the first few.
+            ``tree`` shows all fields, ``fields`` lists the numbers to plot (`Picture.numbers`).
+        fields: paths of the numbers to plot (``pose.position.x``, ``ranges[3]``), with the topic before them if there
+            are several (``/odom:pose.position.x``, `field_of`), or none for the usual ones.
         zoom: factor; above 1 shows less, larger.
         x: shift of the view to the right, in parts of its width.
         y: shift of the view upwards, in parts of its height.
@@ -56,7 +60,9 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
         seconds: length of a plot's time axis.
         level: lowest level of the shown log messages (rcl_interfaces/msg/Log) or diagnostics.
         webp: whether the viewer reads WebP, which takes a tenth of the bytes.
-        detail: pixels of an image across a cell, and half as many as down; above 1 only with WebP.
+        across: pixels of an image across a cell; above 1 only with WebP.
+        down: pixels of an image down a cell.
+        shape: height of a cell over its width.
         match: text that shown log messages, nodes, frames or fields contain.
     """
 
@@ -75,12 +81,25 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
     level: Annotated[int, Meta(ge=0, le=255)] = 0
     match: _Text = ""
     webp: bool = False
-    detail: Annotated[int, Meta(ge=1, le=MOST_DETAIL)] = 1
+    across: Annotated[int, Meta(ge=1, le=MOST_ACROSS)] = 1
+    down: Annotated[int, Meta(ge=1, le=MOST_DOWN)] = 2
+    shape: Annotated[float, Meta(ge=0.5, le=8)] = 2.0
 
 
 def in_full(wish: Wish) -> Wish:
     """Return a wish for an image in its own resolution, up to `LONGEST_SIDE`, if the viewer reads WebP."""
-    return msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS, detail=MOST_DETAIL)
+    return msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS, across=MOST_ACROSS, down=MOST_DOWN)
+
+
+def field_of(topic: str, path: str) -> str:
+    """Return the path of a number of one of several topics, as in `Wish.fields`."""
+    return f"{topic}:{path}"
+
+
+def split_field(field: str) -> tuple[str, str]:
+    """Return the topic of a path in `Wish.fields`, or an empty string, and the path in its messages."""
+    topic, colon, path = field.partition(":")
+    return (topic, path) if colon and topic.startswith("/") else ("", field)
 
 
 class Pixels(msgspec.Struct, frozen=True, omit_defaults=True, tag="pixels"):
@@ -90,13 +109,13 @@ class Pixels(msgspec.Struct, frozen=True, omit_defaults=True, tag="pixels"):
         width: pixels; a cell of a terminal shows one in width, unless the wish has more detail.
         height: pixels; a cell of a terminal shows two, one above the other.
         data: three bytes a pixel, red, green and blue, row by row from the top; or a WebP file.
-        coding: of `data`.
+        coding: of `data`; ``webp-doubled`` has twice as many pixels across and down, since WebP halves colours.
     """
 
     width: Annotated[int, Meta(ge=1, le=LONGEST_SIDE)]
     height: Annotated[int, Meta(ge=1, le=LONGEST_SIDE)]
     data: bytes
-    coding: Literal["rgb", "webp"] = "rgb"
+    coding: Literal["rgb", "webp", "webp-doubled"] = "rgb"
 
 
 class Scale(msgspec.Struct, frozen=True):
@@ -122,17 +141,23 @@ class Cells(msgspec.Struct, frozen=True, omit_defaults=True, tag="cells"):
     Attributes:
         rows: of the text. Each character takes one cell; rows may be shorter than the picture is wide.
         styles: for each character of each row, one after the other, the index of its style in `palette`.
-        palette: names of styles (`STYLES`), or colours as ``#rrggbb``.
+        palette: names of styles (`STYLES`), or colours as ``#rrggbb``. Behind a character they are tints, which a
+            viewer mixes with its own background; ``@`` before one gives a character itself the colour of that tint.
         scale: the place of the cells in the world, if they are a map.
+        backgrounds: for each character, as in `styles`, the index of the tint behind it, or empty for none at all.
     """
 
     rows: Annotated[tuple[Annotated[str, Meta(max_length=MOST_COLUMNS)], ...], Meta(max_length=MOST_ROWS)]
     styles: bytes = b""
     palette: Annotated[tuple[_Style, ...], Meta(max_length=256)] = ()
     scale: Scale | None = None
+    backgrounds: bytes = b""
 
 
-STYLES = ("", "dim", "strong", "axis", "ok", "warning", "error", "robot", "path", "scan", "occupied", "free", "goal")
+STYLES = (
+    "", "dim", "strong", "axis", "ok", "warning", "error", "robot", "path", "scan", "occupied", "free", "goal",
+    "unknown", "lethal",
+)  # fmt: skip
 """Styles of `Cells` that a viewer's theme colours."""
 
 
@@ -167,6 +192,19 @@ class Curve(msgspec.Struct, frozen=True, omit_defaults=True):
     mean: _Value | None = None
 
 
+class FieldNumber(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A number that can be plotted.
+
+    Attributes:
+        path: in the topic's messages.
+        value: newest one, or None if that is no number (NaN) or infinite.
+    """
+
+    topic: _Text
+    path: _Text
+    value: _Value | None = None
+
+
 class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     """A picture of messages, or the reason why it is missing.
 
@@ -180,6 +218,9 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
         notes: lines about the picture (``1920×1080 rgb8``).
         problem: the reason why there is no picture, or why it is incomplete, and what to do.
         waiting: before the first message: facts about the topic's publishers, and what to do.
+        number: of the content, from 1; each other content of a view has another one. 0 within one side.
+        is_unchanged: whether the content is left out, as it is the one that was sent with this number.
+        numbers: all that can be plotted, if the wish asks for ``fields``; then there is no content.
     """
 
     content: Pixels | Cells | Series | None = None
@@ -191,6 +232,9 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     notes: Annotated[tuple[_Text, ...], Meta(max_length=16)] = ()
     problem: Annotated[str, Meta(max_length=500, pattern=rf"\A[^{UNPRINTABLE}]*\Z")] = ""
     waiting: _Text = ""
+    number: Annotated[int, Meta(ge=0, le=(1 << 63) - 1)] = 0
+    is_unchanged: bool = False
+    numbers: Annotated[tuple[FieldNumber, ...], Meta(max_length=MOST_NUMBERS)] = ()
 
 
 class Viewed(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -213,12 +257,24 @@ class PictureError(ValueError):
     """Bytes are no picture."""
 
 
+class _Unchanged(msgspec.Struct):
+    is_unchanged: bool = False
+
+
+_unchanged_decoder = msgspec.msgpack.Decoder(_Unchanged)
 _encoder, _decoder = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(Picture)
 
 
 def encode_picture(picture: Picture) -> bytes:
     """Return a picture as bytes."""
     return _encoder.encode(picture)
+
+
+def is_unchanged(encoded: bytes) -> bool:
+    """Whether an encoded picture leaves out its content; what is no picture does not."""
+    with contextlib.suppress(msgspec.MsgspecError, ValueError):
+        return _unchanged_decoder.decode(encoded).is_unchanged
+    return False
 
 
 def decode_picture(encoded: bytes) -> Picture:
@@ -247,11 +303,13 @@ def check_picture(picture: Picture) -> Picture:
         if content.coding == "rgb" and len(content.data) != 3 * content.width * content.height:
             raise PictureError("an image has not as many bytes as its size says")
     elif isinstance(content, Cells):
-        if len(content.styles) not in (0, sum(map(len, content.rows))):
-            raise PictureError("not each character has a style")
-        if max(content.styles, default=0) >= max(1, len(content.palette)):  # 0 needs no palette
-            raise PictureError("a character has a style that is not in the palette")
-        if not all(style in STYLES or style.startswith("#") for style in content.palette):
+        characters = sum(map(len, content.rows))
+        for indices in (content.styles, content.backgrounds):
+            if len(indices) not in (0, characters):
+                raise PictureError("not each character has a style")
+            if max(indices, default=0) >= max(1, len(content.palette)):  # 0 needs no palette
+                raise PictureError("a character has a style that is not in the palette")
+        if not all((name := style.removeprefix("@")) in STYLES or name.startswith("#") for style in content.palette):
             raise PictureError("the palette has a style that is none")
         if content.scale is not None and min(content.scale.column, content.scale.row) <= 0:
             raise PictureError("a map's cells have no size")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from tests.fuzz.editing import edit_msgpack
 from tests.fuzz.parser import Parser, check_text
 
 from rsb_bridge.model.text import is_clean
+from rsb_extras.pictures.blocks import image_rows
 from rsb_extras.pictures.picture import (
     MOST_COLUMNS,
     Cells,
@@ -21,7 +24,16 @@ from rsb_extras.pictures.picture import (
 from rsb_extras.pictures.picture_files import formats_of, picture_file
 from rsb_extras.pictures.picture_rows import UnreadableError, picture_rows
 
+if TYPE_CHECKING:
+    from rsb_extras.pictures.picture_rows import Row
+
 _WIDTH, _HEIGHT = 40, 12
+
+
+def rows_of(content: Cells | Pixels | Series, colours: int) -> list[Row]:
+    if isinstance(content, Pixels):
+        return image_rows(content, _WIDTH, _HEIGHT, colours=colours, sextants=colours > 16)
+    return picture_rows(content, _WIDTH, _HEIGHT)
 
 
 def _read_picture(data: bytes) -> None:
@@ -36,7 +48,7 @@ def _read_picture(data: bytes) -> None:
         return
     for colours in (0, 16, 256):
         try:
-            rows = picture_rows(picture.content, _WIDTH, _HEIGHT, colours=colours)
+            rows = rows_of(picture.content, colours)
         except UnreadableError:
             continue
         for row in rows:
@@ -53,6 +65,7 @@ _PICTURES = (
     Picture(Pixels(2, 2, bytes(12)), taken=1, stamp=1, messages=2, size=9, type_name="a/msg/B", notes=("2×2",)),
     Picture(Pixels(1, 1, b"RIFF\x1a\0\0\0WEBPVP8L", "webp")),
     Picture(Cells(("ab", "⣿▲"), bytes((0, 1, 0, 2)), ("", "dim", "#102030"), Scale("map", 0.0, 1.0, 0.1, 0.2))),
+    Picture(Cells(("▀⠠█",), bytes((1, 2, 3)), ("", "@#102030", "free", "occupied"), None, bytes((2, 2, 1)))),
     Picture(Series(1.0, 0.5, (Curve("x", (1.0, None), (2.0, None), 1.5, 1.5),)), problem="late"),
 )
 
