@@ -15,6 +15,7 @@ from tests.support.wording import says
 
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Session
+from rsb_extras.pictures.tests.test_view_screen import comes, looking, viewed
 from rsb_extras.recording import RecordingFeature, RecordLimits, record_limits
 from rsb_extras.recording.keep_last import KeepLast
 from rsb_extras.recording.keeping import KeepProblem
@@ -107,6 +108,15 @@ async def test_key_says_where_it_is(app: ConsoleApp, pilot: Pilot[None]) -> None
     await pilot.press("P")
     await shown(pilot, "9,876")
     await shown(pilot, "/recordings/")
+
+
+@looking()
+async def test_key_works_beside_a_picture(app: ConsoleApp, pilot: Pilot[None], answer: Any) -> None:
+    asked = answer(KEPT)
+    await comes(pilot, viewed())
+    await pilot.press("P")
+    await shown(pilot, "/recordings/")
+    assert asked == [KeepLast()]
 
 
 @on_main()
