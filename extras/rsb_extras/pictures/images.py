@@ -184,12 +184,20 @@ def _part(height: int, width: int, wish: Wish) -> tuple[slice, slice]:
 
 def _fitted(height: int, width: int, wish: Wish) -> tuple[int, int]:
     """Return the height and width of the picture in pixels: as large as the area allows, in the same proportions."""
-    detail = wish.detail if wish.webp and find_spec("PIL") is not None else 1
-    most_width, most_height = (min(LONGEST_SIDE, detail * each) for each in (wish.width, 2 * wish.height))
-    if detail > 1:  # a terminal that shows pixels enlarges them itself
-        most_width, most_height = min(most_width, width), min(most_height, height)
-    factor = min(most_width / width, most_height / height)
-    return max(1, min(most_height, round(height * factor))), max(1, min(most_width, round(width * factor)))
+    across, down = _in_cell(wish)
+    most_width, most_height = (min(LONGEST_SIDE, each) for each in (across * wish.width, round(down * wish.height)))
+    pixel = wish.shape * across / down  # its height over its width
+    factor = min(most_width / width, most_height * pixel / height)
+    if across > 1:  # the viewer enlarges it itself
+        factor = min(factor, 1, pixel)
+    size = round(height * factor / pixel), round(width * factor)
+    return max(1, min(most_height, size[0])), max(1, min(most_width, size[1]))
+
+
+def _in_cell(wish: Wish) -> tuple[int, float]:
+    """Return the pixels across and down a cell. Without WebP they are larger, and of the same shape."""
+    across = wish.across if wish.webp and find_spec("PIL") is not None else 1
+    return across, wish.down * across / wish.across
 
 
 def _reduced(pixels: Array, wish: Wish) -> Array:
@@ -340,8 +348,10 @@ def _compressed(message: Message, wish: Wish) -> tuple[Pixels, str]:
             return picture, f"{note}, {span}"
         # A part that is zoomed needs all pixels.
         if wish.zoom <= 1:
-            across = _SAMPLES * wish.width * wish.detail
-            image.draft("RGB", (across, 2 * _SAMPLES * wish.height * wish.detail))  # JPEG: decodes less
+            across, down = _in_cell(wish)
+            image.draft(
+                "RGB", (_SAMPLES * wish.width * across, round(_SAMPLES * wish.height * down))
+            )  # JPEG: decodes less
         pixels = np.asarray(image.convert("RGB"))
     except UnidentifiedImageError:  # its text names an object of Python
         raise UndrawableError(ImageProblem.BROKEN(error="it has no header")) from None

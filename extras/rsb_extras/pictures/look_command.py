@@ -37,17 +37,27 @@ from rsb_console.command.shell import FAILURE, OK, print_line, shows_ascii
 from rsb_console.command.target import UsageError, attached, done, failed, other_side
 from rsb_console.notation import formats
 from rsb_console.notation.glyphs import to_ascii
+from rsb_extras.pictures.blocks import COLOURS, QUADRANTS, UnreadableError, reads_webp, rgb_of, wished_pixels
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
-from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS, Picture, Pixels, Wish, in_full
+from rsb_extras.pictures.picture import (
+    MOST_COLUMNS,
+    MOST_ROWS,
+    Picture,
+    Pixels,
+    Wish,
+    in_cells,
+    in_full,
+    in_square_pixels,
+)
 from rsb_extras.pictures.picture_files import FORMATS, picture_file, png
-from rsb_extras.pictures.picture_rows import COLOURS, UnreadableError, picture_rows, reads_webp, rgb_of
+from rsb_extras.pictures.picture_rows import picture_rows
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_extras.pictures.blocks import Row
     from rsb_extras.pictures.picture import Viewed
-    from rsb_extras.pictures.picture_rows import Row
 
 Graphics = Literal["kitty", "sixel", "blocks"]
 _ANSWERED_WITHIN = 60.0  # s, as the help of --timeout says
@@ -287,9 +297,10 @@ def _wish(arguments: Namespace) -> Wish:
     is_file = arguments.output is not None and arguments.output.suffix == ".png"
     if is_file and not (arguments.detail or arguments.width or arguments.height):
         return in_full(wish)
-    # Characters show one pixel across a cell; more would cross the link for nothing.
-    finer = is_file or arguments.graphics != "blocks"
-    return msgspec.structs.replace(wish, detail=(arguments.detail or _DETAIL) if finer else 1)
+    across, down = _cell_size()
+    if is_file or arguments.graphics != "blocks":
+        return in_square_pixels(wish, arguments.detail or _DETAIL, down / across)
+    return in_cells(wish, *wished_pixels(_colours(arguments), QUADRANTS), down / across)
 
 
 def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
@@ -297,7 +308,7 @@ def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
     if content is None:
         return []
     try:
-        return picture_rows(content, wish.width, wish.height, colours=COLOURS[_console(arguments).color_system])
+        return picture_rows(content, wish.width, wish.height, colours=_colours(arguments))
     except UnreadableError as error:
         raise EngineError(str(error)) from None
 
@@ -316,6 +327,10 @@ def _console(arguments: Namespace) -> Console:
     if arguments.ascii or "NO_COLOR" in os.environ or not sys.stdout.isatty():
         return Console(color_system=None)
     return Console()
+
+
+def _colours(arguments: Namespace) -> int:
+    return COLOURS[_console(arguments).color_system]
 
 
 def _encoded(console: Console, row: Row, *, ascii_only: bool) -> str:

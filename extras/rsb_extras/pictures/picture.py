@@ -16,8 +16,10 @@ from rsb_bridge.model.text import UNPRINTABLE, sanitize_text, single_cells
 # Limits of the protocol (docs/picture-protocol.md).
 MOST_COLUMNS, MOST_ROWS = 400, 150
 """Cells of the largest picture."""
-MOST_DETAIL = 16
-"""Pixels across a cell, of terminals that show pixels."""
+MOST_ACROSS, MOST_DOWN = 16, 32
+"""Pixels of an image in a cell."""
+LEAST_SHAPE, MOST_SHAPE = 0.5, 8.0
+"""Height of a cell over its width."""
 LONGEST_SIDE = 1920
 """Pixels of an image's width and height."""
 MOST_RATE = 10.0
@@ -56,7 +58,9 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
         seconds: length of a plot's time axis.
         level: lowest level of the shown log messages (rcl_interfaces/msg/Log) or diagnostics.
         webp: whether the viewer reads WebP, which takes a tenth of the bytes.
-        detail: pixels of an image across a cell, and half as many as down; above 1 only with WebP.
+        across: pixels of an image in a cell, beside each other; above 1 only with WebP, and only as many as it has.
+        down: pixels of an image in a cell, one above the other.
+        shape: height of a cell over its width. The pixels are square if it is `down` / `across`.
         match: text that shown log messages, nodes, frames or fields contain.
     """
 
@@ -75,20 +79,35 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
     level: Annotated[int, Meta(ge=0, le=255)] = 0
     match: _Text = ""
     webp: bool = False
-    detail: Annotated[int, Meta(ge=1, le=MOST_DETAIL)] = 1
+    across: Annotated[int, Meta(ge=1, le=MOST_ACROSS)] = 1
+    down: Annotated[int, Meta(ge=1, le=MOST_DOWN)] = 2
+    shape: Annotated[float, Meta(ge=LEAST_SHAPE, le=MOST_SHAPE)] = 2.0
+
+
+def in_cells(wish: Wish, across: int, down: int, shape: float) -> Wish:
+    """Return a wish for so many pixels in a cell, whose height over its width is `shape`."""
+    shape = max(LEAST_SHAPE, min(MOST_SHAPE, shape))
+    return msgspec.structs.replace(wish, across=across, down=down, shape=shape)
+
+
+def in_square_pixels(wish: Wish, across: int, shape: float) -> Wish:
+    """Return a wish for square pixels, so many across a cell, for terminals that show pixels."""
+    across = max(1, min(MOST_ACROSS, across))
+    down = max(1, min(MOST_DOWN, round(across * shape)))
+    return in_cells(wish, across, down, down / across)
 
 
 def in_full(wish: Wish) -> Wish:
     """Return a wish for an image in its own resolution, up to `LONGEST_SIDE`, if the viewer reads WebP."""
-    return msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS, detail=MOST_DETAIL)
+    return in_square_pixels(msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS), MOST_ACROSS, 2.0)
 
 
 class Pixels(msgspec.Struct, frozen=True, omit_defaults=True, tag="pixels"):
     """An image.
 
     Attributes:
-        width: pixels; a cell of a terminal shows one in width, unless the wish has more detail.
-        height: pixels; a cell of a terminal shows two, one above the other.
+        width: pixels; of one, the width is to the height as `Wish.down` to `Wish.across` times `Wish.shape`.
+        height: pixels.
         data: three bytes a pixel, red, green and blue, row by row from the top; or a WebP file.
         coding: of `data`.
     """

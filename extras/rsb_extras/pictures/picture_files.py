@@ -10,8 +10,9 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from rsb_console.session.exports import cell
+from rsb_extras.pictures.blocks import rgb_of
 from rsb_extras.pictures.picture import Cells, Pixels, Series
-from rsb_extras.pictures.picture_rows import picture_rows, rgb_of
+from rsb_extras.pictures.picture_rows import picture_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable

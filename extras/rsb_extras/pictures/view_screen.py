@@ -32,6 +32,7 @@ from rsb_console.notation import formats
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
+from rsb_extras.pictures.blocks import COLOURS, QUADRANTS, Part, UnreadableError, reads_webp, wished_pixels
 from rsb_extras.pictures.drawing import VIEWS, is_layer, is_map
 from rsb_extras.pictures.goal_on_map import POSE, Goal
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
@@ -45,10 +46,11 @@ from rsb_extras.pictures.picture import (
     Pixels,
     Series,
     Wish,
+    in_cells,
     in_full,
 )
 from rsb_extras.pictures.picture_files import formats_of, picture_file
-from rsb_extras.pictures.picture_rows import AXIS, COLOURS, Part, UnreadableError, picture_rows, reads_webp, with_mark
+from rsb_extras.pictures.picture_rows import AXIS, picture_rows, with_mark
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -59,8 +61,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import Console
     from rsb_console.screens.main import MainScreen
+    from rsb_extras.pictures.blocks import Row
     from rsb_extras.pictures.picture import Scale, Viewed
-    from rsb_extras.pictures.picture_rows import Row
 
 _TRIED_AGAIN_AFTER = 1.0  # s; a round figure: how long a refusal outlives its cause
 _IN_FULL_WITHIN = 5.0  # s. A round figure: an operator waits for the file
@@ -286,7 +288,8 @@ class ViewScreen(FullScreen[bool]):
         size = self.pane.scrollable_content_region.size
         # The other side refuses a wish beyond these bounds.
         width, height = max(1, min(MOST_COLUMNS, size.width)), max(1, min(MOST_ROWS, size.height))
-        self._wish = msgspec.structs.replace(self._wish, width=width, height=height)
+        wish = msgspec.structs.replace(self._wish, width=width, height=height)
+        self._wish = in_cells(wish, *wished_pixels(self._colours, QUADRANTS), 2.0)
         self.pane.border_subtitle = Content(f" {self._keys(size.width - _FRAME)} ")
         self._draw()
 
@@ -327,6 +330,11 @@ class ViewScreen(FullScreen[bool]):
         is_usual = not self._wish.how
         return self._subject.topics + (self._layers if self._shows_layers and is_usual else ())
 
+    @property
+    def _colours(self) -> int:
+        colours = COLOURS[self.app.console.color_system]
+        return min(colours, COLOURS["standard"]) if self.app.ansi_color else colours
+
     def _draw(self) -> None:
         if not self.pane.is_attached:
             return
@@ -334,11 +342,8 @@ class ViewScreen(FullScreen[bool]):
         rows: list[Row] = []
         if content is not None:
             try:
-                colours = COLOURS[self.app.console.color_system]
-                if self.app.ansi_color:
-                    colours = min(colours, COLOURS["standard"])
                 width, height = self._wish.width, self._wish.height
-                rows = picture_rows(content, width, height, colours=colours, cursor=self._cursor)
+                rows = picture_rows(content, width, height, colours=self._colours, cursor=self._cursor)
                 if (scale := self._scale) is not None and self._goal is not None and self._goal.frame != scale.frame:
                     self._goal = None  # its coordinates mean another place
                 if scale is not None and self._goal is not None:

@@ -6,6 +6,7 @@ from tests.fuzz.editing import edit_msgpack
 from tests.fuzz.parser import Parser, check_text
 
 from rsb_bridge.model.text import is_clean
+from rsb_extras.pictures.blocks import UnreadableError
 from rsb_extras.pictures.picture import (
     MOST_COLUMNS,
     Cells,
@@ -19,7 +20,7 @@ from rsb_extras.pictures.picture import (
     encode_picture,
 )
 from rsb_extras.pictures.picture_files import formats_of, picture_file
-from rsb_extras.pictures.picture_rows import UnreadableError, picture_rows
+from rsb_extras.pictures.picture_rows import picture_rows
 
 _WIDTH, _HEIGHT = 40, 12
 

@@ -187,7 +187,7 @@ async def test_the_drawing_process_is_confined_and_draws(renderer: Renderer, mon
         Vector3(x=1.0),
     ]
     for view, message in enumerate(messages):
-        picture = await renderer.draw(task(Wish(webp=True, detail=4), message, view=view))
+        picture = await renderer.draw(task(Wish(webp=True, across=4, down=8), message, view=view))
         assert (picture.problem, picture.content is None) == ("", False), message
     assert renderer.starts == 1
     status = dict(line.split(":\t", 1) for line in Path(f"/proc/{renderer.pid}/status").read_text().splitlines())

@@ -15,9 +15,9 @@ from sensor_msgs.msg import CompressedImage, Image
 from tests.support import surroundings
 from tests.support.wording import has_text
 
+from rsb_extras.pictures.blocks import rgb_of
 from rsb_extras.pictures.images import BAYER, DEPTHS, ENCODINGS, NUMBERS, PLANES, YUV, ImageProblem
 from rsb_extras.pictures.picture import LONGEST_SIDE, Picture, Pixels, Wish, in_full
-from rsb_extras.pictures.picture_rows import rgb_of
 from rsb_extras.pictures.tests.samples import drawn
 
 WISH = Wish(width=8, height=4)
@@ -217,8 +217,8 @@ def _sizes(across: int, down: int, **wish: object) -> tuple[int, int]:
 def test_terminals_that_show_pixels_get_more_of_them() -> None:
     """As many as the image has at most: they enlarge it themselves."""
     assert _sizes(640, 480, webp=True) == (8, 6)
-    assert _sizes(640, 480, webp=True, detail=6) == (48, 36)
-    assert _sizes(64, 48, webp=True, detail=16) == (64, 48)
+    assert _sizes(640, 480, webp=True, across=6, down=12) == (48, 36)
+    assert _sizes(64, 48, webp=True, across=16, down=32) == (64, 48)
 
 
 def test_an_image_in_full_has_its_own_resolution() -> None:
@@ -232,7 +232,7 @@ def test_an_image_in_full_has_its_own_resolution() -> None:
     assert LONGEST_SIDE == 1920
 
 
-def test_detail_needs_webp(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert _sizes(640, 480, detail=6) == (8, 6)
+def test_more_pixels_need_webp(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _sizes(640, 480, across=6, down=12) == (8, 6)
     surroundings.hide_modules(monkeypatch, "PIL")
-    assert _sizes(640, 480, webp=True, detail=6) == (8, 6)
+    assert _sizes(640, 480, webp=True, across=6, down=12) == (8, 6)

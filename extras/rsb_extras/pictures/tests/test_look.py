@@ -343,7 +343,7 @@ def test_a_file_has_the_image_s_own_resolution(
     engine.viewed = [viewed(IMAGE)]
     assert ran("/camera", "--output", str(tmp_path / "a.png"), *options).code == 0
     ((_, wish, _),) = looks(engine)
-    assert (wish.width, wish.height, wish.detail) == size
+    assert (wish.width, wish.height, wish.across) == size
 
 
 @pytest.mark.parametrize(("graphics", "sequence"), [("kitty", "\x1b_Ga=T"), ("sixel", "\x1bP")])
@@ -356,7 +356,7 @@ def test_one_picture_in_pixels(
     done = ran("/camera", "--once", "--graphics", graphics, *options)
     assert (done.code, done.err) == (0, "")
     ((_, wish, _),) = looks(engine)
-    assert wish.detail == detail
+    assert (wish.across, wish.down) == (detail, 2 * detail)
     before, _, after = done.out.partition(sequence)
     rows = before.count("\n")
     assert 1 <= rows <= wish.height

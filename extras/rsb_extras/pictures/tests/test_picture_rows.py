@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rsb_extras.pictures.blocks import RAMP, Part, UnreadableError, rgb_of
 from rsb_extras.pictures.picture import LONGEST_SIDE, Cells, Curve, Pixels, Series
-from rsb_extras.pictures.picture_rows import RAMP, Part, UnreadableError, picture_rows, rgb_of, with_mark
+from rsb_extras.pictures.picture_rows import picture_rows, with_mark
 
 Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
 

@@ -51,8 +51,8 @@ from rsb_console.widgets.form import FormScreen
 from rsb_extras.pictures.goal_on_map import POSE, Goal
 from rsb_extras.pictures.look_requests import AnswerProblem, LookAtTopics
 from rsb_extras.pictures.picture import (
+    MOST_ACROSS,
     MOST_COLUMNS,
-    MOST_DETAIL,
     MOST_RATE,
     MOST_ROWS,
     Cells,
@@ -636,7 +636,7 @@ async def test_an_image_is_written_in_its_own_resolution(app: ConsoleApp, pilot:
     await comes(pilot, viewed(IMAGE))
     await until(pilot, lambda: has_picture(app), "the picture")
     wish = await written(pilot, viewed(Pixels(640, 480, bytes(3 * 640 * 480))))
-    assert (wish.width, wish.height, wish.detail) == (MOST_COLUMNS, MOST_ROWS, MOST_DETAIL)
+    assert (wish.width, wish.height, wish.across) == (MOST_COLUMNS, MOST_ROWS, MOST_ACROSS)
     await notified(pilot, ViewText.WRITTEN)
     (file,) = folder.iterdir()
     assert struct.unpack(">II", file.read_bytes()[16:24]) == (640, 480)
