@@ -73,8 +73,8 @@ class ConsoleShell(Protocol):
     def pull(self) -> None:
         """Show the present state now."""
 
-    def remember(self, name: str, value: Setting) -> None:
-        """Keep a choice of the operator for the next start."""
+    def remember(self, name: str, value: Setting) -> bool:
+        """Keep a choice of the operator for the next start; tell the operator, and return False, if that fails."""
 
 
 class Console(ConsoleShell, Protocol):

@@ -7,6 +7,7 @@ A theme is a YAML file of its own, whose name is the theme's. It holds Textual's
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sysconfig
@@ -27,7 +28,7 @@ from rsb_console.notation.console_setting import feature_settings
 from rsb_console.notation.topic_column import ADDED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     from rsb_console.actions.action import Action
 
@@ -51,7 +52,7 @@ KEY_SIGNS = {
     "minus": "-", "exclamation_mark": "!", "colon": ":", "vertical_line": "|", "pagedown": "PgDn", "pageup": "PgUp",
 }  # fmt: skip
 UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
-Setting = str | float | bool | list[str]
+Setting = str | float | bool | list[str] | dict[str, Any]
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 TOPIC_COLUMNS = {
     "KIND": "msg, srv, act or par",
@@ -273,7 +274,7 @@ class Preferences:
         self.bell: bool = settings.get("bell", False)
         self.refresh_rate: float | None = settings.get("refresh_rate")
         self.columns: frozenset[str] | None = frozenset(settings["columns"]) if "columns" in settings else None
-        self.features: Mapping[str, Any] = _of_features(settings)
+        self.features: dict[str, Any] = _of_features(settings)
         self.theme = self._load_themes(config, settings.get("theme") if theme is None else theme)
         try:
             self.keymap = load_keymap(config / "keys.yaml")
@@ -303,8 +304,8 @@ class Preferences:
 
     def remember(self, name: str, value: Setting) -> None:
         """Write a setting that the operator chose; the rest of the file stays. Raise PreferenceError if that fails."""
-        words = f"[{', '.join(value)}]" if isinstance(value, list) else str(value)
-        line = f"{name}: {words.lower() if isinstance(value, bool) else words}"
+        # On one line, so that the rest of the file stays as it is.
+        line = yaml.safe_dump({name: value}, default_flow_style=True, width=math.inf, allow_unicode=True).strip()[1:-1]
         settings = _read(self._path)
         if problem := _settings_problem(self._path, settings):
             raise PreferenceError(problem)
@@ -323,6 +324,8 @@ class Preferences:
             if written != {**cast("dict[str, Any]", settings), name: value}:
                 raise PreferenceError(PreferenceProblem.LAYOUT(path=self._path, line=line))
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            if name in feature_settings():
+                self.features[name] = feature_settings()[name].read(value)
             replace_file(self._path, text.encode())
         except OSError as error:
             raise PreferenceError(f"{self._path}: {why_not_written(error, self._path)}") from None

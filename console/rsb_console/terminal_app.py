@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import signal
 import threading
+import time
 import traceback
 from enum import Enum
 from pathlib import Path
@@ -51,6 +53,8 @@ if TYPE_CHECKING:
     from rsb_console.terminal.terminal_facts import TerminalFacts
 
 T = TypeVar("T")
+_READS_WITHIN, _LOOK_EVERY = 2.0, 0.01
+"""s to wait for a terminal that lags, and between two looks. Round figures."""
 _ENDS_WITHIN = 10.0
 """s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
 
@@ -167,6 +171,27 @@ class TerminalApp(App[ReturnType]):
         if event.is_forwarded or not self.screen_stack or not self.input_gate.refuses(event, self.screen):
             await super().on_event(event)
 
+    # --- the terminal
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether the terminal reads so slowly that what is written is dropped. The screen is drawn anew after that."""
+        return isinstance(self._driver, ConsoleDriver) and self._driver.is_behind
+
+    def write_to_terminal(self, sequence: str) -> None:
+        """Write what Textual does not know of, such as an image. It has to leave cursor and colours as they were."""
+        if sequence and isinstance(self._driver, ConsoleDriver):
+            self._driver.write(sequence)
+
+    async def terminal_has_read(self) -> None:
+        """Wait until the terminal has read all that was written, if it answers questions, but not for long."""
+        if not isinstance(self._driver, ConsoleDriver):
+            return
+        began = time.monotonic()
+        self._driver.ask()
+        while self._driver.pulse.heard_now < began and time.monotonic() - began < _READS_WITHIN:  # noqa: ASYNC110 -- the answer comes on a thread that knows no event loop
+            await asyncio.sleep(_LOOK_EVERY)
+
     # --- what screens ask
 
     def tell_problems(self) -> None:
@@ -206,12 +231,13 @@ class TerminalApp(App[ReturnType]):
         self.remember("refresh_rate", self.refresh_rate)
         self.pull()
 
-    def remember(self, name: str, value: Setting) -> None:
-        """Keep a choice of the operator for the next start."""
+    def remember(self, name: str, value: Setting) -> bool:
         try:
             self.preferences.remember(name, value)
         except PreferenceError as error:
             self.notify(str(error), title="Not kept", severity="warning", markup=False, timeout=8)
+            return False
+        return True
 
     # --- actions
 

@@ -23,6 +23,7 @@ from rsb_console.widgets.lines import Line, LiveLines
 if TYPE_CHECKING:
     from textual import events
     from textual.app import App, ComposeResult
+    from textual.geometry import Size, Spacing
     from textual.widget import Widget
     from textual.widgets._button import ButtonVariant
 
@@ -77,6 +78,14 @@ class FullScreen(ModalScreen[T]):
         self.dismiss(None)
         # Later: the action is looked up on the screen that is on top then.
         self.app.call_later(self.app.run_action, f"screen.{action}")
+
+
+class SideBox(ModalScreen[T]):
+    """A box beside what is below, which stays in sight and makes room for it."""
+
+    def room(self, size: Size) -> Spacing:
+        """Return the room that it takes of a screen of a size."""
+        raise NotImplementedError
 
 
 class ConfirmScreen(ModalScreen[bool], GuardedScreen):

@@ -215,12 +215,15 @@ class ConsoleDriver(LinuxDriver):
 
     Textual passes frames to a thread through a queue of 30, and blocks the app, with its keys and signals, while that
     is full. This driver drops frames that do not fit, and redraws the whole screen once the terminal reads again.
+
+    Attributes:
+        is_behind: whether it drops them.
     """
 
     def __init__(self, app: Any, **options: Any) -> None:
         super().__init__(app, **options)
         self._file: Any = TerminalFile(app.terminal, app.terminal_gone)
-        self._behind = False
+        self.is_behind = False
         self._unwatched = threading.Event()
         self._continuing = False
         self._asks = False
@@ -245,13 +248,13 @@ class ConsoleDriver(LinuxDriver):
 
     def write(self, data: str) -> None:
         """Pass `data` on to the terminal, or drop it while the queue is full."""
-        if self._behind and self._queue.empty():
-            self._behind = False
+        if self.is_behind and self._queue.empty():
+            self.is_behind = False
             self._app.call_later(self._app.refresh)
         try:
             self._queue.put_nowait(data)
         except Full:
-            self._behind = True
+            self.is_behind = True
 
     # --- the terminal's pulse
 
@@ -281,7 +284,7 @@ class ConsoleDriver(LinuxDriver):
     def ask(self) -> None:
         """Ask the terminal for a sign that it gets what is written, and that its keys come here."""
         # While frames are dropped, the question would be, too, and count as one that the terminal does not answer.
-        if self._asks and not self._behind and (question := self.pulse.question()):
+        if self._asks and not self.is_behind and (question := self.pulse.question()):
             self.write(question)
 
     def process_message(self, message: Message) -> None:

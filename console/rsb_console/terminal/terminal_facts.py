@@ -12,11 +12,17 @@ import contextlib
 import fcntl
 import os
 import re
+import select
 import struct
 import subprocess
 import termios
+import time
+import tty
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import TYPE_CHECKING, Final, Literal
+
+from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -63,6 +69,11 @@ _BEGINNING: Final = re.compile(
     r"|_(?:G[^\x1b]{0,60}\x1b?)?",
     re.IGNORECASE,
 )
+_AFTER_ESCAPE: Final = re.compile(rf"\x1b({_ANSWER.pattern})", re.IGNORECASE)
+_ARE_YOU_THERE: Final = "\x1b[c"
+_DEVICE: Final = re.compile(r"\x1b\[\?[\d;]*c")
+_ANSWERS_WITHIN: Final = 1.0
+"""s that a command waits for a terminal, over a slow line, too."""
 _TRUE_COLOUR_ANSWER: Final = re.compile(r"48[:;]2[:;]+1[:;]2[:;]3(?!\d)")
 _SIXEL: Final = "4"
 _WEIGHTS: Final = (0.299, 0.587, 0.114)
@@ -94,7 +105,7 @@ class TerminalFacts:
 
     @property
     def colour_system(self) -> str:
-        """rich's name of its colours."""
+        """Name of its colours in rich."""
         return {TRUE_COLOUR: "truecolor", 256: "256"}.get(self.colours, "standard")
 
     @property
@@ -104,7 +115,7 @@ class TerminalFacts:
 
     @property
     def draws_sextants(self) -> bool:
-        """Whether it draws the blocks of Unicode 13 itself; other terminals leave them to a font, which may lack them."""
+        """Whether it draws Unicode 13's blocks itself; others leave them to a font, which may lack them."""
         drawers = ("kitty", "foot", "wezterm", "ghostty", "contour", "konsole", "vte", "iterm2", "rio")
         return self.name.lower().startswith(drawers)
 
@@ -137,7 +148,7 @@ class TerminalFacts:
 
     @property
     def can_be_asked_more(self) -> bool:
-        """Whether `QUESTIONS` leave no trace: GNU screen passes some of them on as text, and shows another in its title."""
+        """Whether `QUESTIONS` leave no trace: GNU screen passes some on as text, and shows another as its title."""
         return self.kind != "" and self.kind.partition(";")[0] != _SCREEN
 
     def line(self) -> str:
@@ -165,13 +176,42 @@ def may_become_answer(text: str) -> bool:
 def facts_before_answers(environ: Mapping[str, str], terminal: int) -> TerminalFacts:
     """Return what the environment and the kernel say of the terminal behind a file descriptor."""
     term = environ.get("TERM", "")
-    if environ.get("COLORTERM", "").strip().lower() in ("truecolor", "24bit") or _tmux_has_true_colour(environ):
+    if term in ("", "dumb", "unknown"):
+        colours = 0
+    elif environ.get("COLORTERM", "").strip().lower() in ("truecolor", "24bit") or _tmux_has_true_colour(environ):
         colours = TRUE_COLOUR
     elif "256" in term or term in ("xterm-kitty", "foot", "alacritty", "wezterm", "xterm-ghostty"):
         colours = 256
     else:
-        colours = 0 if term in ("", "dumb", "unknown") else 16
+        colours = 16
     return TerminalFacts(colours=colours, cell=_cell_by_kernel(terminal))
+
+
+def ask(facts: TerminalFacts, read_from: int, write_to: int) -> TerminalFacts:
+    """Ask a terminal that nothing else reads from, and return what it answers, without the keys typed before."""
+    before = termios.tcgetattr(read_from)
+    try:
+        # This drops the keys typed before, which would be taken for answers.
+        tty.setcbreak(read_from)
+        answer = _answer(WHO_ARE_YOU + _ARE_YOU_THERE, read_from, write_to)
+        if found := KIND.search(answer):
+            facts = facts.of_kind(found["kind"])
+        if facts.can_be_asked_more:
+            answer += _answer(QUESTIONS, read_from, write_to)
+    finally:
+        # FLUSH drops the unread rest of an answer, which the shell would take for keys.
+        termios.tcsetattr(read_from, termios.TCSAFLUSH, before)
+    return reduce(TerminalFacts.told, (found[1] for found in _AFTER_ESCAPE.finditer(answer)), facts)
+
+
+def _answer(questions: str, read_from: int, write_to: int) -> str:
+    """Write questions, the last of which everyone answers, and return what comes until then, but not for long."""
+    answer, deadline = "", time.monotonic() + _ANSWERS_WITHIN
+    os.write(write_to, questions.encode())
+    while _DEVICE.search(answer) is None and (left := deadline - time.monotonic()) > 0:
+        if select.select([read_from], [], [], left)[0]:
+            answer += os.read(read_from, 1024).decode("latin-1")
+    return answer
 
 
 def _cell_by_kernel(terminal: int) -> tuple[float, float] | None:

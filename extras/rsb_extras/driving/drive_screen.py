@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, ClassVar
 from textual import work
 from textual.binding import Binding
 from textual.content import Content
-from textual.screen import ModalScreen
+from textual.geometry import Spacing
 from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
@@ -28,7 +28,7 @@ from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation.formats import PatternRow, full_type
-from rsb_console.screens.dialog import ArmScreen, ConfirmScreen
+from rsb_console.screens.dialog import ArmScreen, ConfirmScreen, SideBox
 from rsb_console.screens.main import MainText
 from rsb_console.screens.take_over import AskHolderScreen
 from rsb_console.terminal.input_queue import DIALOG, SEEN_AFTER, GuardedScreen, InputGate
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
     from textual.events import Key
+    from textual.geometry import Size
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.by_hand import VelocityLimits
@@ -88,6 +89,8 @@ _WAYS = {
 _STOPS = {"k", "space"}
 _LANDING_LASTS = 10.0
 """s without a report after which the count of landed messages starts again at 0."""
+_WIDE, _BOX = 120, 44
+"""Columns of a screen from which on the box stands at the side, and its own there."""
 _NAMED = 4
 """Robots in one line."""
 _WAYS_SHOWN, _KEYS = "↑↓←→ uiojlm,.", "space stop · +- speed · A arm · esc leave"
@@ -310,8 +313,8 @@ class Steering:
         return forward, self._left * self.turn if now < self._left_until else 0.0
 
 
-class DriveScreen(GuardedScreen, ModalScreen[None]):
-    """Drives until it is closed. What is below stays in sight: a camera's picture, for example."""
+class DriveScreen(GuardedScreen, SideBox[None]):
+    """Drives until it is closed. What is below stays in sight beside it: a camera's picture, for example."""
 
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
@@ -323,10 +326,14 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
     ]
     CSS = """
     DriveScreen { align: center bottom; background: transparent; }
+    DriveScreen.-wide { align: right top; }
     #drive {
         width: 100%; max-width: 110; height: auto; min-height: 5; padding: 0 1; border-subtitle-color: $quiet;
+        &.-armed { border: heavy $warning; border-title-color: $warning; }
     }
+    DriveScreen.-wide #drive { width: 44; height: 100%; padding: 1 1; }
     """
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (_WIDE, "-wide")]  # noqa: RUF012 -- Textual declares it without ClassVar
     # A disarms, or opens a question that is guarded; n keeps what this console holds.
     SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "n", "ctrl+c"})
 
@@ -353,6 +360,11 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         # Content is plain text: in a str, Textual reads brackets of a name as markup.
         self._pane.border_title = Content(f" Drive {escape_text(self._route.topic)} ")
         yield self._pane
+
+    def room(self, size: Size) -> Spacing:
+        if size.width >= _WIDE:
+            return Spacing(0, _BOX, 0, 0)
+        return Spacing(0, 0, self._pane.outer_size.height, 0)
 
     def on_mount(self) -> None:
         self.set_interval(0.1, self._draw)
@@ -516,9 +528,13 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         speed = f"keys: {self._steering.speed:.2f} m/s, {self._steering.turn:.2f} rad/s"
         problem = "keys came late, all at once: they are ignored" if self._steering.came_late(now) else self._problem
         motion = "" if self._detached else in_hand(self._route, self.console.snapshot())
-        lines = (f"{moves}   ({speed})", self._moved(), motion, "" if self._detached else problem)
-        first, *others = map(escape_text, lines)
-        self._pane.update(Content("\n".join((first, self._state(), *self._limited(), *others))))
+        texts = (f"{moves}   ({speed})", self._moved(), motion, "" if self._detached else problem)
+        first, *others = map(escape_text, texts)
+        is_armed = route is not None and route.arming is not None and route.arming.armed and not self._detached
+        state = Content.styled(f" {self._state()} ", "$warning bold reverse") if is_armed else Content(self._state())
+        lines = (Content(first), state, *map(Content, (*self._limited(), *others)))
+        self._pane.update(Content("\n").join(lines))
+        self._pane.set_class(is_armed, "-armed")
         drive = f"hold {_WAYS_SHOWN} to drive" if self._is_relayed() else f"{_WAYS_SHOWN} drive"
         self._pane.border_subtitle = Content(f" {drive} · {_KEYS} ")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from rsb_bridge.feature import Feature
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessageBase
     from rsb_console.actions.action import Action
     from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.notation.console_setting import ConsoleSetting
     from rsb_console.screens.message_screen import MessageView
 
 
@@ -61,6 +62,11 @@ class Pictures(Feature):
         from rsb_extras.pictures.confinement_check import confined  # noqa: PLC0415
 
         return (Check("pictures", "pictures", confined),)
+
+    def console_settings(self) -> Iterable[ConsoleSetting[Any]]:
+        from rsb_extras.pictures.layouts import LAYOUTS  # noqa: PLC0415
+
+        return (LAYOUTS,)
 
     def actions(self) -> Iterable[Action]:
         from rsb_extras.pictures.picture_keys import LOOK  # noqa: PLC0415

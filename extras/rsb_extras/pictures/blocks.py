@@ -1,113 +1,335 @@
-"""Images as rows of a terminal's characters."""
+"""Images as characters: blocks in two colours a cell, of the shapes and colours that differ least from the image.
+
+Colours are compared in Oklab (Ottosson, 2020), where equal distances look equal. No library does this for a console
+that runs for months: term-image and textual-image have half blocks only, and chafa.py 1.2 never frees its pictures, 0.2
+MB each (docs/picture-costs.md). Without numpy, which the extra ``look`` brings, there are half blocks.
+"""
 
 from __future__ import annotations
 
-import io
-import warnings
+from functools import cache
 from importlib.util import find_spec
 from itertools import groupby
-from typing import Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS, Pixels
+from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS
+from rsb_extras.pictures.picture_rows import Part, UnreadableError, rgb_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from rsb_extras.pictures.picture import Pixels
+    from rsb_extras.pictures.picture_rows import Row
+
+    Array = NDArray[Any]
 
 RAMP = " .:-=+*#%@"
 """Characters for an image on a terminal without colours, from dark to light."""
-_UPPER_HALF = "▀"
-COLOURS = {None: 0, "standard": 16, "windows": 16, "256": 256, "truecolor": 1 << 24}
-"""The number of a terminal's colours, by rich's name of its colour system."""
+_MOST_PIXELS = MOST_COLUMNS * MOST_ROWS * 12
+"""Pixels of an image that anybody asks for: 2 × 6 in a cell. A larger one comes from a hostile side."""
+_QUADRANTS = " ▘▝▀▖▌▞▛▗▚▐▜▄▙▟█"
+_SHADES = "░▒▓"
+"""A quarter, a half and three quarters of the foreground."""
 _FEW = 16
-_GREYS = ("#000000", "#555555", "#aaaaaa", "#ffffff")
-"""The greys of a terminal with 16 colours. Its other colours would make blotches of an image."""
 _BAYER = ((0, 8, 2, 10), (12, 4, 14, 6), (3, 11, 1, 9), (15, 7, 13, 5))
 """Thresholds of ordered dithering, in sixteenths of a step: unlike diffused errors they do not flicker from picture to
 picture."""
-_SIDE = len(_BAYER)
-Sign: TypeAlias = Literal["quadrants", "sextants"]
-"""Block characters beyond the half blocks that a terminal's font has: quarters, or sixths (Unicode 13)."""
-QUADRANTS: frozenset[Sign] = frozenset({"quadrants"})
+_MIXED = 0
+"""The palette of mixtures of the sixteen."""
+_ALIKE = {256: 0.11, _MIXED: 0.4}
+"""Distance in Oklab up to which two colours of a palette are mixed by dithering. With more, a grey road gets red dots;
+with less, sixteen colours lose the shades of grey."""
+_XTERM_16 = (
+    (0, 0, 0), (205, 0, 0), (0, 205, 0), (205, 205, 0), (0, 0, 238), (205, 0, 205), (0, 205, 205), (229, 229, 229),
+    (127, 127, 127), (255, 0, 0), (0, 255, 0), (255, 255, 0), (92, 92, 255), (255, 0, 255), (0, 255, 255),
+    (255, 255, 255),
+)  # fmt: skip
+"""The sixteen colours as xterm has them; other terminals' differ a little."""
+_GREYS_OF_16 = {0, 7, 8, 15}
+_LEVELS = (0, 95, 135, 175, 215, 255)
+"""Of each primary in the 6 × 6 × 6 colours of a palette of 256."""
+_LUT_BITS = 5
+"""Bits of red, green and blue by which a nearest colour is looked up."""
 
 
-def _shades(threshold: int) -> bytes:
-    """Return the index of the grey for each brightness, where a pixel has a threshold."""
-    steps = len(_GREYS) - 1
-    return bytes(min(steps, (grey * steps * 16 // 255 + threshold) // 16) for grey in range(256))
-
-
-_SHADES = tuple(tuple(map(_shades, row)) for row in _BAYER)
-
-
-class Part(NamedTuple):
-    """Some cells of one row.
+class _Shapes(NamedTuple):
+    """Characters, by their foreground's part of a cell.
 
     Attributes:
-        style: a style of `rsb_extras.pictures.picture.STYLES`, or the characters' colour as ``#rrggbb``.
-        background: a colour as ``#rrggbb``, or an empty string for the terminal's own.
+        masks: one row a character; 1 where a pixel of the cell has the foreground.
+        across: pixels of a cell in width.
+        down: pixels of a cell in height.
     """
 
-    text: str
-    style: str = ""
-    background: str = ""
+    characters: str
+    masks: Array
+    across: int
+    down: int
 
 
-Row: TypeAlias = tuple[Part, ...]
+def wished_pixels(colours: int, *, sextants: bool) -> tuple[int, int]:
+    """Return how many pixels across and down a cell an image should have for `image_rows`."""
+    if not colours or find_spec("numpy") is None:
+        return 1, 2
+    return (2, 6) if sextants else (2, 4)
 
 
-def wished_pixels(colours: int, signs: frozenset[Sign]) -> tuple[int, int]:
-    """Return the pixels across and down a cell that `image_rows` makes use of: always twice as many down."""
-    return 1, 2
-
-
-def image_rows(
-    pixels: Pixels, width: int, height: int, *, colours: int = 256, signs: frozenset[Sign] = QUADRANTS
-) -> list[Row]:
-    """Return an image's rows.
+def image_rows(pixels: Pixels, width: int, height: int, *, colours: int, sextants: bool) -> list[Row]:
+    """Return an image as rows of characters, in its own proportions.
 
     Args:
-        width: cells that it fills at most.
-        height: cells that it fills at most.
-        colours: the terminal's. With few, images are dithered in greys; without, they are drawn in ASCII by brightness.
+        width: cells at most.
+        height: cells at most.
+        colours: the terminal's. With 16, shades mix them; without, characters show the brightness.
+        sextants: whether its font has the blocks of Unicode 13, six to a cell.
 
     Raises:
-        UnreadableError: the other side's image is damaged, or larger than any that blocks are asked for.
+        UnreadableError: the other side's image is damaged.
     """
-    # A larger image comes from a hostile side, and would hold the app up.
-    if pixels.width > MOST_COLUMNS or pixels.height > 2 * MOST_ROWS:
+    if pixels.width * pixels.height > _MOST_PIXELS:
         raise UnreadableError("an image is larger than any that blocks are asked for")
-    if colours > _FEW:
+    if not colours:
+        return _brightness(pixels)
+    if find_spec("numpy") is None:
         return _half_blocks(pixels)
-    return _dithered(pixels) if colours else _brightness(pixels)
+    shapes = _shapes(sextants=sextants)
+    cells = _cells(pixels, shapes, width, height)
+    return _few_colours(cells, shapes) if colours <= _FEW else _many_colours(cells, shapes, colours)
 
 
-class UnreadableError(ValueError):
-    """The bytes of an image are not what they should be."""
+# -- shapes -----------------------------------------------------------------------------------------------------------
 
 
-def reads_webp() -> bool:
-    """Whether images in WebP can be shown."""
-    return find_spec("PIL") is not None
+@cache
+def _shapes(*, sextants: bool) -> _Shapes:
+    """Return the shapes that a font has; of two that are each other's inverse, one is enough."""
+    import numpy as np  # noqa: PLC0415 -- optional, as in the functions below
+
+    across, down = (2, 6) if sextants else (2, 4)
+    found: dict[bytes, str] = {}
+
+    def add(character: str, mask: Array) -> None:
+        key, inverse = mask.tobytes(), (1 - mask).tobytes()
+        if mask.any() and not mask.all() and key not in found and inverse not in found:
+            found[key] = character
+
+    for bits, character in enumerate(_QUADRANTS):
+        mask = np.zeros((down, across), np.float32)
+        for at in range(4):
+            if bits >> at & 1:
+                mask[(at // 2) * down // 2 : (at // 2 + 1) * down // 2, at % 2] = 1
+        add(character, mask)
+    if sextants:
+        for bits in range(1, 63):
+            mask = np.zeros((down, across), np.float32)
+            for at in range(6):
+                if bits >> at & 1:
+                    mask[(at // 2) * 2 : (at // 2 + 1) * 2, at % 2] = 1
+            add(_sextant(bits), mask)
+    else:
+        for eighths, character in ((2, "▂"), (6, "▆")):
+            mask = np.zeros((down, across), np.float32)
+            mask[down - eighths * down // 8 :] = 1
+            add(character, mask)
+    masks = np.array([np.frombuffer(key, np.float32) for key in found])
+    return _Shapes("".join(found.values()), masks, across, down)
 
 
-def rgb_of(pixels: Pixels) -> bytes:
-    """Return an image's pixels, three bytes each.
+def _sextant(bits: int) -> str:
+    """Return the character of Unicode 13's block of sextants, which leaves out those that Unicode had before."""
+    return {0b010101: "▌", 0b101010: "▐"}.get(bits) or chr(0x1FB00 + bits - 1 - (bits > 0b010101) - (bits > 0b101010))
 
-    Raises:
-        UnreadableError: the other side's WebP file is damaged.
-    """
-    if pixels.coding == "rgb":
-        return pixels.data
-    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 -- optional, and needed only for images
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked before it is read
-            image = Image.open(io.BytesIO(pixels.data), formats=["WEBP"])  # no other decoder for a stranger's bytes
-        if image.size == (pixels.width, pixels.height):
-            return image.convert("RGB").tobytes()
-    except UnidentifiedImageError:  # its text names an object of Python
-        raise UnreadableError("an image cannot be read: it has no header") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise UnreadableError(f"an image cannot be read: {error}") from None
-    raise UnreadableError("an image has another size than it says")
+def _cells(pixels: Pixels, shapes: _Shapes, width: int, height: int) -> Array:
+    """Return the pixels of each cell: rows, columns, pixels, and red, green and blue."""
+    import numpy as np  # noqa: PLC0415
+
+    image = np.frombuffer(rgb_of(pixels), np.uint8).reshape(pixels.height, pixels.width, 3)
+    across, down = shapes.across, shapes.down
+    columns, rows = min(width, -(-pixels.width // across)), min(height, -(-pixels.height // down))
+    image = image[: rows * down, : columns * across]
+    # The rest of the last cells is like their edge.
+    rest = ((0, rows * down - image.shape[0]), (0, columns * across - image.shape[1]), (0, 0))
+    image = np.pad(image, rest, mode="edge")
+    return image.reshape(rows, down, columns, across, 3).swapaxes(1, 2).reshape(rows, columns, down * across, 3)
+
+
+def _fitted(cells: Array, masks: Array) -> tuple[Array, Array, Array, Array]:
+    """Return, for each cell, the shape that fits best, its two mean colours, and the error that remains."""
+    import numpy as np  # noqa: PLC0415
+
+    values = cells.astype(np.float32)
+    ones = masks.sum(axis=1)[:, None]
+    zeros = masks.shape[1] - ones
+    total = values.sum(axis=2)
+    fore = np.einsum("kp,rcpi->rcki", masks, values, optimize=True)
+    back = total[:, :, None] - fore
+    explained = (fore**2 / ones + back**2 / zeros).sum(axis=-1)
+    best = explained.argmax(axis=-1)
+    at = best[..., None, None]
+    fore = np.take_along_axis(fore / ones, at, 2)[:, :, 0]
+    back = np.take_along_axis(back / zeros, at, 2)[:, :, 0]
+    error = (values**2).sum(axis=(2, 3)) - np.take_along_axis(explained, best[..., None], -1)[..., 0]
+    return best, fore, back, error
+
+
+# -- colours ----------------------------------------------------------------------------------------------------------
+
+
+def _many_colours(cells: Array, shapes: _Shapes, colours: int) -> list[Row]:
+    import numpy as np  # noqa: PLC0415
+
+    best, fore, back, _ = _fitted(cells, shapes.masks)
+    if colours > 256:
+        # Two bits less, so that more neighbours have one colour, which takes one sequence.
+        weights = np.array([1 << 16, 1 << 8, 1])
+        codes = [(each.round().clip(0, 255).astype(np.int64) & 0xFC) @ weights for each in (fore, back)]
+    else:
+        codes = [_dithered(each, 256) + 16 for each in (fore, back)]
+    characters = np.array([*shapes.characters, " "])
+    shown = np.where(codes[0] == codes[1], len(shapes.characters), best)
+    return _rows(characters[shown], codes[0], codes[1], _hex if colours > 256 else _number)
+
+
+def _few_colours(cells: Array, shapes: _Shapes) -> list[Row]:
+    """Draw in 16 colours: a cell has two of them in a shape, or mixed by a shade, whichever looks more alike."""
+    import numpy as np  # noqa: PLC0415
+
+    best, fore, back, error = _fitted(cells, shapes.masks)
+    sharp = [_nearest(each, _FEW) for each in (fore, back)]
+    mean = cells.mean(axis=2)
+    mixed = _dithered(mean, _MIXED)
+    mixtures, fores, backs, signs = _mixtures()
+    palette, count = np.array(_XTERM_16, np.float32), cells.shape[2]
+    parts = shapes.masks.sum(axis=1)[best][..., None]
+    error_sharp = error + (
+        parts * (palette[sharp[0]] - fore) ** 2 + (count - parts) * (palette[sharp[1]] - back) ** 2
+    ).sum(-1)
+    error_mixed = ((cells - mean[:, :, None]) ** 2).sum(axis=(2, 3)) + count * ((mixtures[mixed] - mean) ** 2).sum(-1)
+    is_sharp = error_sharp < error_mixed
+    characters = np.array([*shapes.characters, *_SHADES, " "])
+    shown = np.where(is_sharp, best, len(shapes.characters) + signs[mixed])
+    front, behind = np.where(is_sharp, sharp[0], fores[mixed]), np.where(is_sharp, sharp[1], backs[mixed])
+    shown = np.where(front == behind, len(characters) - 1, shown)
+    return _rows(characters[shown], front, behind, _number)
+
+
+@cache
+def _number(code: int) -> str:
+    """Return the name of a palette's colour, which neither rich nor Textual changes to another."""
+    return f"color({code})"
+
+
+def _hex(code: int) -> str:
+    return f"#{code:06x}"
+
+
+def _rows(characters: Array, fore: Array, back: Array, name: Callable[[int], str]) -> list[Row]:
+    """Return rows in which neighbours of the same colours are one part: each is an escape sequence on the line."""
+    rows = []
+    for line in zip(characters.tolist(), fore.tolist(), back.tolist(), strict=True):
+        parts = []
+        for (front, behind), run in groupby(zip(*line, strict=True), key=lambda cell: cell[1:]):
+            parts.append(Part("".join(cell[0] for cell in run), name(front), name(behind)))
+        rows.append(tuple(parts))
+    return rows
+
+
+def _dithered(rgb: Array, palette: int) -> Array:
+    """Return the indices of the nearest colours, or where a cell's threshold says so, of those on their other side."""
+    import numpy as np  # noqa: PLC0415
+
+    colours, near = _colours(palette), _nearest(rgb, palette)
+    missing = rgb - colours[near]
+    other = _nearest(rgb + missing, palette)
+    way = colours[other] - colours[near]
+    share = (missing * way).sum(-1) / np.maximum((way**2).sum(-1), 1e-6)
+    lab = _lab(palette)
+    is_alike = ((lab[near] - lab[other]) ** 2).sum(-1) < _ALIKE[palette] ** 2
+    side = len(_BAYER)
+    thresholds = (np.array(_BAYER) + 0.5) / side**2
+    tiled = np.tile(thresholds, (-(-rgb.shape[0] // side), -(-rgb.shape[1] // side)))[: rgb.shape[0], : rgb.shape[1]]
+    return np.where(is_alike & (share > tiled), other, near)
+
+
+def _nearest(rgb: Array, palette: int) -> Array:
+    """Return the index of the colour that looks most alike in a palette: 256 (from its 17th), 16, or `_MIXED`."""
+    import numpy as np  # noqa: PLC0415
+
+    values = (rgb.clip(0, 255) * (((1 << _LUT_BITS) - 1) / 255)).round().astype(np.int64)
+    at: Array = (values[..., 0] << 2 * _LUT_BITS) + (values[..., 1] << _LUT_BITS) + values[..., 2]
+    found: Array = _lookup(palette)[at]
+    return found
+
+
+@cache
+def _colours(palette: int) -> Array:
+    import numpy as np  # noqa: PLC0415
+
+    if palette == _MIXED:
+        return _mixtures()[0]
+    cube = [(r, g, b) for r in _LEVELS for g in _LEVELS for b in _LEVELS]
+    greys = [(8 + 10 * grey,) * 3 for grey in range(24)]
+    return np.array(_XTERM_16 if palette == _FEW else [*cube, *greys], np.float32)
+
+
+@cache
+def _lab(palette: int) -> Array:
+    return _oklab(_colours(palette))
+
+
+@cache
+def _lookup(palette: int) -> Array:
+    import numpy as np  # noqa: PLC0415
+
+    levels = np.linspace(0, 255, 1 << _LUT_BITS)
+    grid = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
+    known = _lab(palette)
+    # In parts: the whole table of distances would take 50 MB.
+    parts = np.split(_oklab(grid), 64)
+    return np.concatenate([((part[:, None] - known) ** 2).sum(-1).argmin(1) for part in parts])
+
+
+@cache
+def _mixtures() -> tuple[Array, Array, Array, Array]:
+    """Return the colours that shades make of two of the sixteen: red, green and blue; the two; and the shade."""
+    import numpy as np  # noqa: PLC0415
+
+    palette = np.array(_XTERM_16, np.float32)
+    # Light mixes, not the numbers of the colours; a mixture of unlike colours looks like a pattern, and is left out.
+    light, lab = palette / 255.0, _oklab(palette)
+    rows = [
+        (light[a] ** 2.2 * part + light[b] ** 2.2 * (1 - part), a, b, shade)
+        for a in range(_FEW)
+        for b in range(_FEW)
+        for shade, part in enumerate((0.25, 0.5, 0.75))
+        if a == b or (a < b and (((lab[a] - lab[b]) ** 2).sum() < 0.16 or {a, b} <= _GREYS_OF_16))
+    ]
+    mixed, fores, backs, signs = (np.array(each) for each in zip(*rows, strict=True))
+    return (mixed ** (1 / 2.2) * 255).astype(np.float32), fores, backs, signs
+
+
+def _oklab(rgb: Array) -> Array:
+    import numpy as np  # noqa: PLC0415
+
+    light = np.where(rgb <= 0.04045 * 255, rgb / 255 / 12.92, ((rgb / 255 + 0.055) / 1.055) ** 2.4)
+    cones = np.cbrt(
+        light
+        @ np.array(
+            [[0.4122214708, 0.2119034982, 0.0883024619], [0.5363325363, 0.6806995451, 0.2817188376],
+             [0.0514459929, 0.1073969566, 0.6299787005]]
+        )
+    )  # fmt: skip
+    lab: Array = cones @ np.array(
+        [[0.2104542553, 1.9779984951, 0.0259040371], [0.7936177850, -2.4285922050, 0.7827717662],
+         [-0.0040720468, 0.4505937099, -0.8086757660]]
+    )  # fmt: skip
+    return lab
+
+
+# -- without numpy, or without colours --------------------------------------------------------------------------------
 
 
 def _half_blocks(pixels: Pixels) -> list[Row]:
@@ -118,40 +340,15 @@ def _half_blocks(pixels: Pixels) -> list[Row]:
         # The last row of an odd height has no lower half.
         lower = rgb[(y + 1) * line : (y + 2) * line].ljust(line, b"\0")
         both = [(upper[at : at + 3], lower[at : at + 3]) for at in range(0, 3 * width, 3)]
-        # One part for cells of one colour: each part is an escape sequence on the line.
         runs = ((colours, len([*same])) for colours, same in groupby(both))
-        rows.append(
-            tuple(Part(_UPPER_HALF * count, f"#{fore.hex()}", f"#{back.hex()}") for (fore, back), count in runs)
-        )
+        rows.append(tuple(Part("▀" * count, f"#{fore.hex()}", f"#{back.hex()}") for (fore, back), count in runs))
     return rows
-
-
-def _dithered(pixels: Pixels) -> list[Row]:
-    """Draw an image in the few greys of a terminal."""
-    width, grey = pixels.width, _grey(pixels)
-    lines = []
-    for y in range(pixels.height):
-        line = bytearray(grey[y * width : (y + 1) * width])
-        for x, shades in enumerate(_SHADES[y % _SIDE]):
-            # All pixels of a row with one threshold in one call, not in a loop of Python.
-            line[x::_SIDE] = line[x::_SIDE].translate(shades)
-        lines.append(line)
-    rows: list[Row] = []
-    for y in range(0, pixels.height, 2):
-        lower = lines[y + 1] if y + 1 < len(lines) else bytes(width)
-        runs = ((shades, len([*same])) for shades, same in groupby(zip(lines[y], lower, strict=True)))
-        rows.append(tuple(Part(_UPPER_HALF * count, _GREYS[fore], _GREYS[back]) for (fore, back), count in runs))
-    return rows
-
-
-def _grey(pixels: Pixels) -> bytes:
-    """Return the brightness of each pixel."""
-    rgb = rgb_of(pixels)
-    return bytes((54 * rgb[at] + 183 * rgb[at + 1] + 19 * rgb[at + 2]) >> 8 for at in range(0, len(rgb), 3))  # Rec. 709
 
 
 def _brightness(pixels: Pixels) -> list[Row]:
-    width, grey = pixels.width, _grey(pixels)
+    """Draw by characters from dark to light."""
+    rgb, width = rgb_of(pixels), pixels.width
+    grey = bytes((54 * rgb[at] + 183 * rgb[at + 1] + 19 * rgb[at + 2]) >> 8 for at in range(0, len(rgb), 3))  # Rec. 709
     rows: list[Row] = []
     for y in range(0, pixels.height, 2):
         upper = grey[y * width : (y + 1) * width]

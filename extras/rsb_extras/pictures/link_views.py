@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
@@ -35,6 +36,7 @@ from rsb_extras.pictures.picture import (
     Wish,
     decode_picture,
     encode_picture,
+    is_unchanged,
 )
 from rsb_extras.pictures.topic_view import TopicView
 
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.route.route import Route
+    from rsb_extras.pictures.picture import Cells, Pixels, Series
 
 VIEWS_OF_PEER = 4
 """Views that one peer has at the same time (docs/picture-protocol.md). A round figure."""
@@ -51,6 +54,8 @@ _ANSWERED_WITHIN = 15.0
 _LOOK_EVERY = 0.5
 """s after which a viewer that waits finds out that its route has another opening. A round figure: a restart takes as
 long."""
+_WHOLE_EVERY = 5.0
+"""s after which a content is sent again though it has not changed: the link may have dropped it."""
 _ENDED = "the view is closed"
 
 
@@ -110,12 +115,14 @@ class PeerView:
     """One view of the peer's topics, on the side of its viewer.
 
     Attributes:
-        newest: the newest picture that the viewer has not seen, or None.
+        unseen: the newest pictures that the viewer has not seen: one with a content, and one that leaves it out.
+        content: number and content of the newest one that it has seen.
     """
 
     def __init__(self, route: Route) -> None:
         self.route = route
-        self.newest: bytes | None = None
+        self.unseen: list[bytes] = []
+        self.content: tuple[int, Cells | Pixels | Series | None] = 0, None
         self.news = asyncio.Event()
         self.asked: tuple[int, tuple[str, ...], Wish] | None = None
         """The opening, topics and wish that the peer knows, or None if that is not sure."""
@@ -123,7 +130,10 @@ class PeerView:
 
     def receive(self, encoded: bytes) -> None:
         """Take a picture."""
-        self.newest = encoded
+        if is_unchanged(encoded):
+            self.unseen = [*self.unseen[:1], encoded]
+        else:
+            self.unseen = [encoded]
         self.news.set()
 
 
@@ -189,7 +199,7 @@ class LinkViews(Extension):
         await self._internal.opened(route, look.route)  # the peer may have found it open before this side does
         if (source := self._internal.source(route)) is None:
             raise LinkError(ViewRefused.NO_VIEW())
-        view = TopicView(self._context, look.topics, wish, partial(_send, self._context, source))
+        view = TopicView(self._context, look.topics, wish, _Sender(self._context, source).send)
         await view.check()
         if self._link.ids.open_route(look.route) is not route:  # it was closed while the graph was asked
             view.close()
@@ -276,13 +286,13 @@ class LinkViews(Extension):
         deadline = self._context.now() + seconds
         while (left := deadline - self._context.now()) > 0:
             await self._ask(view, topics, wish)
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(min(left, _LOOK_EVERY)):
-                    await view.news.wait()
+            if not view.unseen:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(min(left, _LOOK_EVERY)):
+                        await view.news.wait()
+            if view.unseen and (viewed := self._viewed(view, view.unseen.pop(0))) is not None:
+                return viewed
             view.news.clear()
-            encoded, view.newest = view.newest, None
-            if encoded is not None:
-                return self._viewed(encoded)
         return None
 
     async def _ask(self, view: PeerView, topics: tuple[str, ...], wish: Wish) -> None:
@@ -302,11 +312,19 @@ class LinkViews(Extension):
             raise LinkError(answer.problem)
         view.asked = asked
 
-    def _viewed(self, encoded: bytes) -> Viewed:
+    def _viewed(self, view: PeerView, encoded: bytes) -> Viewed | None:
+        """Return a picture, or None if it leaves out a content that has not come."""
         try:
             picture = decode_picture(encoded)
         except PictureError as error:
             raise LinkError(f"{self._link.name} sent no valid picture: {error}") from None
+        if picture.is_unchanged:
+            number, content = view.content
+            if number != picture.number:
+                return None
+            picture = msgspec.structs.replace(picture, content=content)
+        else:
+            view.content = picture.number, picture.content
         offset, age = self._link.clock.offset, None
         if picture.taken and offset is not None:
             age = max(0.0, self._context.wall() - picture.taken / 1e9 + offset)
@@ -334,11 +352,28 @@ class LinkViews(Extension):
         self._context.call(partial(view.receive, encoded))
 
 
-async def _send(context: Context, source: BytesSource, picture: Picture) -> None:
-    """Send a picture, on a thread that may wait for the link's queue.
+class _Sender:
+    """Sends one view's pictures, and a content that stays the same only from time to time."""
 
-    The link counts from now: the time before, in which the picture was drawn, is no sign that the link is full.
-    """
-    encoded = encode_picture(picture)
-    assert len(encoded) <= PICTURE_LIMIT
-    await asyncio.to_thread(source.send, encoded, context.wall_ns())
+    def __init__(self, context: Context, source: BytesSource) -> None:
+        self._context, self._source = context, source
+        self._content: Cells | Pixels | Series | None = None
+        self._number = 0
+        self._sent_at = -math.inf
+
+    async def send(self, picture: Picture) -> None:
+        """Send a picture, on a thread that may wait for the link's queue.
+
+        The link counts from now: the time before, in which the picture was drawn, is no sign that the link is full.
+        """
+        now = self._context.now()
+        is_same = picture.content is not None and picture.content == self._content
+        if is_same and now - self._sent_at < _WHOLE_EVERY:
+            picture = msgspec.structs.replace(picture, content=None, number=self._number, is_unchanged=True)
+        else:
+            self._number += not is_same
+            self._content, self._sent_at = picture.content, now
+            picture = msgspec.structs.replace(picture, number=self._number)
+        encoded = encode_picture(picture)
+        assert len(encoded) <= PICTURE_LIMIT
+        await asyncio.to_thread(self._source.send, encoded, self._context.wall_ns())

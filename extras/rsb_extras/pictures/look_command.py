@@ -1,27 +1,14 @@
-"""The command ``look``: draws pictures of a topic's messages, which the side that publishes it renders.
-
-Terminals that show pixels get images by kitty's graphics protocol (sw.kovidgoyal.net/kitty/graphics-protocol) or as
-sixels (DEC STD 070, chapter 9).
-"""
+"""The command ``look``: draws pictures of a topic's messages, which the side that publishes it renders."""
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import fcntl
-import math
 import os
-import re
 import secrets
-import select
 import shutil
-import struct
 import sys
-import termios
 import time
-import tty
 from concurrent.futures import wait
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Literal
 
 import msgspec
@@ -37,27 +24,23 @@ from rsb_console.command.shell import FAILURE, OK, print_line, shows_ascii
 from rsb_console.command.target import UsageError, attached, done, failed, other_side
 from rsb_console.notation import formats
 from rsb_console.notation.glyphs import to_ascii
-from rsb_extras.pictures.blocks import COLOURS, QUADRANTS, UnreadableError, reads_webp, rgb_of, wished_pixels
+from rsb_console.terminal.terminal_facts import ask, facts_before_answers
+from rsb_extras.pictures.blocks import image_rows, wished_pixels
+from rsb_extras.pictures.graphics import BANDS, USUAL_CELL, Painter, bands_of, frame_of, why_no_graphics
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
-from rsb_extras.pictures.picture import (
-    MOST_COLUMNS,
-    MOST_ROWS,
-    Picture,
-    Pixels,
-    Wish,
-    in_cells,
-    in_full,
-    in_square_pixels,
-)
-from rsb_extras.pictures.picture_files import FORMATS, picture_file, png
-from rsb_extras.pictures.picture_rows import picture_rows
+from rsb_extras.pictures.picture import MOST_ACROSS, MOST_COLUMNS, MOST_DOWN, MOST_ROWS, Picture, Pixels, Wish, in_full
+from rsb_extras.pictures.picture_files import FORMATS, picture_file
+from rsb_extras.pictures.picture_rows import COLOURS, UnreadableError, picture_rows, reads_webp
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_extras.pictures.blocks import Row
+    from rsb_console.terminal.terminal_facts import Pixels as Protocol
+    from rsb_console.terminal.terminal_facts import TerminalFacts
+    from rsb_extras.pictures.graphics import Band
     from rsb_extras.pictures.picture import Viewed
+    from rsb_extras.pictures.picture_rows import Row
 
 Graphics = Literal["kitty", "sixel", "blocks"]
 _ANSWERED_WITHIN = 60.0  # s, as the help of --timeout says
@@ -74,23 +57,9 @@ _STYLES = {
 """The styles of pictures on a terminal, without a theme."""
 _HOME, _CLEAR_REST, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
 _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
-_DETAIL = 6
-"""Pixels across a cell to ask for: about half of what fonts have, for a fourth of the bytes."""
-_TERMINAL_ANSWERS_WITHIN = 1.0
-"""s: over a slow line, too. All terminals answer the second question, most of them at once."""
-_QUESTION = b"\x1b_Gi=31,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\\x1b[c"
-"""Whether a pixel could be shown, and then the terminal's primary device attributes (DA1)."""
-_DEVICE = re.compile(rb"\x1b\[\?([0-9;]*)c")
-_SIXEL_ATTRIBUTE = b"4"
-_DEFINED_COLOUR = re.compile(r"#([0-9]+);2;[0-9]+;[0-9]+;[0-9]+")
-"""The definition of a colour, which in xterm does not select it, too. textual-image 0.13 and newer does select it."""
-_NEXT_LINE, _KEEP_CURSOR, _TO_KEPT_CURSOR = "\n", "\x1b7", "\x1b8"
-_CHUNK = 4096
-"""Bytes that kitty's protocol allows in one sequence."""
-_USUAL_CELL = 10.0, 20.0
-"""Pixels of a cell, for terminals that do not tell theirs: most fonts are twice as high as wide."""
-_FINEST = 1200
-"""Pixels in each direction of an image in sixels, which are large and slow to draw."""
+_NEXT_LINE = "\n"
+_PAPER = 0, 0, 0
+"""Colour of the rest of an image's last cells."""
 
 
 class LookText(Wording):
@@ -110,10 +79,14 @@ def look(arguments: Namespace) -> int:
         raise UsageError(LookText.UNKNOWN_FORMAT(file=file, known=", ".join(FORMATS)))
     arguments.ascii |= shows_ascii()
     once = arguments.once or file is not None or not sys.stdout.isatty()
+    facts = facts_before_answers(os.environ, 1)
+    if sys.stdin.isatty() and sys.stdout.isatty() and file is None and not arguments.json and not arguments.ascii:
+        facts = ask(facts, 0, 1)  # before anything else reads standard input
+    arguments.facts = facts
     if file is not None or arguments.json or (arguments.graphics == "auto" and arguments.ascii):
         arguments.graphics = "blocks"
     elif arguments.graphics == "auto":
-        arguments.graphics = graphics_of_terminal()
+        arguments.graphics = _graphics(facts)
     elif problem := why_no_graphics(arguments.graphics):
         raise UsageError(problem)
     viewer = secrets.token_hex(8)
@@ -195,7 +168,7 @@ def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
     picture = viewed.picture
     if arguments.graphics != "blocks" and isinstance(picture.content, Pixels):
         try:
-            sys.stdout.write(inline(arguments.graphics, picture.content, wish.width, wish.height))
+            sys.stdout.write(ImagePrinter(arguments.graphics, arguments.facts).inline(picture.content, wish))
         except UnreadableError as error:
             raise EngineError(str(error)) from None
         print_line(_status(viewed))
@@ -227,7 +200,7 @@ def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
 def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
     """Draw pictures until an interrupt."""
     console = _console(arguments)
-    printer = None if arguments.graphics == "blocks" else ImagePrinter(arguments.graphics)
+    printer = None if arguments.graphics == "blocks" else ImagePrinter(arguments.graphics, arguments.facts)
     sys.stdout.write(_ENTER)
     try:
         viewed: Viewed | None = None
@@ -251,7 +224,7 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
                 image = content if printer is not None and isinstance(content, Pixels) else None
                 # Each image is sent once, since it is large, and stays on the screen.
                 if printer is not None and image is not None and image is not drawn:
-                    drawn, painted = image, printer.printed(image, wish.width, wish.height)
+                    drawn, painted = image, printer.printed(image, wish)
                 elif viewed is not None and image is None:
                     lines = [
                         _encoded(console, _cut(row, wish.width), ascii_only=arguments.ascii)
@@ -295,12 +268,25 @@ def _wish(arguments: Namespace) -> Wish:
         webp=reads_webp(),
     )
     is_file = arguments.output is not None and arguments.output.suffix == ".png"
-    if is_file and not (arguments.detail or arguments.width or arguments.height):
-        return in_full(wish)
-    across, down = _cell_size()
-    if is_file or arguments.graphics != "blocks":
-        return in_square_pixels(wish, arguments.detail or _DETAIL, down / across)
-    return in_cells(wish, *wished_pixels(_colours(arguments), QUADRANTS), down / across)
+    facts = arguments.facts
+    if is_file:
+        across, down = (6, 12) if arguments.width or arguments.height else (MOST_ACROSS, MOST_DOWN)
+        wish = wish if arguments.width or arguments.height or arguments.detail else in_full(wish)
+    elif arguments.graphics != "blocks":
+        across, down = (round(each) for each in facts.cell or USUAL_CELL)
+    else:
+        across, down = wished_pixels(_colours(arguments), sextants=facts.draws_sextants)
+    if arguments.detail and (is_file or arguments.graphics != "blocks"):
+        # Characters show what they can; more would cross the link for nothing.
+        across, down = arguments.detail, round(arguments.detail * facts.shape)
+    return msgspec.structs.replace(
+        wish, across=max(1, min(MOST_ACROSS, across)), down=max(1, min(MOST_DOWN, down)), shape=facts.shape
+    )
+
+
+def _colours(arguments: Namespace) -> int:
+    """Return how many colours the terminal has, 0 for none."""
+    return COLOURS[_console(arguments).color_system]
 
 
 def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
@@ -308,7 +294,10 @@ def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
     if content is None:
         return []
     try:
-        return picture_rows(content, wish.width, wish.height, colours=_colours(arguments))
+        if isinstance(content, Pixels):
+            sextants = arguments.facts.draws_sextants
+            return image_rows(content, wish.width, wish.height, colours=_colours(arguments), sextants=sextants)
+        return picture_rows(content, wish.width, wish.height)
     except UnreadableError as error:
         raise EngineError(str(error)) from None
 
@@ -324,13 +313,9 @@ def _cut(row: Row, width: int) -> Row:
 
 def _console(arguments: Namespace) -> Console:
     """Return rich's idea of this terminal, which changes colours to ones that it has."""
-    if arguments.ascii or "NO_COLOR" in os.environ or not sys.stdout.isatty():
+    if arguments.ascii or "NO_COLOR" in os.environ or not (arguments.facts.colours and sys.stdout.isatty()):
         return Console(color_system=None)
-    return Console()
-
-
-def _colours(arguments: Namespace) -> int:
-    return COLOURS[_console(arguments).color_system]
+    return Console(color_system=arguments.facts.colour_system)
 
 
 def _encoded(console: Console, row: Row, *, ascii_only: bool) -> str:
@@ -357,117 +342,49 @@ def _status(viewed: Viewed) -> str:
     return escape_text("  ".join(part for part in parts if part))
 
 
-def why_no_graphics(protocol: Graphics) -> str:
-    """Return the reason why this program cannot show images in a way, or an empty string."""
-    lacks = protocol == "sixel" and not all(find_spec(each) for each in ("textual_image", "PIL"))
-    return "--graphics sixel needs textual-image and Pillow: pip install 'rsb-console[look]'" if lacks else ""
-
-
-def graphics_of_terminal() -> Graphics:
-    """Ask the terminal for the way in which it shows images. Call this before anything else reads standard input."""
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        return "blocks"
-    answer = terminal_answer(sys.stdin.fileno(), sys.stdout.fileno())
-    if b"_Gi=31;OK" in answer:
-        return "kitty"
-    device = _DEVICE.search(answer)
-    has_sixel = device is not None and _SIXEL_ATTRIBUTE in device[1].split(b";")
-    return "sixel" if has_sixel and not why_no_graphics("sixel") else "blocks"
-
-
-def terminal_answer(read_from: int, write_to: int) -> bytes:
-    """Return what a terminal answers to `_QUESTION`, without the keys typed before."""
-    before = termios.tcgetattr(read_from)
-    answer, deadline = b"", time.monotonic() + _TERMINAL_ANSWERS_WITHIN
-    try:
-        # This drops the keys typed before, which would be taken for the answer.
-        tty.setcbreak(read_from)
-        os.write(write_to, _QUESTION)
-        while _DEVICE.search(answer) is None and (left := deadline - time.monotonic()) > 0:
-            if select.select([read_from], [], [], left)[0]:
-                answer += os.read(read_from, 1024)
-    finally:
-        # FLUSH drops the unread rest of an answer, which the shell would take for keys.
-        termios.tcsetattr(read_from, termios.TCSAFLUSH, before)
-    return answer
+def _graphics(facts: TerminalFacts) -> Graphics:
+    """Return the way in which a terminal shows images."""
+    return facts.pixels if facts.pixels and not why_no_graphics(facts.pixels) else "blocks"
 
 
 class ImagePrinter:
-    """Prints images, each over the one before.
+    """Prints images, each over the one before."""
 
-    Args:
-        protocol: ``kitty`` or ``sixel``.
-        image_id: kitty's number of the image. A terminal keeps one image of each number, and not all that were sent.
-    """
-
-    def __init__(self, protocol: Graphics, image_id: int = 1) -> None:
+    def __init__(self, protocol: Protocol, facts: TerminalFacts) -> None:
         self._protocol = protocol
-        self._id = image_id
+        self._cell = facts.cell or USUAL_CELL
+        # The images of former commands stay on the screen.
+        self._first_id = secrets.randbelow(1 << 28) * BANDS + 1
+        self._bands: list[Band] = []
+        self._painter = Painter(protocol, self._first_id)
 
-    def printed(self, pixels: Pixels, width: int, height: int) -> str:
-        """Return the sequence that shows an image at the cursor, as large as an area allows.
-
-        Args:
-            width: cells of the area.
-            height: cells of the area.
+    def printed(self, pixels: Pixels, wish: Wish) -> str:
+        """Return the sequence that shows an image in the upper left corner.
 
         Raises:
             UnreadableError: the other side's image is damaged.
         """
-        across, down = _cell_size()
-        factor = min(width * across / pixels.width, height * down / pixels.height)
-        if self._protocol == "kitty":
-            columns = max(1, min(width, round(pixels.width * factor / across)))
-            rows = max(1, min(height, round(pixels.height * factor / down)))
-            return _kitty(png(pixels), self._id, columns, rows)
-        least = max(1, height - 1) * down  # bands of 6 pixels: one that leaves the area would scroll the screen
-        factor = min(factor, least / pixels.height, _FINEST / pixels.width, _FINEST / pixels.height)
-        return _sixels(pixels, max(1, int(pixels.width * factor)), max(1, int(pixels.height * factor)))
+        frame = frame_of(pixels, wish)
+        self._bands = bands_of(pixels, frame, self._cell, self._protocol, self._first_id, _PAPER, self._bands)
+        return self._painter.painted(self._bands, (0, 0), ())
+
+    def inline(self, pixels: Pixels, wish: Wish) -> str:
+        """Return the sequence that shows an image among the lines of a shell, and goes on below it.
+
+        Raises:
+            UnreadableError: the other side's image is damaged.
+        """
+        frame = frame_of(pixels, wish)
+        rows = frame.rows
+        bands = bands_of(pixels, frame, self._cell, self._protocol, self._first_id, _PAPER)
+        # The lines come first: at the end of the screen, they scroll it, which the image would not, or not enough.
+        image = "".join(f"\x1b8{_down(band.top)}{band.sequence}" for band in bands)
+        return f"{_NEXT_LINE * rows}\x1b[{rows}A\x1b7{image}\x1b8\x1b[{rows}B"
 
     def closed(self) -> str:
         """Return the sequence that frees the terminal's memory."""
-        return f"\x1b_Ga=d,d=I,i={self._id},q=2\x1b\\" if self._protocol == "kitty" else ""
+        return self._painter.taken_away()
 
 
-def inline(protocol: Graphics, pixels: Pixels, width: int, height: int) -> str:
-    """Return the sequence that shows an image among the lines of a shell, and goes on below it.
-
-    Raises:
-        UnreadableError: the other side's image is damaged.
-    """
-    across, down = _cell_size()
-    rows = max(1, min(height, math.ceil(pixels.height * width * across / pixels.width / down)))
-    image_id = secrets.randbelow(1 << 31) + 1  # the images of former commands stay on the screen
-    image = ImagePrinter(protocol, image_id).printed(pixels, width, rows)
-    # The lines come first: at the end of the screen, they scroll it, which the image would not, or not enough.
-    return f"{_NEXT_LINE * rows}\x1b[{rows}A{_KEEP_CURSOR}{image}{_TO_KEPT_CURSOR}\x1b[{rows}B"
-
-
-def _kitty(image: bytes, image_id: int, columns: int, rows: int) -> str:
-    """Return the sequence that transmits a PNG file and displays it; one of the same id replaces the one before."""
-    encoded = base64.b64encode(image).decode()
-    chunks = [encoded[at : at + _CHUNK] for at in range(0, len(encoded), _CHUNK)]
-    # C=1 leaves the cursor where it is. q=2 keeps the terminal from answers, which would be read as keys.
-    keys = f"a=T,f=100,i={image_id},p=1,c={columns},r={rows},C=1,q=2,"
-    parts = []
-    for number, chunk in enumerate(chunks, 1):
-        parts.append(f"\x1b_G{keys}m={int(number < len(chunks))};{chunk}\x1b\\")
-        keys = ""  # only the first chunk may have them
-    return "".join(parts)
-
-
-def _sixels(pixels: Pixels, width: int, height: int) -> str:
-    from PIL import Image  # noqa: PLC0415 -- optional
-    from textual_image._sixel import image_to_sixels  # noqa: PLC0415 -- its public modules ask the terminal
-
-    image = Image.frombytes("RGB", (pixels.width, pixels.height), rgb_of(pixels))
-    return _DEFINED_COLOUR.sub(r"\g<0>#\1", image_to_sixels(image.resize((width, height))))
-
-
-def _cell_size() -> tuple[float, float]:
-    """Return the width and height of a cell in pixels, as the terminal says, or usual ones."""
-    with contextlib.suppress(OSError):
-        rows, columns, width, height = struct.unpack("4H", fcntl.ioctl(sys.stdout, termios.TIOCGWINSZ, bytes(8)))
-        if rows and columns and width and height:
-            return width / columns, height / rows
-    return _USUAL_CELL
+def _down(rows: int) -> str:
+    return f"\x1b[{rows}B" if rows else ""

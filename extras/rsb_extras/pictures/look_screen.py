@@ -1,9 +1,9 @@
-"""Chooses a topic of either side, bridged or not, to look at."""
+"""Chooses what to look at: a topic of either side, bridged or not, a layout, the rates or the log."""
 
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar
 
 from textual import on, work
 from textual.binding import Binding
@@ -18,6 +18,7 @@ from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.picker import Suggestion, SuggestionList
 from rsb_extras.pictures.drawing import has_picture, is_layer
+from rsb_extras.pictures.layouts import LOG, RATES, Subject, layouts_for
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,24 +35,8 @@ _ASKED_EVERY = 3.0
 """s between two questions to all sides. A round figure: each asks for the whole graph, over the link."""
 
 
-class Subject(NamedTuple):
-    """The topics of a view.
-
-    Attributes:
-        topics: the topics; the first one gives the kind of picture.
-        link: the link to the side that publishes them, or an empty string if the engine is to find the side.
-        type_name: of the first topic.
-        layers: further topics of that side that can be laid over a map.
-    """
-
-    topics: tuple[str, ...]
-    link: str = ""
-    type_name: str = ""
-    layers: tuple[str, ...] = ()
-
-
-class LookScreen(ModalScreen[Subject]):
-    """Lists the topics of all sides; those with a picture of their own come first."""
+class LookScreen(ModalScreen[tuple[Subject, ...]]):
+    """Lists layouts, the topics of all sides, of which those with a picture come first, and tiles without a topic."""
 
     BINDINGS: ClassVar = [
         Binding("escape", "dismiss", show=False),
@@ -66,7 +51,7 @@ class LookScreen(ModalScreen[Subject]):
         super().__init__()
         self.console = console
         self._found: dict[str, tuple[TopicInfo, ...]] = {}
-        self._subjects: dict[str, Subject] = {}
+        self._subjects: dict[str, tuple[Subject, ...]] = {}
         self._problems: list[str] = []
         self._asking = True
 
@@ -112,12 +97,37 @@ class LookScreen(ModalScreen[Subject]):
             for info in infos
             if info.kind == "topic" and info.publishers
         ]
+        for layout in layouts_for(self.console):
+            shown = ", ".join(", ".join(tile.topics) for tile in layout.tiles)
+            yield self._other(f"layout {layout.name}", escape_text(shown), *map(self._known, layout.tiles))
+        yield from self._topics(found)
+        yield self._other(RATES, "of all bridged topics", Subject((RATES,)))
+        yield self._other(LOG, "of this bridge", Subject((LOG,)))
+
+    def _other(self, name: str, shown: str, *subjects: Subject) -> Suggestion:
+        self._subjects[name] = subjects
+        line: Line = ((f"{name:<{_TOPIC + _SIDE}} ", "strong"), (shown, "dim"))
+        return Suggestion(name, name, lambda _width: line)
+
+    def _known(self, subject: Subject) -> Subject:
+        """Return a tile of a layout with what is known of its topic: its type, and what can be laid over it."""
+        for side, infos in self._found.items():
+            info = next((each for each in infos if each.topic == subject.topics[0]), None)
+            if info is not None and subject.link in ("", side):
+                layers = self._layers(side, info) if len(subject.topics) == 1 else ()
+                return subject._replace(link=side, type_name=info.type_name, layers=layers)
+        return subject
+
+    def _layers(self, side: str, info: TopicInfo) -> tuple[str, ...]:
+        """Return the other topics of a side that can be laid over a map."""
+        layers = (each.topic for each in self._found[side] if is_layer(each.type_name) and each.publishers)
+        return tuple(topic for topic in layers if topic != info.topic)
+
+    def _topics(self, found: list[tuple[str, TopicInfo]]) -> Iterator[Suggestion]:
         role = self.console.snapshot().role
         for side, info in sorted(found, key=lambda each: (not has_picture(each[1].type_name), each[1].topic, each[0])):
             key = f"{side}\n{info.topic}"
-            layers = (each.topic for each in self._found[side] if is_layer(each.type_name) and each.publishers)
-            others = tuple(topic for topic in layers if topic != info.topic)
-            self._subjects[key] = Subject((info.topic,), side, info.type_name, others)
+            self._subjects[key] = (Subject((info.topic,), side, info.type_name, self._layers(side, info)),)
             shown = escape_text(other_side(role, side) if side else "here")[: _SIDE - 1]
             line: Line = (
                 (f"{escape_text(info.topic):<{_TOPIC}} ", ""),

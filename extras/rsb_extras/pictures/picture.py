@@ -6,6 +6,7 @@ on an internal route of its own (`rsb_extras.pictures.link_views.VIEW`).
 
 from __future__ import annotations
 
+import contextlib
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
@@ -17,9 +18,7 @@ from rsb_bridge.model.text import UNPRINTABLE, sanitize_text, single_cells
 MOST_COLUMNS, MOST_ROWS = 400, 150
 """Cells of the largest picture."""
 MOST_ACROSS, MOST_DOWN = 16, 32
-"""Pixels of an image in a cell."""
-LEAST_SHAPE, MOST_SHAPE = 0.5, 8.0
-"""Height of a cell over its width."""
+"""Pixels of an image across and down a cell."""
 LONGEST_SIDE = 1920
 """Pixels of an image's width and height."""
 MOST_RATE = 10.0
@@ -58,9 +57,9 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
         seconds: length of a plot's time axis.
         level: lowest level of the shown log messages (rcl_interfaces/msg/Log) or diagnostics.
         webp: whether the viewer reads WebP, which takes a tenth of the bytes.
-        across: pixels of an image in a cell, beside each other; above 1 only with WebP, and only as many as it has.
-        down: pixels of an image in a cell, one above the other.
-        shape: height of a cell over its width. The pixels are square if it is `down` / `across`.
+        across: pixels of an image across a cell; above 1 only with WebP.
+        down: pixels of an image down a cell.
+        shape: height of a cell over its width.
         match: text that shown log messages, nodes, frames or fields contain.
     """
 
@@ -81,41 +80,28 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
     webp: bool = False
     across: Annotated[int, Meta(ge=1, le=MOST_ACROSS)] = 1
     down: Annotated[int, Meta(ge=1, le=MOST_DOWN)] = 2
-    shape: Annotated[float, Meta(ge=LEAST_SHAPE, le=MOST_SHAPE)] = 2.0
-
-
-def in_cells(wish: Wish, across: int, down: int, shape: float) -> Wish:
-    """Return a wish for so many pixels in a cell, whose height over its width is `shape`."""
-    shape = max(LEAST_SHAPE, min(MOST_SHAPE, shape))
-    return msgspec.structs.replace(wish, across=across, down=down, shape=shape)
-
-
-def in_square_pixels(wish: Wish, across: int, shape: float) -> Wish:
-    """Return a wish for square pixels, so many across a cell, for terminals that show pixels."""
-    across = max(1, min(MOST_ACROSS, across))
-    down = max(1, min(MOST_DOWN, round(across * shape)))
-    return in_cells(wish, across, down, down / across)
+    shape: Annotated[float, Meta(ge=0.5, le=8)] = 2.0
 
 
 def in_full(wish: Wish) -> Wish:
     """Return a wish for an image in its own resolution, up to `LONGEST_SIDE`, if the viewer reads WebP."""
-    return in_square_pixels(msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS), MOST_ACROSS, 2.0)
+    return msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS, across=MOST_ACROSS, down=MOST_DOWN)
 
 
 class Pixels(msgspec.Struct, frozen=True, omit_defaults=True, tag="pixels"):
     """An image.
 
     Attributes:
-        width: pixels; of one, the width is to the height as `Wish.down` to `Wish.across` times `Wish.shape`.
-        height: pixels.
+        width: pixels; a cell of a terminal shows one in width, unless the wish has more detail.
+        height: pixels; a cell of a terminal shows two, one above the other.
         data: three bytes a pixel, red, green and blue, row by row from the top; or a WebP file.
-        coding: of `data`.
+        coding: of `data`; ``webp-doubled`` has twice as many pixels across and down, since WebP halves colours.
     """
 
     width: Annotated[int, Meta(ge=1, le=LONGEST_SIDE)]
     height: Annotated[int, Meta(ge=1, le=LONGEST_SIDE)]
     data: bytes
-    coding: Literal["rgb", "webp"] = "rgb"
+    coding: Literal["rgb", "webp", "webp-doubled"] = "rgb"
 
 
 class Scale(msgspec.Struct, frozen=True):
@@ -199,6 +185,8 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
         notes: lines about the picture (``1920×1080 rgb8``).
         problem: the reason why there is no picture, or why it is incomplete, and what to do.
         waiting: before the first message: facts about the topic's publishers, and what to do.
+        number: of the content, from 1; each other content of a view has another one. 0 within one side.
+        is_unchanged: whether the content is left out, as it is the one that was sent with this number.
     """
 
     content: Pixels | Cells | Series | None = None
@@ -210,6 +198,8 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     notes: Annotated[tuple[_Text, ...], Meta(max_length=16)] = ()
     problem: Annotated[str, Meta(max_length=500, pattern=rf"\A[^{UNPRINTABLE}]*\Z")] = ""
     waiting: _Text = ""
+    number: Annotated[int, Meta(ge=0, le=(1 << 63) - 1)] = 0
+    is_unchanged: bool = False
 
 
 class Viewed(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -232,12 +222,24 @@ class PictureError(ValueError):
     """Bytes are no picture."""
 
 
+class _Unchanged(msgspec.Struct):
+    is_unchanged: bool = False
+
+
+_unchanged_decoder = msgspec.msgpack.Decoder(_Unchanged)
 _encoder, _decoder = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(Picture)
 
 
 def encode_picture(picture: Picture) -> bytes:
     """Return a picture as bytes."""
     return _encoder.encode(picture)
+
+
+def is_unchanged(encoded: bytes) -> bool:
+    """Whether an encoded picture leaves out its content; what is no picture does not."""
+    with contextlib.suppress(msgspec.MsgspecError, ValueError):
+        return _unchanged_decoder.decode(encoded).is_unchanged
+    return False
 
 
 def decode_picture(encoded: bytes) -> Picture:

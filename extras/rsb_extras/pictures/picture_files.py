@@ -9,13 +9,16 @@ import zlib
 from html import escape
 from typing import TYPE_CHECKING
 
+from rich.color import Color
+
 from rsb_console.session.exports import cell
-from rsb_extras.pictures.blocks import rgb_of
 from rsb_extras.pictures.picture import Cells, Pixels, Series
-from rsb_extras.pictures.picture_rows import picture_rows
+from rsb_extras.pictures.picture_rows import picture_rows, rgb_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
+
+    from rsb_extras.pictures.picture_rows import Row
 
 # A character of a monospace font of 15 px (below) is about 9 px wide.
 _CELL_WIDTH, _CELL_HEIGHT = 9, 18
@@ -56,11 +59,22 @@ def png(pixels: Pixels) -> bytes:
 
 
 def _svg(cells: Cells) -> bytes:
-    """Return characters as SVG."""
-    rows = picture_rows(cells, 0, 0)
-    width = max(map(len, cells.rows), default=1) * _CELL_WIDTH
+    return svg(picture_rows(cells, 0, 0))
+
+
+def svg(rows: Sequence[Row]) -> bytes:
+    """Return rows of characters as SVG."""
+    width = max((sum(len(part.text) for part in row) for row in rows), default=1) * _CELL_WIDTH
     lines = []
     for number, row in enumerate(rows, 1):
+        at = 0
+        for part in row:
+            if part.background:
+                place = f'x="{at * _CELL_WIDTH}" y="{(number - 1) * _CELL_HEIGHT}" height="{_CELL_HEIGHT}"'
+                lines.append(
+                    f'<rect {place} width="{len(part.text) * _CELL_WIDTH}" fill="{_colour(part.background)}"/>'
+                )
+            at += len(part.text)
         shown = "".join(f'<tspan fill="{_colour(part.style)}">{_escaped(part.text)}</tspan>' for part in row)
         lines.append(f'<text x="0" y="{number * _CELL_HEIGHT - 4}" xml:space="preserve">{shown}</text>')
     return (
@@ -71,6 +85,8 @@ def _svg(cells: Cells) -> bytes:
 
 
 def _colour(style: str) -> str:
+    if style.startswith("color("):
+        return Color.parse(style).get_truecolor().hex
     return style if style.startswith("#") else _COLOURS.get(style, "#d0d0d0")
 
 

@@ -6,10 +6,21 @@ from rsb_console.actions.action import Action, Group, KeyChapter, late
 
 _KEYS = (
     KeyChapter(
+        "Tiles (V, also V on a picture)",
+        "ViewScreen",
+        (
+            ("V", "Add a tile: a topic of either side, a layout, the rates, the log"),
+            ("tab", "Go on to the next tile; shift+tab back"),
+            ("z", "Give it the whole screen, or show all again; what is hidden costs nothing"),
+            ("x", "Close it"),
+            ("w", "Keep the tiles as a layout, which V lists"),
+        ),
+    ),
+    KeyChapter(
         "On a picture (v, V)",
         "ViewScreen",
         (
-            ("esc q v", "Close it"),
+            ("esc q v", "Close it, with all other tiles"),
             ("t", "Show the messages as text, or as a picture again"),
             ("space", "Hold the picture; the topic goes on"),
             ("+ - 0", "Zoom in, zoom out, show all"),
@@ -18,7 +29,7 @@ _KEYS = (
             ("h", "Draw it in another way: usual, plot, tree"),
             ("l", "Of a map: lay the other topics over it, or show it alone"),
             ("< >", "Fewer or more pictures a second"),
-            ("p", "Write the picture to a file, an image in its own resolution"),
+            ("p", "Write the picture to a file: an image in its own resolution, and as this terminal draws it"),
         ),
     ),
     KeyChapter(

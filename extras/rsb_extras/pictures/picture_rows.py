@@ -1,13 +1,21 @@
-"""Pictures of messages as rows of a terminal: images (`blocks`), styled characters, or plots in braille."""
+"""Pictures of messages as rows of a terminal: styled characters, or plots in braille."""
 
 from __future__ import annotations
 
+import io
 import math
+import warnings
+from importlib.util import find_spec
 from itertools import cycle, groupby
+from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_extras.pictures.blocks import QUADRANTS, Part, Row, Sign, image_rows
-from rsb_extras.pictures.picture import Cells, Curve, Pixels, Series
+from rsb_extras.pictures.picture import Series
 
+if TYPE_CHECKING:
+    from rsb_extras.pictures.picture import Cells, Curve, Pixels
+
+COLOURS = {None: 0, "standard": 16, "windows": 16, "256": 256, "truecolor": 1 << 24}
+"""The number of a terminal's colours, by rich's name of its colour system."""
 _CURVE_STYLES = ("scan", "path", "goal", "ok", "warning", "error", "robot", "strong")
 _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE = 0x2800
@@ -19,32 +27,31 @@ _TICK_ROWS, _TICK_COLUMNS = 4, 16
 _TICK_STEPS = (1, 2, 5)
 
 
-def picture_rows(
-    content: Cells | Pixels | Series,
-    width: int,
-    height: int,
-    *,
-    colours: int = 256,
-    signs: frozenset[Sign] = QUADRANTS,
-    cursor: int | None = None,
-) -> list[Row]:
-    """Return a picture's rows.
+class Part(NamedTuple):
+    """Some cells of one row.
+
+    Attributes:
+        style: a style of `rsb_extras.pictures.picture.STYLES`, or a colour as ``#rrggbb`` or ``color(7)``.
+        background: a colour, or an empty string for the terminal's own.
+    """
+
+    text: str
+    style: str = ""
+    background: str = ""
+
+
+Row = tuple[Part, ...]
+
+
+def picture_rows(content: Cells | Series, width: int, height: int, *, cursor: int | None = None) -> list[Row]:
+    """Return a picture's rows; those of an image are in `rsb_extras.pictures.blocks`.
 
     Args:
-        width: cells that a plot or an image fills.
-        height: cells that a plot or an image fills.
-        colours: the terminal's, for images.
-        signs: that the terminal's font has, for images.
+        width: cells that a plot fills.
+        height: cells that a plot fills.
         cursor: column of a plot, from the left edge of its curves, whose values the legend shows, or None.
-
-    Raises:
-        UnreadableError: the other side's image is damaged.
     """
-    if isinstance(content, Pixels):
-        return image_rows(content, width, height, colours=colours, signs=signs)
-    if isinstance(content, Series):
-        return _plot(content, width, height, cursor)
-    return _cells(content)
+    return _plot(content, width, height, cursor) if isinstance(content, Series) else _cells(content)
 
 
 def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) -> list[Row]:
@@ -67,6 +74,40 @@ def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) ->
     gap = Part(" " * max(0, column - at))
     parts = (*before, gap, part, *after)
     return [*rows[:row], tuple(each for each in parts if each.text), *rows[row + 1 :]]
+
+
+class UnreadableError(ValueError):
+    """The bytes of an image are not what they should be."""
+
+
+def reads_webp() -> bool:
+    """Whether images in WebP can be shown."""
+    return find_spec("PIL") is not None
+
+
+def rgb_of(pixels: Pixels) -> bytes:
+    """Return an image's pixels, three bytes each.
+
+    Raises:
+        UnreadableError: the other side's WebP file is damaged.
+    """
+    if pixels.coding == "rgb":
+        return pixels.data
+    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 -- optional, and needed only for images
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked before it is read
+            image = Image.open(io.BytesIO(pixels.data), formats=["WEBP"])  # no other decoder for a stranger's bytes
+        factor = 2 if pixels.coding == "webp-doubled" else 1
+        if image.size == (factor * pixels.width, factor * pixels.height):
+            rgb = image.convert("RGB")
+            return (rgb.reduce(factor) if factor > 1 else rgb).tobytes()
+    except UnidentifiedImageError:  # its text names an object of Python
+        raise UnreadableError("an image cannot be read: it has no header") from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise UnreadableError(f"an image cannot be read: {error}") from None
+    raise UnreadableError("an image has another size than it says")
 
 
 def _cells(cells: Cells) -> list[Row]:

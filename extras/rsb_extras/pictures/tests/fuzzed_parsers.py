@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from tests.fuzz.editing import edit_msgpack
 from tests.fuzz.parser import Parser, check_text
 
 from rsb_bridge.model.text import is_clean
-from rsb_extras.pictures.blocks import UnreadableError
+from rsb_extras.pictures.blocks import image_rows
 from rsb_extras.pictures.picture import (
     MOST_COLUMNS,
     Cells,
@@ -20,9 +22,18 @@ from rsb_extras.pictures.picture import (
     encode_picture,
 )
 from rsb_extras.pictures.picture_files import formats_of, picture_file
-from rsb_extras.pictures.picture_rows import picture_rows
+from rsb_extras.pictures.picture_rows import UnreadableError, picture_rows
+
+if TYPE_CHECKING:
+    from rsb_extras.pictures.picture_rows import Row
 
 _WIDTH, _HEIGHT = 40, 12
+
+
+def rows_of(content: Cells | Pixels | Series, colours: int) -> list[Row]:
+    if isinstance(content, Pixels):
+        return image_rows(content, _WIDTH, _HEIGHT, colours=colours, sextants=colours > 16)
+    return picture_rows(content, _WIDTH, _HEIGHT)
 
 
 def _read_picture(data: bytes) -> None:
@@ -37,7 +48,7 @@ def _read_picture(data: bytes) -> None:
         return
     for colours in (0, 16, 256):
         try:
-            rows = picture_rows(picture.content, _WIDTH, _HEIGHT, colours=colours)
+            rows = rows_of(picture.content, colours)
         except UnreadableError:
             continue
         for row in rows:

@@ -1,129 +1,143 @@
-"""Images as pixels of the terminal: the question to the terminal, and the sequences for kitty and sixel."""
+"""Images in the terminal's pixels: bands, what is sent again, and the sequences for kitty and sixel."""
 
 from __future__ import annotations
 
 import base64
-import contextlib
 import io
 import os
-import pty
 import re
-import threading
-from collections.abc import Iterator
-from typing import TextIO, cast
 
 import pytest
 from PIL import Image
 from tests.support import surroundings
 
-from rsb_extras.pictures.look_command import ImagePrinter, graphics_of_terminal, terminal_answer, why_no_graphics
-from rsb_extras.pictures.picture import Pixels
+from rsb_extras.pictures.graphics import BANDS, Painter, bands_of, frame_of, why_no_graphics
+from rsb_extras.pictures.picture import Pixels, Wish
 from rsb_extras.pictures.tests import picture_places
 
-RED = Pixels(4, 2, b"\xff\0\0" * 8)
+RED, PAPER = b"\xff\0\0", (1, 2, 3)
 _CELL = (10.0, 20.0)
 _COMMAND = re.compile(r"\x1b_G([^;\x1b]*)(?:;([^\x1b]*))?\x1b\\")
+_PLACE = re.compile(r"\x1b\[(\d+);(\d+)H")
 
 
-class Terminal:
-    def __init__(self, answer: bytes) -> None:
-        self._master, self.slave = pty.openpty()
-        self._answer = answer
-        self.asked = b""
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        while not self.asked.endswith(b"\x1b[c"):
-            try:
-                self.asked += os.read(self._master, 100)
-            except OSError:
-                return
-        os.write(self._master, self._answer)
-
-    def close(self) -> None:
-        os.close(self.slave)
-        self._thread.join()
-        os.close(self._master)
+def noise(width: int, height: int) -> Pixels:
+    return Pixels(width, height, os.urandom(3 * width * height))
 
 
-@pytest.fixture
-def answering() -> Iterator[list[Terminal]]:
-    """Standard input and output are the terminal that the test adds."""
-    terminals: list[Terminal] = []
-    yield terminals
-    for each in terminals:
-        each.close()
+def wish(columns: int, rows: int) -> Wish:
+    return Wish(columns, rows, across=10, down=20)
 
 
-def protocol(answer: bytes, terminals: list[Terminal], monkeypatch: pytest.MonkeyPatch) -> str:
-    terminal = Terminal(answer)
-    terminals.append(terminal)
-    with open(terminal.slave, "r+b", buffering=0, closefd=False) as stream:
-        surroundings.set_stdin(monkeypatch, stream)
-        picture_places.TERMINAL_ANSWERS_WITHIN.set(monkeypatch, 60.0)  # the answer comes from a thread of this process
-        try:
-            with contextlib.redirect_stdout(cast("TextIO", stream)):
-                return graphics_of_terminal()
-        finally:
-            monkeypatch.undo()
+def test_graphics_without_their_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert why_no_graphics("sixel") == ""
+    surroundings.hide_modules(monkeypatch, "textual_image")
+    assert why_no_graphics("sixel")
+    assert why_no_graphics("kitty") == ""
+    surroundings.hide_modules(monkeypatch, "PIL")
+    assert why_no_graphics("kitty")
+    assert why_no_graphics("blocks") == ""
 
 
 @pytest.mark.parametrize(
-    ("answer", "expected"),
-    [
-        (b"\x1b_Gi=31;OK\x1b\\\x1b[?62;c", "kitty"),
-        (b"typed\x1b_Gi=31;OK\x1b\\\x1b[?62;4c", "kitty"),
-        (b"\x1b[?62;4;22c", "sixel"),
-        (b"\x1b[?62;14;24c", "blocks"),
-        (b"\x1b_Gi=31;ENOTSUPPORTED:no\x1b\\\x1b[?1;2c", "blocks"),
-    ],
-)
-def test_a_terminal_is_asked(
-    answer: bytes, expected: str, answering: list[Terminal], monkeypatch: pytest.MonkeyPatch
+    ("size", "area", "expected"),
+    [((640, 480), (80, 40), (80, 30)), ((100, 400), (80, 40), (20, 40)), ((5, 5), (80, 40), (80, 40)),
+     ((1600, 100), (8, 4), (8, 1))],
+)  # fmt: skip
+def test_image_fills_its_area_in_its_proportions(
+    size: tuple[int, int], area: tuple[int, int], expected: tuple[int, int]
 ) -> None:
-    assert protocol(answer, answering, monkeypatch) == expected
+    frame = frame_of(Pixels(*size, b""), wish(*area))
+    assert (frame.columns, frame.rows) == expected
+    assert frame.width * 10 / (frame.height * 20) == pytest.approx(size[0] / size[1])
 
 
-def test_a_terminal_that_does_not_answer(answering: list[Terminal], monkeypatch: pytest.MonkeyPatch) -> None:
-    picture_places.TERMINAL_ANSWERS_WITHIN.set(monkeypatch, 0.2)
-    terminal = Terminal(b"")
-    answering.append(terminal)
-    assert terminal_answer(terminal.slave, terminal.slave) == b""
+def test_kitty_gets_each_band_in_pieces() -> None:
+    pixels = noise(100, 80)
+    bands = bands_of(pixels, frame_of(pixels, wish(50, 20)), _CELL, "kitty", 7, PAPER)
+    assert len(bands) == 7
+    rebuilt = b""
+    for number, band in enumerate(bands):
+        commands = _COMMAND.findall(band.sequence)
+        assert all(len(payload) <= picture_places.GRAPHICS_CHUNK.value for _, payload in commands)
+        first = dict(pair.split("=") for pair in commands[0][0].split(","))
+        assert (first["a"], first["f"], first["c"], first["r"]) == ("T", "100", "50", str(band.rows))
+        assert (first["i"], first["C"], first["q"]) == (str(7 + number), "1", "2")
+        assert [keys for keys, _ in commands[1:]] == ["m=1"] * (len(commands) - 2) + ["m=0"] * (len(commands) > 1)
+        image = Image.open(io.BytesIO(base64.b64decode("".join(payload for _, payload in commands))))
+        rebuilt += image.convert("RGB").tobytes()
+    assert rebuilt == pixels.data
+    assert sum(band.rows for band in bands) == 20
 
 
-def test_without_a_terminal_nothing_is_asked() -> None:
-    assert graphics_of_terminal() == "blocks"
+def test_rest_of_last_cells_has_colour_of_paper() -> None:
+    pixels = Pixels(15, 20, RED * 300)
+    bands = bands_of(pixels, frame_of(pixels, Wish(2, 1, across=10, down=20)), _CELL, "sixel", 1, PAPER)
+    ((data),) = [band.pixels for band in bands]
+    assert data[: 15 * 3] == RED * 15
+    assert data[15 * 3 : 20 * 3] == bytes(PAPER) * 5
 
 
-def test_sixel_without_its_library(monkeypatch: pytest.MonkeyPatch) -> None:
-    surroundings.hide_modules(monkeypatch, "textual_image", "PIL")
-    assert why_no_graphics("sixel")
-    assert why_no_graphics("kitty") == why_no_graphics("blocks") == ""
-
-
-def test_kitty_gets_a_png_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    picture_places.CELL_SIZE.set(monkeypatch, lambda: _CELL)
-    noise = Pixels(100, 80, os.urandom(24_000))
-    commands = _COMMAND.findall(ImagePrinter("kitty").printed(noise, 50, 10))
-    assert len(commands) > 2
-    assert all(len(payload) <= picture_places.GRAPHICS_CHUNK.value for _, payload in commands)
-    first = dict(pair.split("=") for pair in commands[0][0].split(","))
-    assert (first["a"], first["f"], first["c"], first["r"], first["m"]) == ("T", "100", "25", "10", "1")
-    assert [keys for keys, _ in commands[1:]] == ["m=1"] * (len(commands) - 2) + ["m=0"]
-    image = Image.open(io.BytesIO(base64.b64decode("".join(payload for _, payload in commands))))
-    assert image.size == (100, 80)
-    assert image.convert("RGB").tobytes() == noise.data
-    assert _COMMAND.fullmatch(ImagePrinter("kitty").closed())
-
-
-def test_sixels_select_each_colour_that_they_define(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sixels_select_each_colour_that_they_define() -> None:
     """Some terminals select it with its definition, xterm does not."""
-    picture_places.CELL_SIZE.set(monkeypatch, lambda: _CELL)
-    printed = ImagePrinter("sixel").printed(RED, 10, 11)
-    size = re.match(r'\x1bP[0-9;]*q"1;1;([0-9]+);([0-9]+)', printed)
-    assert size is not None
-    assert (int(size[1]), int(size[2])) == (100, 50)
-    assert re.search(r"#([0-9]+);2;100;0;0(#\1)+!", printed)
-    assert printed.endswith("\x1b\\")
-    assert ImagePrinter("sixel").closed() == ""
+    pixels = Pixels(4, 2, RED * 8)
+    (band,) = bands_of(pixels, frame_of(pixels, Wish(10, 1, across=1, down=2)), (10.0, 5.0), "sixel", 1, PAPER)
+    assert re.match(r'\x1bP[0-9;]*q"1;1;', band.sequence)
+    assert re.search(r"#([0-9]+);2;100;0;0(#\1)+!", band.sequence)
+    assert band.sequence.endswith("\x1b\\")
+
+
+def changed(pixels: Pixels, row: int) -> Pixels:
+    """Return an image with another row of cells."""
+    line = 3 * pixels.width * 20
+    before, after = pixels.data[: row * line], pixels.data[(row + 1) * line :]
+    return Pixels(pixels.width, pixels.height, before + bytes(line) + after)
+
+
+@pytest.mark.parametrize("protocol", ["kitty", "sixel"])
+def test_only_bands_that_differ_are_sent(protocol: str) -> None:
+    pixels, area = noise(160, 320), wish(16, 16)
+    painter, frame = Painter(protocol, 1), frame_of(pixels, area)  # type: ignore[arg-type]
+    bands = bands_of(pixels, frame, _CELL, protocol, 1, PAPER)  # type: ignore[arg-type]
+    assert len(bands) == BANDS
+    first = painter.painted(bands, (3, 5), ())
+    assert [(int(row), int(column)) for row, column in _PLACE.findall(first)] == [(6 + 2 * at, 4) for at in range(8)]
+    assert first.startswith("\x1b7")
+    assert first.endswith("\x1b8")
+    assert painter.painted(bands, (3, 5), ()) == ""
+    after = bands_of(changed(pixels, 9), frame, _CELL, protocol, 1, PAPER, bands)  # type: ignore[arg-type]
+    assert [place[0] for place in _PLACE.findall(painter.painted(after, (3, 5), ()))] == ["14"]
+
+
+def test_covered_bands_are_taken_away_and_come_back() -> None:
+    pixels = noise(160, 320)
+    painter = Painter("kitty", 1)
+    bands = bands_of(pixels, frame_of(pixels, wish(16, 16)), _CELL, "kitty", 1, PAPER)
+    painter.painted(bands, (0, 0), ())
+    covered = painter.painted(bands, (0, 0), {2, 3, 4})
+    assert [keys for keys, _ in _COMMAND.findall(covered)] == [f"a=d,d=I,i={each},q=2" for each in (2, 3)]
+    back = painter.painted(bands, (0, 0), ())
+    assert [place[0] for place in _PLACE.findall(back)] == ["3", "5"]
+    assert len(_COMMAND.findall(painter.taken_away())) == BANDS
+
+
+def test_sixels_under_text_are_drawn_again() -> None:
+    pixels = noise(160, 320)
+    bands = bands_of(pixels, frame_of(pixels, wish(16, 16)), _CELL, "sixel", 1, PAPER)
+    painter = Painter("sixel", 1)
+    painter.painted(bands, (0, 0), ())
+    painter.overwritten(3, 5)
+    assert [place[0] for place in _PLACE.findall(painter.painted(bands, (0, 0), ()))] == ["3", "5"]
+    painter.lost()
+    assert len(_PLACE.findall(painter.painted(bands, (0, 0), ()))) == BANDS
+    assert painter.taken_away() == ""
+
+
+def test_image_at_another_place_is_drawn_anew() -> None:
+    pixels = noise(160, 320)
+    bands = bands_of(pixels, frame_of(pixels, wish(16, 16)), _CELL, "kitty", 1, PAPER)
+    painter = Painter("kitty", 1)
+    painter.painted(bands, (0, 0), ())
+    moved = painter.painted(bands, (20, 0), ())
+    assert sum(keys.startswith("a=d") for keys, _ in _COMMAND.findall(moved)) == BANDS
+    assert len(_PLACE.findall(moved)) == BANDS

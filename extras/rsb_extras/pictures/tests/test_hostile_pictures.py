@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from rsb_extras.pictures.blocks import Part
 from rsb_extras.pictures.goal_on_map import Goal
 from rsb_extras.pictures.map_view import _Paper
 from rsb_extras.pictures.picture import (
@@ -26,7 +25,7 @@ from rsb_extras.pictures.picture import (
     encode_picture,
 )
 from rsb_extras.pictures.picture_files import picture_file
-from rsb_extras.pictures.picture_rows import picture_rows, with_mark
+from rsb_extras.pictures.picture_rows import Part, picture_rows, with_mark
 
 INVALID = (math.nan, math.inf, -math.inf)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from argparse import Namespace
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
@@ -18,6 +19,7 @@ from tests.support.wording import has_text, says
 
 from rsb_bridge.api import EngineError
 from rsb_console.notation import formats
+from rsb_console.terminal.terminal_facts import TerminalFacts
 from rsb_extras.pictures import look_command
 from rsb_extras.pictures.look_command import LookText
 from rsb_extras.pictures.picture import Cells, Curve, Picture, Pixels, Series, Viewed, Wish
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
 
 ARGUMENTS = Namespace(
+    facts=TerminalFacts(),
     graphics="blocks",
     detail=None,
     topics=["/t"], link="", width=40, height=5, rate=2.0, how="", field=[], zoom=1.0, tilt=0.0, frame="",
@@ -270,17 +273,17 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 @pytest.mark.parametrize(
     ("variables", "sequence"),
     [
-        ({"TERM": "xterm", "COLORTERM": "truecolor"}, "\x1b[38;2;255;0;0;48;2;0;0;255m▀"),
+        ({"TERM": "xterm", "COLORTERM": "truecolor"}, "\x1b[38;2;252;0;0;48;2;0;0;252m▀"),
         ({"TERM": "xterm-256color"}, "\x1b[38;5;196;48;5;21m▀"),
-        ({"TERM": "xterm"}, "\x1b[30;40m▀"),  # greys: 16 colours have no shades
-        ({"TERM": "screen"}, "\x1b[30;40m▀"),
+        ({"TERM": "xterm"}, "\x1b[91;44m▀"),
+        ({"TERM": "screen"}, "\x1b[91;44m▀"),
     ],
 )
 def test_a_terminal_gets_the_colours_that_it_has(
     ran: Any, engine: LookingEngine, terminal: Callable[..., None], variables: dict[str, str], sequence: str
 ) -> None:
     terminal(**variables)
-    engine.viewed = [viewed(IMAGE)]
+    engine.viewed = [viewed(Pixels(2, 4, b"\xff\0\0" * 4 + b"\0\0\xff" * 4))]
     assert sequence in ran("/camera", "--once").out
 
 
@@ -335,7 +338,12 @@ def test_a_picture_is_written_to_a_file(
 
 @pytest.mark.parametrize(
     ("options", "size"),
-    [([], (400, 150, 16)), (["--detail", "8"], (80, 23, 8)), (["--width", "50", "--detail", "2"], (50, 23, 2))],
+    [
+        ([], (400, 150, 16)),
+        (["--detail", "8"], (80, 23, 8)),
+        (["--width", "50", "--detail", "2"], (50, 23, 2)),
+        (["--width", "50"], (50, 23, 6)),
+    ],
 )
 def test_a_file_has_the_image_s_own_resolution(
     ran: Any, engine: LookingEngine, tmp_path: Path, options: list[str], size: tuple[int, int, int]
@@ -347,7 +355,7 @@ def test_a_file_has_the_image_s_own_resolution(
 
 
 @pytest.mark.parametrize(("graphics", "sequence"), [("kitty", "\x1b_Ga=T"), ("sixel", "\x1bP")])
-@pytest.mark.parametrize(("options", "detail"), [([], 6), (["--detail", "8"], 8)])
+@pytest.mark.parametrize(("options", "detail"), [([], 10), (["--detail", "8"], 8)])
 def test_one_picture_in_pixels(
     ran: Any, engine: LookingEngine, graphics: str, sequence: str, options: list[str], detail: int
 ) -> None:
@@ -360,7 +368,7 @@ def test_one_picture_in_pixels(
     before, _, after = done.out.partition(sequence)
     rows = before.count("\n")
     assert 1 <= rows <= wish.height
-    assert before.endswith(f"\x1b[{rows}A\x1b7")
+    assert before.endswith(f"\x1b[{rows}A\x1b7\x1b8")
     below, _, status = after.rpartition(f"\x1b8\x1b[{rows}B")
     assert below
     assert says(status, LookText.AGE)
@@ -370,7 +378,8 @@ def test_one_picture_asks_the_terminal(
     ran: Any, engine: LookingEngine, terminal: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     terminal(TERM="xterm", COLORTERM="truecolor")
-    picture_places.GRAPHICS_OF_TERMINAL.set(monkeypatch, lambda: "kitty")
+    surroundings.set_stdin(monkeypatch, "", is_terminal=True)
+    picture_places.ASK_TERMINAL.set(monkeypatch, lambda facts, *_: replace(facts, pixels="kitty"))
     engine.viewed = [viewed(IMAGE), viewed(IMAGE), viewed()]
     assert "\x1b_G" in ran("/camera", "--once").out
     assert "\x1b_G" not in ran("/camera", "--once", "--json").out

@@ -66,9 +66,10 @@ from rsb_extras.pictures.picture import (
 )
 from rsb_extras.pictures.picture_keys import LOOK
 from rsb_extras.pictures.picture_rows import AXIS
+from rsb_extras.pictures.picture_tile import PictureTile, ViewText
 from rsb_extras.pictures.tests import picture_places
 from rsb_extras.pictures.tests.looking_engine import LookingEngine
-from rsb_extras.pictures.view_screen import PicturePane, ViewScreen, ViewText
+from rsb_extras.pictures.view_screen import ViewScreen
 
 SCAN = "/robot2/scan"
 IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
@@ -153,7 +154,9 @@ def has_picture(app: ConsoleApp) -> bool:
 
 
 def placing(app: ConsoleApp) -> Goal | None:
-    return screen_of(app)._goal
+    tile = screen_of(app).pane
+    assert isinstance(tile, PictureTile)
+    return tile._goal
 
 
 def title(app: ConsoleApp) -> str:
@@ -183,7 +186,7 @@ async def test_a_picture_is_asked_for_and_shown(app: ConsoleApp, pilot: Pilot[No
     await shown(pilot, ViewText.WAITING)
     await comes(pilot, viewed())
     await shown(pilot, "the picture")
-    for part in (SCAN, "360 points", ViewText.SIDE(side="the server"), ViewText.SIZE(size=formats.byte_count(1234))):
+    for part in (SCAN, "360 points", ViewText.SIDE(side="the server"), formats.byte_rate(1234 / 5)):
         assert part in title(app)
 
 
@@ -407,7 +410,7 @@ async def test_goal_begins_in_middle_and_moves_by_cells(app: ConsoleApp, pilot: 
 async def test_the_goal_is_marked_with_its_heading(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await comes(pilot, viewed(MAP))
     await pilot.press("g")
-    await pilot.click(PicturePane, offset=(12, 7))
+    await pilot.click(PictureTile, offset=(12, 7))
     at = goal_of(app).cell(SCALE)
     assert marked(app) == (at, "→")
     await pilot.press("enter", *["left"] * 6)
@@ -416,7 +419,7 @@ async def test_the_goal_is_marked_with_its_heading(app: ConsoleApp, pilot: Pilot
     assert says(title(app), ViewText.GOAL_HEADING, degrees=90.0)
     await pilot.press("right", "right", "right")
     assert marked(app) == (at, "↗")
-    await pilot.click(PicturePane, offset=(20, 9))  # it only turns now
+    await pilot.click(PictureTile, offset=(20, 9))  # it only turns now
     assert marked(app) == (at, "↗")
 
 
@@ -429,12 +432,12 @@ def marked(app: ConsoleApp) -> tuple[tuple[int, int], str]:
 @looking()
 async def test_a_click_puts_the_goal_into_its_cell(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await comes(pilot, viewed(MAP))
-    await pilot.click(PicturePane, offset=(12, 7))
+    await pilot.click(PictureTile, offset=(12, 7))
     assert placing(app) is None, "no goal without its key"
     await pilot.press("g")
-    await pilot.click(PicturePane, offset=(12, 7))
+    await pilot.click(PictureTile, offset=(12, 7))
     first = goal_of(app).cell(SCALE)
-    await pilot.click(PicturePane, offset=(15, 9))
+    await pilot.click(PictureTile, offset=(15, 9))
     assert goal_of(app).cell(SCALE) == (first[0] + 3, first[1] + 2)
     pane = screen_of(app).pane
     assert first == (12 - (pane.content_region.x - pane.region.x), 7 - (pane.content_region.y - pane.region.y))
@@ -621,8 +624,9 @@ async def test_a_picture_is_written_to_a_file(
     await until(pilot, lambda: has_picture(app), "the picture")
     await pilot.press("space", "p")  # a held one is written as it is seen
     await notified(pilot, ViewText.WRITTEN)
-    (file,) = folder.iterdir()
+    file, *drawing = sorted(folder.iterdir())
     assert re.fullmatch(rf"robot2_scan-\d{{8}}-\d{{6}}\{suffix}", file.name)
+    assert [each.suffix for each in drawing] == ([".svg"] if suffix == ".png" else [])
     if suffix == ".png":
         assert file.read_bytes().startswith(b"\x89PNG")
     elif suffix == ".svg":
@@ -638,7 +642,8 @@ async def test_an_image_is_written_in_its_own_resolution(app: ConsoleApp, pilot:
     wish = await written(pilot, viewed(Pixels(640, 480, bytes(3 * 640 * 480))))
     assert (wish.width, wish.height, wish.across) == (MOST_COLUMNS, MOST_ROWS, MOST_ACROSS)
     await notified(pilot, ViewText.WRITTEN)
-    (file,) = folder.iterdir()
+    file, drawing = sorted(folder.iterdir())
+    assert ElementTree.parse(drawing).getroot().tag.endswith("svg")
     assert struct.unpack(">II", file.read_bytes()[16:24]) == (640, 480)
     assert ("end_look",) in engine_of(app).commands
 
@@ -649,7 +654,8 @@ async def test_without_full_image_visible_one_is_written(app: ConsoleApp, pilot:
     await until(pilot, lambda: has_picture(app), "the picture")
     await written(pilot, EngineError("4 views of this link are open already"))
     await notified(pilot, ViewText.WRITTEN)
-    (file,) = folder.iterdir()
+    file, drawing = sorted(folder.iterdir())
+    assert ElementTree.parse(drawing).getroot().tag.endswith("svg")
     assert struct.unpack(">II", file.read_bytes()[16:24]) == (2, 2)
 
 
@@ -785,7 +791,7 @@ def test_the_keys_of_pictures_and_goals_are_listed() -> None:
     labels = {"plus": "+", "minus": "-", "space": "space", "escape": "esc", "enter": "⏎", "less_than_sign": "<",
               "greater_than_sign": ">", "left_square_bracket": "[", "right_square_bracket": "]", "left": "←",
               "right": "→", "up": "↑", "down": "↓", "equals_sign": "+"}  # fmt: skip
-    for binding in ViewScreen.BINDINGS:
+    for binding in (*ViewScreen.BINDINGS, *PictureTile.BINDINGS):
         assert isinstance(binding, Binding)
         for each in binding.key.split(","):
             assert labels.get(each, each) in [*listed, "d"], each

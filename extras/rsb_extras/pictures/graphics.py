@@ -1,0 +1,217 @@
+"""Images as sequences of terminals that show pixels.
+
+By kitty's graphics protocol (sw.kovidgoyal.net/kitty/graphics-protocol), or as sixels (DEC STD 070, chapter 9). An
+image is cut into bands of some rows, so that those that have not changed are not sent again, and those that a box
+covers are not drawn.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import re
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_extras.pictures.picture_rows import rgb_of
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Sequence
+
+    from PIL.Image import Image
+
+    from rsb_console.terminal.terminal_facts import Pixels as Protocol
+    from rsb_extras.pictures.picture import Pixels, Wish
+
+BANDS = 8
+"""Bands of an image at most: each band of sixels has a palette of its own, of up to 4 kB."""
+USUAL_CELL = 10.0, 20.0
+"""Pixels of a cell, for terminals that do not tell theirs: most fonts are twice as high as wide."""
+_CHUNK = 4096
+"""Bytes that kitty's protocol allows in one sequence."""
+_DEFINED_COLOUR = re.compile(r"#([0-9]+);2;[0-9]+;[0-9]+;[0-9]+")
+"""The definition of a colour, which in xterm does not select it, too. textual-image 0.13 and newer does select it."""
+_PNG_LEVEL = 3  # of zlib: a higher one takes three times as long for a tenth of the bytes
+
+
+class Band(NamedTuple):
+    """Some rows of an image.
+
+    Attributes:
+        top: its first row, from the image's upper edge.
+        rows: cells in height.
+        pixels: its content, to be compared.
+        sequence: draws it at the cursor.
+    """
+
+    top: int
+    rows: int
+    pixels: bytes
+    sequence: str
+
+
+def why_no_graphics(protocol: str) -> str:
+    """Return the reason why this program cannot show images in a way, or an empty string."""
+    needs = {"kitty": ("PIL",), "sixel": ("textual_image", "PIL")}.get(protocol, ())
+    if all(find_spec(each) for each in needs):
+        return ""
+    return f"{protocol} images need Pillow and textual-image: pip install 'rsb-console[look]'"
+
+
+class Frame(NamedTuple):
+    """The place of an image on the screen.
+
+    Attributes:
+        columns: cells, the last of which may be filled in part.
+        rows: the same.
+        width: exact width in cells.
+        height: exact height in cells.
+    """
+
+    columns: int
+    rows: int
+    width: float
+    height: float
+
+
+def frame_of(pixels: Pixels, wish: Wish) -> Frame:
+    """Return the place of an image that fills the wished area in its own proportions."""
+    width, height = pixels.width / wish.across, pixels.height / wish.down
+    factor = min(wish.width / width, wish.height / height)
+    width, height = width * factor, height * factor
+    return Frame(max(1, math.ceil(width - 0.01)), max(1, math.ceil(height - 0.01)), width, height)
+
+
+def bands_of(
+    pixels: Pixels,
+    frame: Frame,
+    cell: tuple[float, float],
+    protocol: Protocol,
+    first_id: int,
+    paper: tuple[int, int, int],
+    before: Sequence[Band] = (),
+) -> list[Band]:
+    """Cut an image into bands. This takes some 10 ms, so call it on a thread.
+
+    Args:
+        cell: pixels of the terminal in a cell.
+        first_id: kitty's number of the first band; a terminal keeps one image of each number.
+        paper: colour of the rest of the cells at the right and lower edge.
+        before: the bands that are shown, whose sequences are used again.
+
+    Raises:
+        UnreadableError: the other side's image is damaged.
+    """
+    from PIL import Image  # noqa: PLC0415 -- optional
+
+    columns, rows, width, height = frame
+    image = Image.frombytes("RGB", (pixels.width, pixels.height), rgb_of(pixels))
+    if protocol == "sixel":  # kitty scales images itself
+        image = image.resize((max(1, round(width * cell[0])), max(1, round(height * cell[1]))))
+    elif image.height < rows:  # each row of cells needs a row of pixels
+        factor = math.ceil(rows / image.height)
+        image = image.resize((image.width * factor, image.height * factor), Image.Resampling.NEAREST)
+    sides = max(1, round(image.width * columns / width)), max(1, round(image.height * rows / height))
+    sheet = Image.new("RGB", sides, paper)
+    sheet.paste(image)
+    most = -(-rows // BANDS)
+    known = {(band.top, band.rows, band.pixels): band for band in before}
+    bands = []
+    for number, top in enumerate(range(0, rows, most)):
+        band_rows = min(most, rows - top)
+        upper, lower = (round(row * sheet.height / rows) for row in (top, top + band_rows))
+        part = sheet.crop((0, upper, sheet.width, lower))
+        content = part.tobytes()
+        band = known.get((top, band_rows, content))
+        if band is None:
+            way = sixels(part) if protocol == "sixel" else kitty(png(part), first_id + number, columns, band_rows)
+            band = Band(top, band_rows, content, way)
+        bands.append(band)
+    return bands
+
+
+def png(image: Image) -> bytes:
+    file = io.BytesIO()
+    image.save(file, "png", compress_level=_PNG_LEVEL)
+    return file.getvalue()
+
+
+def kitty(image: bytes, image_id: int, columns: int, rows: int) -> str:
+    """Return the sequence that transmits a PNG file and displays it; one of the same id replaces the one before."""
+    encoded = base64.b64encode(image).decode()
+    chunks = [encoded[at : at + _CHUNK] for at in range(0, len(encoded), _CHUNK)]
+    # C=1 leaves the cursor where it is. q=2 keeps the terminal from answers, which would be read as keys.
+    keys = f"a=T,f=100,i={image_id},p=1,c={columns},r={rows},C=1,q=2,"
+    parts = []
+    for number, chunk in enumerate(chunks, 1):
+        parts.append(f"\x1b_G{keys}m={int(number < len(chunks))};{chunk}\x1b\\")
+        keys = ""  # only the first chunk may have them
+    return "".join(parts)
+
+
+def kitty_freed(image_id: int) -> str:
+    """Return the sequence that takes an image away, and frees the terminal's memory."""
+    return f"\x1b_Ga=d,d=I,i={image_id},q=2\x1b\\"
+
+
+def sixels(image: Image) -> str:
+    from textual_image._sixel import image_to_sixels  # noqa: PLC0415 -- its public modules ask the terminal
+
+    return _DEFINED_COLOUR.sub(r"\g<0>#\1", image_to_sixels(image))
+
+
+class Painter:
+    """Shows an image in a region of the screen, and sends only the bands that the terminal lacks.
+
+    Args:
+        first_id: of kitty's images, for `BANDS` of them.
+    """
+
+    def __init__(self, protocol: Protocol, first_id: int) -> None:
+        self._protocol = protocol
+        self._first_id = first_id
+        self._at = (0, 0)
+        self._shown: dict[int, Band] = {}
+
+    def overwritten(self, top: int, bottom: int) -> None:
+        """Note that text was drawn over rows from `top` until before `bottom`; kitty's images stay on it."""
+        if self._protocol == "sixel":
+            for number, band in [*self._shown.items()]:
+                if band.top < bottom and top < band.top + band.rows:
+                    del self._shown[number]
+
+    def lost(self) -> None:
+        """Note that the terminal was cleared."""
+        self._shown.clear()
+
+    def painted(self, bands: Sequence[Band], at: tuple[int, int], covered: Container[int]) -> str:
+        """Return what shows bands, or an empty string if all is there.
+
+        Args:
+            at: column and row of the image's upper left corner, from 0.
+            covered: rows of the screen on which other things stand.
+        """
+        parts = [self.taken_away()] if self._at != at else []
+        self._at = at
+        for number in [*self._shown]:
+            if number >= len(bands) or _is_covered(bands[number], at, covered):
+                del self._shown[number]
+                parts.append(kitty_freed(self._first_id + number) if self._protocol == "kitty" else "")
+        for number, band in enumerate(bands):
+            if not _is_covered(band, at, covered) and self._shown.get(number) is not band:
+                self._shown[number] = band
+                parts.append(f"\x1b[{at[1] + band.top + 1};{at[0] + 1}H{band.sequence}")
+        drawn = "".join(parts)
+        return f"\x1b7{drawn}\x1b8" if drawn else ""
+
+    def taken_away(self) -> str:
+        """Return what takes the image away; sixels go with the text that is drawn over them."""
+        shown, self._shown = self._shown, {}
+        if self._protocol != "kitty":
+            return ""
+        return "".join(kitty_freed(self._first_id + number) for number in shown)
+
+
+def _is_covered(band: Band, at: tuple[int, int], covered: Container[int]) -> bool:
+    return any(at[1] + row in covered for row in range(band.top, band.top + band.rows))

@@ -1,0 +1,217 @@
+"""Draws one picture on the screen: rows of characters, or an image in the terminal's pixels.
+
+Pixels and boxes stand side by side: rows on which something else stands, such as a message or a question, show the
+image in characters meanwhile.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from typing import TYPE_CHECKING, Any, cast
+
+from rich.segment import Segment
+from rich.style import Style
+from textual.content import Content
+from textual.geometry import Region
+from textual.message import Message as TextualMessage
+from textual.strip import Strip
+from textual.widget import Widget
+from textual.widgets._toast import Toast, ToastRack
+
+from rsb_console.screens.dialog import FullScreen
+from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
+from rsb_extras.pictures.graphics import BANDS, USUAL_CELL, Painter, bands_of, frame_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from textual.events import Click
+
+    from rsb_console.terminal_app import TerminalApp
+    from rsb_extras.pictures.graphics import Band
+    from rsb_extras.pictures.picture import Pixels, Wish
+    from rsb_extras.pictures.picture_rows import Row
+
+_LOOKS = {
+    "dim": "dim", "strong": "strong", "axis": "dim", "ok": "ok", "warning": "stale", "error": "down",
+    "robot": "ok", "path": "key", "scan": "plot", "free": "dim", "goal": "stale",
+}  # fmt: skip
+"""The theme's look of each style of a picture that has another name there."""
+_COVERED_EVERY = 0.1
+"""s between two looks for what stands on an image: a message that comes is hidden for so long at most."""
+
+
+class PicturePane(Widget, can_focus=True):
+    """Shows a picture, with a title and keys on its frame."""
+
+    def __init__(self) -> None:
+        super().__init__(classes="dialog -whole")
+        self._rows: list[Row] = []
+        self._strips: dict[int, Strip] = {}
+        self._title = ""
+        self._styles: dict[tuple[str, str], Style] = {}
+        self._bands: list[Band] = []
+        self._painter: Painter | None = None
+        self._covered: frozenset[int] = frozenset()
+        self._first_id = secrets.randbelow(1 << 28) * BANDS + 1
+
+    class Clicked(TextualMessage):
+        """A cell was clicked."""
+
+        def __init__(self, column: int, row: int) -> None:
+            super().__init__()
+            self.column, self.row = column, row
+
+    @property
+    def terminal(self) -> TerminalApp[Any]:
+        return cast("TerminalApp[Any]", self.app)
+
+    def on_mount(self) -> None:
+        self.set_interval(_COVERED_EVERY, self._look_for_boxes)
+
+    def on_unmount(self) -> None:
+        self._take_away()
+
+    def on_click(self, event: Click) -> None:
+        offset = event.get_content_offset(self)
+        if offset is not None:
+            self.post_message(self.Clicked(offset.x, offset.y))
+
+    def show(self, rows: list[Row]) -> None:
+        """Show rows of characters; only those that differ are drawn."""
+        yield_gil()
+        if self._bands:
+            self._bands = []
+            self._take_away()
+        self._show_rows(rows)
+
+    async def show_image(self, image: Pixels, wish: Wish, blocks: Callable[[], list[Row]]) -> None:
+        """Show an image in pixels.
+
+        Args:
+            wish: what it was drawn for.
+            blocks: gives the image in characters, on a thread.
+
+        Raises:
+            UnreadableError: the other side's image is damaged.
+        """
+        facts = self.terminal.facts
+        cell = facts.cell or USUAL_CELL
+        paper = self.background_colors[1].rgb
+        self._bands = await asyncio.to_thread(
+            bands_of, image, frame_of(image, wish), cell, facts.pixels, self._first_id, paper, self._bands
+        )
+        if self._painter is None:
+            self._painter = Painter(facts.pixels, self._first_id)
+        self._covered = self._rows_under_boxes()
+        self._show_rows(await asyncio.to_thread(blocks) if self._covered else [])
+        self.call_after_refresh(self._paint)
+
+    def _show_rows(self, rows: list[Row]) -> None:
+        before, self._rows = self._rows, rows
+        changed = [y for y in range(max(len(before), len(rows))) if before[y : y + 1] != rows[y : y + 1]]
+        for y in changed:
+            self._strips.pop(y, None)
+        for first, last in _runs(changed):
+            self.refresh(Region(0, first, self.size.width, last - first + 1))
+
+    # -- pixels -------------------------------------------------------------------------------------------------------
+
+    def _paint(self) -> None:
+        """Send what the terminal lacks of the image."""
+        if self._painter is None or not self._bands or not self.is_attached or self.terminal.is_behind:
+            return
+        at = self.content_region.offset
+        self.terminal.write_to_terminal(self._painter.painted(self._bands, (at.x, at.y), self._covered))
+
+    def _take_away(self) -> None:
+        if self._painter is not None:
+            self.terminal.write_to_terminal(self._painter.taken_away())
+
+    def _look_for_boxes(self) -> None:
+        if self._bands and (covered := self._rows_under_boxes()) != self._covered:
+            self._covered = covered
+            self._paint()
+            self.cover_changed()
+
+    def cover_changed(self) -> object:
+        """Called when other rows of an image are covered, which need characters."""
+
+    def _rows_under_boxes(self) -> frozenset[int]:
+        """Return the rows of the screen on which something else stands in front of the picture."""
+        own = self.content_region
+        if not self.display or self.screen not in self.app.screen_stack:
+            return frozenset(range(own.y, own.bottom))
+        return frozenset(y for box in self._boxes() for y in own.intersection(box).line_range)
+
+    def _boxes(self) -> Iterator[Region]:
+        stack = self.app.screen_stack
+        for screen in stack[stack.index(self.screen) :]:
+            yield from (toast.region for toast in screen.query(Toast))
+            if screen is not self.screen:
+                if isinstance(screen, FullScreen):
+                    yield screen.region
+                yield from (each.region for each in screen.children if not isinstance(each, ToastRack))
+
+    def render_lines(self, crop: Region) -> list[Strip]:
+        if self._painter is not None and self._bands:
+            top = self.content_region.y - self.region.y
+            if crop.y <= top and crop.bottom >= top + self.size.height:
+                self._painter.lost()  # perhaps the terminal was cleared
+            self._painter.overwritten(crop.y - top, crop.bottom - top)
+            self.call_after_refresh(self._paint)
+        return super().render_lines(crop)
+
+    # -- characters ---------------------------------------------------------------------------------------------------
+
+    def entitle(self, title: str) -> None:
+        """Show a title, which is plain text, and draw only its line."""
+        if title == self._title:
+            return
+        self._title = title
+        if self.is_mounted:
+            self._border_title = Content(title)  # Textual's public attribute would have all rows drawn
+            self.refresh(Region(0, -1, self.size.width, 1))
+        else:
+            self.border_title = Content(title)
+
+    def notify_style_update(self) -> None:
+        self._styles.clear()
+        self._strips.clear()
+        super().notify_style_update()
+
+    def render_line(self, y: int) -> Strip:
+        """Draw screen row `y` (Textual's line API)."""
+        strip = self._strips.get(y)
+        if strip is None or strip.cell_length != self.size.width:
+            row = self._rows[y] if y < len(self._rows) else ()
+            strip = Strip([Segment(part.text, self._style(part.style, part.background)) for part in row])
+            strip = self._strips[y] = strip.adjust_cell_length(self.size.width, self.visual_style.rich_style)
+        return strip
+
+    def _style(self, name: str, background: str) -> Style:
+        style = self._styles.get((name, background))
+        if style is None:
+            if len(self._styles) > 20_000:  # each pixel of an image may have colours of its own
+                self._styles.clear()
+            style = self.visual_style.rich_style
+            if name.startswith(("#", "color(")):
+                style += Style(color=name, bgcolor=background or None)
+            elif (look := _LOOKS.get(name, name)) in LOOK_CLASSES:
+                style += self.app.get_component_styles(LOOK_CLASSES[look]).partial_rich_style
+            self._styles[name, background] = style
+        return style
+
+
+def _runs(numbers: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Yield the first and the last of numbers that follow each other."""
+    first = last = None
+    for number in numbers:
+        if first is None or last is None or number != last + 1:
+            if first is not None and last is not None:
+                yield first, last
+            first = number
+        last = number
+    if first is not None and last is not None:
+        yield first, last

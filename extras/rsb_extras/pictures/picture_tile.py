@@ -1,0 +1,495 @@
+"""A tile with pictures of topics, drawn by the side that publishes them."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import secrets
+import textwrap
+import time
+from collections import deque
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import msgspec
+from textual import work
+from textual.binding import Binding
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.files import replace_file
+from rsb_bridge.model.names import other_side
+from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
+from rsb_console.actions.all_actions import ACTIONS
+from rsb_console.notation import formats
+from rsb_console.terminal.input_queue import DIALOG
+from rsb_extras.pictures.blocks import image_rows, wished_pixels
+from rsb_extras.pictures.drawing import VIEWS, is_map
+from rsb_extras.pictures.goal_on_map import POSE, Goal
+from rsb_extras.pictures.graphics import why_no_graphics
+from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
+from rsb_extras.pictures.picture import (
+    MOST_ACROSS,
+    MOST_COLUMNS,
+    MOST_DOWN,
+    MOST_RATE,
+    MOST_ROWS,
+    TOPICS_AT_ONCE,
+    Cells,
+    Pixels,
+    Series,
+    in_full,
+)
+from rsb_extras.pictures.picture_files import formats_of, picture_file, svg
+from rsb_extras.pictures.picture_rows import AXIS, Part, UnreadableError, picture_rows, reads_webp, with_mark
+from rsb_extras.pictures.tile import FRAME, Tile, joined
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from rsb_console.console_api import Console
+    from rsb_extras.pictures.layouts import Subject
+    from rsb_extras.pictures.picture import Scale, Viewed
+    from rsb_extras.pictures.picture_rows import Row
+
+_TRIED_AGAIN_AFTER = 1.0  # s; a round figure: how long a refusal outlives its cause
+_IN_FULL_WITHIN = 5.0  # s. A round figure: an operator waits for the file
+_RATES = (0.2, 0.5, 1.0, 2.0, 5.0, MOST_RATE)
+_ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
+_WAYS = ("", "plot", "tree")
+_KEYS = ("space hold", "t text", "+- zoom", "p file", "h how", "<> rate", "←→↑↓")
+_MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
+_PUBLISH = next((action.with_message for action in ACTIONS if action.with_message is not None), None)
+_TURN = 15.0
+"""Degrees by which a key turns a goal."""
+_GOAL_TOPIC = "/goal_pose"
+_COST_OVER = 5.0
+"""s over which the cost of a tile is measured."""
+
+
+class ViewText(Wording):
+    WAITING = "waiting for a picture, {waited}"
+    HELD = "HELD: space goes on"
+    OLD = "{age} old"
+    SIDE = "drawn by {side}"
+    COST = "{rate}"
+    WRITTEN = "written: {files}"
+    NOT_WRITTEN = "the picture cannot be written: {error}"
+    NO_PICTURE = "there is no picture yet"
+    NO_MAP = "a goal needs a map with a frame"
+    GOAL_PLACE = "GOAL at {x:.2f}, {y:.2f} m in {frame}: arrows move it, ⏎ turns it, esc leaves"
+    GOAL_HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: ←→ turn it, ⏎ publishes, esc leaves"
+
+
+class PictureTile(Tile):
+    """Pictures of topics, of a map with others laid over it, and the goal that an operator sets on it."""
+
+    BINDINGS: ClassVar = [
+        Binding("g", "goal", show=False),
+        Binding("enter", "place", show=False),
+        Binding("h", "way", show=False),
+        Binding("plus,equals_sign", f"zoom({_ZOOM})", show=False),
+        Binding("minus", f"zoom({1 / _ZOOM})", show=False),
+        Binding("left", f"move({-_PAN}, 0)", show=False),
+        Binding("right", f"move({_PAN}, 0)", show=False),
+        Binding("up", f"move(0, {_PAN})", show=False),
+        Binding("down", f"move(0, {-_PAN})", show=False),
+        Binding("left_square_bracket", f"tilt({-_TILT})", show=False),
+        Binding("right_square_bracket", f"tilt({_TILT})", show=False),
+        Binding("c", "colour", show=False),
+        Binding("0", "reset", show=False),
+        Binding("l", "layers", show=False),
+        Binding("less_than_sign", "rate(-1)", show=False),
+        Binding("greater_than_sign", "rate(1)", show=False),
+        Binding("space", "hold", show=False),
+        Binding("p", "write", show=False),
+    ]
+
+    def __init__(self, console: Console, subject: Subject) -> None:
+        super().__init__(console, subject)
+        # The map itself is one of them.
+        self._layers = subject.layers[: TOPICS_AT_ONCE - 1] if is_map(subject.type_name) else ()
+        self._shows_layers = bool(self._layers)
+        self._viewer = secrets.token_hex(8)
+        self._wish = msgspec.structs.replace(subject.wish, webp=reads_webp())
+        self._viewed: Viewed | None = None
+        self._blocks: list[Row] = []
+        """The image in sight in characters."""
+        self._came = time.monotonic()
+        self._sizes: deque[tuple[float, int]] = deque()
+        """When pictures came lately, and their bytes."""
+        self._goes_on = asyncio.Event()
+        self._goes_on.set()
+        self._problem = ""
+        self._unreadable = ""
+        """The damage of the image in sight, or an empty string."""
+        self._waiting = ""
+        """The publishing side's reason why no picture has come yet."""
+        self._cursor: int | None = None
+        """Column of a plot whose values are shown."""
+        self._goal: Goal | None = None
+        self._turns_goal = False
+
+    @property
+    def content(self) -> Cells | Pixels | Series | None:
+        """The picture in sight, or None."""
+        return None if self._viewed is None else self._viewed.picture.content
+
+    @property
+    def cost(self) -> float:
+        now = time.monotonic()
+        while self._sizes and now - self._sizes[0][0] > _COST_OVER:
+            self._sizes.popleft()
+        return sum(size for _, size in self._sizes) / _COST_OVER
+
+    def on_mount(self) -> None:
+        super().on_mount()
+        # The age of a picture grows without a new one.
+        self.set_interval(1.0, self._entitle)
+
+    def on_unmount(self) -> None:
+        super().on_unmount()
+        self.end()
+
+    def begin(self) -> None:
+        self.fit()
+        self._follow()
+
+    def end(self) -> None:
+        self.workers.cancel_node(self)
+        if (engine := self.console.engine) is not None:  # at once, so that the next one finds room: there are few
+            engine.do(EndLook(self._viewer))
+
+    def keys(self) -> list[str]:
+        type_name = self.subject.type_name
+        keys = [*(_MAP_KEYS if self._layers else ()), *(_POINT_KEYS if _is_points(type_name) else ())]
+        keys += ["g goal"] if is_map(type_name) and _PUBLISH and not self.console.readonly else []
+        return [*keys, *self.robot_keys(), *_KEYS]
+
+    def fit(self) -> None:
+        size, facts = self.size, self.terminal.facts
+        # The other side refuses a wish beyond these bounds.
+        width, height = max(1, min(MOST_COLUMNS, size.width)), max(1, min(MOST_ROWS, size.height))
+        if self._shows_pixels and facts.cell is not None:
+            across, down = (round(each) for each in facts.cell)
+        else:
+            across, down = wished_pixels(self._colours, sextants=facts.draws_sextants)
+        self._wish = msgspec.structs.replace(
+            self._wish,
+            width=width,
+            height=height,
+            across=max(1, min(MOST_ACROSS, across)),
+            down=max(1, min(MOST_DOWN, down)),
+            shape=max(0.5, min(8.0, facts.shape)),
+        )
+        self._draw()
+
+    @property
+    def _colours(self) -> int:
+        facts = self.terminal.facts
+        if self.app.no_color or self.app.console.color_system is None:
+            return 0
+        return min(facts.colours, 16) if self.app.ansi_color else facts.colours
+
+    @property
+    def _shows_pixels(self) -> bool:
+        facts = self.terminal.facts
+        return bool(facts.pixels) and not self.terminal.ascii_only and not why_no_graphics(facts.pixels)
+
+    # -- pictures -----------------------------------------------------------------------------------------------------
+
+    @work
+    async def _follow(self) -> None:
+        """Take pictures until the tile is hidden or closed."""
+        while True:
+            await self._goes_on.wait()
+            try:
+                viewed = await self._next()
+                self._problem = ""
+            except EngineError as error:
+                self._problem = str(error)
+                self._draw()
+                await asyncio.sleep(_TRIED_AGAIN_AFTER)
+                continue
+            if viewed is None or not self._goes_on.is_set():  # it may have been held since it asked
+                continue
+            picture = viewed.picture
+            self._sizes.append((time.monotonic(), viewed.encoded if viewed.where else 0))
+            if picture.content is None and self._viewed is not None:  # keep the last good one in sight
+                self._problem = picture.problem or picture.waiting
+            elif not picture.waiting:
+                self._viewed, self._came = viewed, time.monotonic()
+            self._waiting = picture.waiting
+            await self._show_content()
+            await self.terminal.terminal_has_read()
+
+    async def _next(self) -> Viewed | None:
+        engine = self.console.engine
+        if engine is None:
+            raise EngineError("no session runs")
+        asked = LookAtTopics(self._viewer, self._topics, self._wish, self.subject.link)
+        return await asyncio.wrap_future(engine.do(asked))
+
+    @property
+    def _topics(self) -> tuple[str, ...]:
+        is_usual = not self._wish.how
+        return self.subject.topics + (self._layers if self._shows_layers and is_usual else ())
+
+    async def _show_content(self) -> None:
+        """Show the newest picture; an image is drawn on a thread, so that keys do not wait for it."""
+        content, self._unreadable = self.content, ""
+        if isinstance(content, Pixels):
+            try:
+                if self._shows_pixels:
+                    await self.show_image(content, self._wish, partial(self._in_blocks, content))
+                else:
+                    self._blocks = await asyncio.to_thread(self._in_blocks, content)
+            except UnreadableError as error:
+                self._unreadable, self._blocks = str(error), []
+        self._draw()
+
+    def _in_blocks(self, content: Pixels) -> list[Row]:
+        facts, wish = self.terminal.facts, self._wish
+        return image_rows(content, wish.width, wish.height, colours=self._colours, sextants=facts.draws_sextants)
+
+    @work
+    async def cover_changed(self) -> None:
+        await self._show_content()
+
+    def _draw(self) -> None:
+        if not self.is_attached:
+            return
+        content = self.content
+        rows: list[Row] = []
+        if isinstance(content, Pixels):
+            rows = self._blocks
+        elif content is not None:
+            rows = picture_rows(content, self._wish.width, self._wish.height, cursor=self._cursor)
+            if (scale := self._scale) is not None and self._goal is not None and self._goal.frame != scale.frame:
+                self._goal = None  # its coordinates mean another place
+            if scale is not None and self._goal is not None:
+                mark = Part(self._goal.arrow, "goal")
+                rows = with_mark(rows, *self._goal.cell(scale), mark, self._wish.width)
+        if not (isinstance(content, Pixels) and self._shows_pixels) or self._unreadable:
+            self.show(rows or self._reason())
+        self._entitle()
+
+    def _reason(self) -> list[Row]:
+        """Return the rows of an empty pane: the reason why there is no picture."""
+        lines = textwrap.wrap(escape_text(self._reasons() or self._waiting), self._wish.width)
+        return [(Part(line),) for line in lines]
+
+    def _reasons(self) -> str:
+        """Return why there is no picture, or why it is incomplete or old, or an empty string."""
+        problem = "" if self._viewed is None else self._viewed.picture.problem
+        return self._problem or self._unreadable or problem
+
+    def _entitle(self) -> None:
+        """Show what the picture is of, and how old it is."""
+        topics = () if self._goal is not None else (", ".join(self._topics),)
+        parts = [escape_text(part) for part in (*topics, *self._status()) if part]
+        self.entitle(f" {joined(parts, self.size.width - FRAME)} ")
+
+    def _status(self) -> Iterable[str]:
+        """Return the facts about the picture, the most important first."""
+        if (goal := self._goal) is not None:
+            degrees = math.degrees(goal.heading)
+            text = ViewText.GOAL_HEADING if self._turns_goal else ViewText.GOAL_PLACE
+            return (text(x=goal.x, y=goal.y, frame=goal.frame, degrees=degrees),)
+        if not self._goes_on.is_set():
+            return (ViewText.HELD(),)
+        if self._viewed is None:
+            waited = time.monotonic() - self._came
+            return (self._problem or ViewText.WAITING(waited=formats.age(waited)),)
+        where = self._viewed.where
+        side = other_side(self.console.snapshot().role, where) if where else "this side"
+        picture, parts = self._viewed.picture, [self._reasons()]
+        if self._viewed.age is not None:
+            age = self._viewed.age + time.monotonic() - self._came
+            parts.append(ViewText.OLD(age=formats.age(age)))
+        return [
+            *parts,
+            *picture.notes,
+            ViewText.COST(rate=formats.byte_rate(self.cost)) if where else "",
+            ViewText.SIDE(side=side),
+            f"at most {self._wish.rate:g} Hz",
+            self.terminal.facts.line() if isinstance(picture.content, Pixels) else "",
+            picture.type_name,
+        ]
+
+    # -- keys ---------------------------------------------------------------------------------------------------------
+
+    def _change(self, **changes: object) -> None:
+        self._wish = msgspec.structs.replace(self._wish, **changes)
+        self._entitle()
+
+    def action_way(self) -> None:
+        """Draw another kind of picture."""
+        # Another kind of picture has other coordinates.
+        self._viewed = self._goal = None
+        self._change(how=_WAYS[(_WAYS.index(self._wish.how) + 1) % len(_WAYS)] if self._wish.how in _WAYS else "")
+
+    def action_zoom(self, factor: float) -> None:
+        self._change(zoom=max(0.05, min(200.0, self._wish.zoom * factor)))
+
+    def action_move(self, right: float, up: float) -> None:
+        """Move the goal, a plot's cursor, or the view."""
+        content = self.content
+        columns, rows = round(right / _PAN), round(-up / _PAN)
+        if self._goal is not None and (scale := self._scale) is not None:
+            turned, moved = self._goal.turned(-columns * _TURN), self._goal.moved(scale, columns, rows)
+            self._goal = turned if self._turns_goal else moved
+            self._draw()
+        elif isinstance(content, Series):
+            last = max(0, self._wish.width - AXIS - 1)
+            at = last if self._cursor is None else self._cursor + columns
+            self._cursor = max(0, min(last, at))
+            self._draw()
+        else:
+            self._change(x=self._wish.x + right, y=self._wish.y + up)
+
+    def action_tilt(self, degrees: float) -> None:
+        self._change(tilt=max(0.0, min(90.0, self._wish.tilt + degrees)))
+
+    def action_colour(self) -> None:
+        self._change(colour="intensity" if self._wish.colour == "height" else "height")
+
+    def action_reset(self) -> None:
+        """Show the whole picture from above, without a cursor."""
+        self._cursor = None
+        self._change(zoom=1.0, x=0.0, y=0.0, tilt=0.0)
+
+    def action_layers(self) -> None:
+        """Lay the other topics over the map, or show the map alone."""
+        self._shows_layers = not self._shows_layers
+        self._entitle()
+
+    def action_rate(self, step: int) -> None:
+        at = _RATES.index(self._wish.rate) + step
+        self._change(rate=_RATES[max(0, min(len(_RATES) - 1, at))])
+
+    def action_hold(self) -> None:
+        """Hold the picture, or go on."""
+        if self._goes_on.is_set():
+            self._goes_on.clear()
+        else:
+            self._goes_on.set()
+        self._entitle()
+
+    # -- goals ------------------------------------------------------------------------------------------------------
+
+    @property
+    def _scale(self) -> Scale | None:
+        content = self.content
+        return content.scale if isinstance(content, Cells) else None
+
+    def drop_goal(self) -> bool:
+        """Drop the goal, and return whether there was one."""
+        had, self._goal = self._goal is not None, None
+        if had:
+            self._draw()
+        return had
+
+    def action_goal(self) -> None:
+        """Begin to set a goal in the middle of the map."""
+        if self.console.readonly or _PUBLISH is None:
+            return
+        if (scale := self._scale) is None:
+            self.notify(ViewText.NO_MAP(), severity="warning", markup=False)
+            return
+        self._goal, self._turns_goal = Goal.at(scale, self._wish.width / 2, self._wish.height / 2), False
+        self._draw()
+
+    def on_picture_pane_clicked(self, event: Tile.Clicked) -> None:
+        """Put the goal where the operator clicks."""
+        if self._goal is not None and not self._turns_goal and (scale := self._scale) is not None:
+            self._goal = Goal.at(scale, event.column + 0.5, event.row + 0.5)
+            self._draw()
+
+    def action_place(self) -> None:
+        """Go on to the goal's heading, and then to the form that publishes it."""
+        if self._goal is None:
+            return
+        if not self._turns_goal:
+            self._turns_goal = True
+            self._draw()
+            return
+        fields, self._goal = self._goal.fields(), None
+        self._draw()
+        self._publish(fields)
+
+    @work(group=DIALOG)
+    async def _publish(self, fields: str) -> None:
+        if _PUBLISH is not None:
+            await _PUBLISH(self.console, self._goal_topic(), POSE, fields)
+
+    @property
+    def where(self) -> str:
+        return self.subject.link or (self._viewed.where if self._viewed is not None else "")
+
+    def _goal_topic(self) -> str:
+        """Return a topic of poses that goes to the side of the map, or the usual name."""
+        poses = (each.topic for each in self.routes if each.outgoing and formats.full_type(each) in (POSE, ""))
+        return next((topic for topic in poses if topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
+
+    # -- files --------------------------------------------------------------------------------------------------------
+
+    @work(group=DIALOG)
+    async def action_write(self) -> None:
+        """Write the picture into the present folder: an image in its own resolution, and as this terminal draws it."""
+        content = self.content
+        if content is None:
+            self.notify(ViewText.NO_PICTURE(), markup=False)
+            return
+        drawing = None
+        if isinstance(content, Pixels):
+            drawing = await asyncio.to_thread(self._in_blocks, content)
+            content = (await self._image_in_full() if self._goes_on.is_set() else None) or content
+        try:
+            files = await asyncio.to_thread(_write, self.subject.topics[0], content, drawing)
+        except (OSError, UnreadableError) as error:
+            self.notify(ViewText.NOT_WRITTEN(error=error), severity="error", markup=False)
+        else:
+            self.notify(ViewText.WRITTEN(files=files), markup=False)
+
+    async def _image_in_full(self) -> Pixels | None:
+        """Return the image that comes next in its own resolution, or None if none comes."""
+        engine, viewer = self.console.engine, secrets.token_hex(8)
+        if engine is None:
+            return None
+        try:
+            async with asyncio.timeout(_IN_FULL_WITHIN):
+                while True:
+                    asked = engine.do(LookAtTopics(viewer, self._topics, in_full(self._wish), self.subject.link))
+                    viewed = await asyncio.wrap_future(asked)
+                    if viewed is not None and isinstance(viewed.picture.content, Pixels):
+                        return viewed.picture.content
+                    if viewed is not None and viewed.picture.problem:
+                        return None
+        except (EngineError, TimeoutError):
+            return None
+        finally:
+            engine.do(EndLook(viewer))
+
+
+def _is_points(type_name: str) -> bool:
+    return VIEWS.get(type_name) == VIEWS["sensor_msgs/msg/PointCloud2"]
+
+
+def _write(topic: str, content: Cells | Pixels | Series, drawing: Sequence[Row] | None) -> str:
+    """Write a picture, and the terminal's drawing of it, into the present folder; return a text that names the files.
+
+    Raises:
+        OSError: it cannot be written.
+        UnreadableError: the other side's image is damaged.
+    """
+    suffix = formats_of(content)[0]
+    name = f"{topic.strip('/').replace('/', '_')}-{time.strftime('%Y%m%d-%H%M%S')}"
+    file = Path(f"{name}{suffix}").absolute()
+    replace_file(file, picture_file(content, suffix))
+    size = f", {content.width}×{content.height}" if isinstance(content, Pixels) else ""
+    if drawing is None:
+        return f"{file}{size}"
+    replace_file(file.with_suffix(".svg"), svg(drawing))
+    return f"{file}{size}, and {name}.svg"

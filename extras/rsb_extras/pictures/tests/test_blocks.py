@@ -1,0 +1,176 @@
+"""Images as characters: shapes, colours by the terminal's palette, brightness."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from itertools import product
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.color import Color
+from tests.support import surroundings
+
+from rsb_extras.pictures.blocks import RAMP, image_rows, wished_pixels
+from rsb_extras.pictures.picture import LONGEST_SIDE, Pixels
+from rsb_extras.pictures.picture_rows import Part, UnreadableError
+
+np = pytest.importorskip("numpy")
+
+RED, GREEN, BLUE, WHITE, BLACK = b"\xff\0\0", b"\0\xff\0", b"\0\0\xff", b"\xff\xff\xff", b"\0\0\0"
+TRUE = 1 << 24
+QUARTERS = ("UPPER LEFT", "UPPER RIGHT", "LOWER LEFT", "LOWER RIGHT")
+
+
+def drawn(pixels: Pixels, colours: int, *, sextants: bool = False) -> list[tuple[Part, ...]]:
+    return image_rows(pixels, 80, 24, colours=colours, sextants=sextants)
+
+
+def text(pixels: Pixels, colours: int, *, sextants: bool = False) -> list[str]:
+    return ["".join(part.text for part in row) for row in drawn(pixels, colours, sextants=sextants)]
+
+
+def quarters(*colours: bytes) -> Pixels:
+    """Return one cell of four quarters, of 2 × 4 pixels."""
+    upper_left, upper_right, lower_left, lower_right = colours
+    return Pixels(2, 4, (upper_left + upper_right) * 2 + (lower_left + lower_right) * 2)
+
+
+def front(character: str) -> set[str]:
+    """Return the quarters that a character draws in the foreground, by its name in Unicode."""
+    name = unicodedata.name(character)
+    sides = {"UPPER LEFT", "UPPER RIGHT", "LOWER LEFT", "LOWER RIGHT"}
+    if name.startswith("QUADRANT "):
+        return set(name.removeprefix("QUADRANT ").split(" AND "))
+    return {side for side in sides if name.partition(" ")[0] in side.split()} if "HALF" in name else set()
+
+
+@pytest.mark.parametrize("bits", product((0, 1), repeat=4))
+@pytest.mark.parametrize("colours", [16, 256, TRUE])
+def test_each_quarter_has_its_colour(bits: tuple[int, ...], colours: int) -> None:
+    ((part,),) = drawn(quarters(*(WHITE if bit else BLACK for bit in bits)), colours)
+    white = {name for name, bit in zip(QUARTERS, bits, strict=True) if bit}
+    is_white = {style: Color.parse(style).get_truecolor().red > 128 for style in (part.style, part.background)}
+    found = {name for name in QUARTERS if is_white[part.style if name in front(part.text) else part.background]}
+    assert found == white
+
+
+@pytest.mark.parametrize("bits", range(64))
+def test_each_sixth_has_its_colour(bits: int) -> None:
+    """By the names of Unicode, which number the six from the upper left."""
+    sixths = [WHITE if bits >> at & 1 else BLACK for at in range(6)]
+    pixels = Pixels(2, 6, b"".join((sixths[2 * row] + sixths[2 * row + 1]) * 2 for row in range(3)))
+    ((part,),) = drawn(pixels, TRUE, sextants=True)
+    name = unicodedata.name(part.text)
+    known = {
+        "SPACE": set(), "LEFT HALF BLOCK": {1, 3, 5}, "RIGHT HALF BLOCK": {2, 4, 6}, "FULL BLOCK": {1, 2, 3, 4, 5, 6},
+    }  # fmt: skip
+    fore = known.get(name, set(map(int, name.rpartition("-")[2])) if "SEXTANT" in name else {0})
+    white = {at + 1 for at in range(6) if bits >> at & 1}
+    is_white_in_front = part.style == "#fcfcfc"
+    if name == "SPACE":
+        assert white == (set(range(1, 7)) if part.background == "#fcfcfc" else set())
+    else:
+        assert (fore if is_white_in_front else set(range(1, 7)) - fore) == white
+
+
+def test_neighbours_of_same_colours_are_one_part() -> None:
+    (row,) = drawn(Pixels(8, 4, (RED * 8) * 2 + (BLUE * 8) * 2), TRUE)
+    assert [part.text for part in row] == ["▀▀▀▀"]
+
+
+@pytest.mark.parametrize(
+    ("colour", "expected"),
+    [(BLUE, 21), (RED, 196), (WHITE, 231), (BLACK, 16), (bytes((128,) * 3), 244), (bytes((135, 95, 0)), 94)],
+)
+def test_palette_of_256_has_nearest_colour(colour: bytes, expected: int) -> None:
+    """Rich would make violet of a blue, and olive of wood."""
+    ((part,),) = drawn(Pixels(2, 4, colour * 8), 256)
+    assert part.background == f"color({expected})"
+
+
+@pytest.mark.parametrize("colours", [16, 256])
+@pytest.mark.parametrize("brightness", [0, 30, 60, 85, 128, 170, 200, 255])
+def test_dithering_keeps_brightness_of_greys(brightness: int, colours: int) -> None:
+    side = 16
+    part_of = {"░": 0.25, "▒": 0.5, "▓": 0.75, " ": 0.0}
+    light = []
+    for row in drawn(Pixels(2 * side, 4 * side, bytes([brightness] * 3) * 8 * side * side), colours):
+        for part in row:
+            fore, back = (
+                (sum(Color.parse(each).get_truecolor()) / 3 / 255) ** 2.2 for each in (part.style, part.background)
+            )
+            light += [part_of[each] * fore + (1 - part_of[each]) * back for each in part.text]
+    found = 255 * (sum(light) / len(light)) ** (1 / 2.2)
+    assert len(light) == side * side
+    assert found == pytest.approx(brightness, abs=12 if colours == 256 else 35)
+
+
+def test_palettes_give_only_their_own_colours() -> None:
+    noise = Pixels(40, 40, np.random.default_rng(1).integers(0, 256, 4800, np.uint8).tobytes())
+    for colours, allowed in ((16, range(16)), (256, range(16, 256))):
+        used = {each for row in drawn(noise, colours) for part in row for each in (part.style, part.background)}
+        numbers = {int(re.fullmatch(r"color\((\d+)\)", each)[1]) for each in used}  # type: ignore[index]
+        assert numbers <= set(allowed)
+        assert len(numbers) > 5
+
+
+@given(
+    width=st.integers(1, 20),
+    height=st.integers(1, 9),
+    colours=st.sampled_from((0, 16, 256, TRUE)),
+    sextants=st.booleans(),
+    data=st.data(),
+)
+def test_any_image_fills_its_cells(width: int, height: int, colours: int, sextants: bool, data: st.DataObject) -> None:
+    rgb = data.draw(st.binary(min_size=3 * width * height, max_size=3 * width * height))
+    across, down = wished_pixels(colours, sextants=sextants)
+    found = text(Pixels(width, height, rgb), colours, sextants=sextants)
+    assert list(map(len, found)) == [-(-width // across)] * -(-height // down)
+
+
+@pytest.mark.parametrize("colours", [0, 16, TRUE])
+def test_image_that_nobody_asked_for_takes_no_time(colours: int) -> None:
+    with pytest.raises(UnreadableError):
+        drawn(Pixels(LONGEST_SIDE, LONGEST_SIDE, b"", "webp"), colours)
+
+
+def test_image_larger_than_its_area_is_cut() -> None:
+    rows = image_rows(Pixels(20, 20, bytes(1200)), 3, 2, colours=TRUE, sextants=False)
+    assert [sum(len(part.text) for part in row) for row in rows] == [3, 3]
+
+
+# -- without numpy, or without colours
+
+
+def test_without_numpy_there_are_half_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    surroundings.hide_modules(monkeypatch, "numpy")
+    assert wished_pixels(256, sextants=True) == (1, 2)
+    assert drawn(Pixels(4, 2, RED * 3 + GREEN + BLUE * 4), 256) == [
+        (Part("▀▀▀", "#ff0000", "#0000ff"), Part("▀", "#00ff00", "#0000ff"))
+    ]
+    odd = drawn(Pixels(1, 3, RED + GREEN + BLUE), 256)
+    assert odd == [(Part("▀", "#ff0000", "#00ff00"),), (Part("▀", "#0000ff", "#000000"),)]
+
+
+def test_character_without_colours_keeps_brightness() -> None:
+    greys = bytes(level for level in range(0, 260, 26) for _ in range(3))
+    assert text(Pixels(10, 2, greys * 2), 0) == [RAMP]
+    assert text(Pixels(2, 2, BLACK + WHITE + BLACK + WHITE), 0) == [RAMP[0] + RAMP[-1]]
+    assert text(Pixels(1, 2, WHITE + BLACK), 0) == [RAMP[len(RAMP) // 2 - 1]]
+
+
+def test_green_outshines_red_outshines_blue() -> None:
+    (row,) = text(Pixels(3, 1, GREEN + RED + BLUE), 0)
+    assert [*row] == sorted(row, key=RAMP.index, reverse=True)
+    assert len(set(row)) == 3
+
+
+def test_odd_last_row_is_bright_as_its_pixels() -> None:
+    assert text(Pixels(2, 3, BLACK * 4 + WHITE * 2), 0) == [RAMP[0] * 2, RAMP[-1] * 2]
+
+
+def test_without_colours_ascii_has_no_style() -> None:
+    parts = [part for row in drawn(Pixels(16, 9, bytes(range(216)) * 2), 0) for part in row]
+    assert all(part.text.isascii() and part[1:] == ("", "") for part in parts)
