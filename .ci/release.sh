@@ -40,8 +40,8 @@ lock() {
   local all=(pyproject.toml build/lock/build.in)
   locked run "${all[@]}"
   locked fleet "${all[@]}" --extra zenoh --extra metrics
-  locked ros "${all[@]}" --extra ros --extra zenoh --extra metrics --extra look
-  locked dev "${all[@]}" --extra ros --extra ros-test --extra zenoh --extra metrics --extra look --extra dev
+  locked ros "${all[@]}" --extra ros --extra zenoh --extra metrics --extra look --extra record
+  locked dev "${all[@]}" --extra ros --extra ros-test --extra zenoh --extra metrics --extra look --extra record --extra dev
 }
 
 "$1"

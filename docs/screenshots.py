@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 TERMINAL = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
-FLOWING = 6  # topics of the demo, its service, and its robot's parameters
+FLOWING = 9  # topics of the demo, its service, and its robot's parameters
 HISTORY = 60  # s: long enough for a curve to be worth a picture
 FAULTS_OF_BUSY_MACHINES = {STATE_SIGN[state] for state in (State.SLOW, State.LATE, State.STALE, State.DOWN)}
 WIDE, NARROW, LOW = (120, 36), (80, 24), (120, 24)
@@ -119,7 +119,7 @@ async def of_a_robot(album: Album) -> None:
                 await pilot.press("f9", "y")
                 await album.take(pilot, "call", when=shows("success: true"))
                 await leave(app, pilot)
-                await album.take(pilot, "service", when=shows("1 of 7"))
+                await album.take(pilot, "service", when=shows("1 of 10"))
                 await pilot.press("escape", "g")
                 app.theme = "light"
                 await album.take(pilot, "light", when=shows("STOPPED"))

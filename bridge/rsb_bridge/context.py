@@ -65,6 +65,8 @@ class Context:
         moved_by: the rest messages of the routes that have moved a topic last, by the topic's name.
         rests: tasks that publish rests after an arming, to be awaited before the ROS side stops.
         names_changed: to be called when another set of names of the graph is followed (`link.graph_watch.NameWatch`).
+        tap_of: returns what gets all messages of a topic (`route.peeking.Tap`), or None. It takes the topic's name on
+            this side, and a route or another object with `type_name`, `type_hash` and `qos`.
     """
 
     session: Session
@@ -91,6 +93,7 @@ class Context:
     moved_by: dict[str, object] = field(default_factory=dict)
     rests: set[asyncio.Task[None]] = field(default_factory=set)
     names_changed: Callable[[], None] = lambda: None
+    tap_of: Callable[[str, Any], Callable[[bytes, int, int, bytes, int], None] | None] = lambda _, __: None
     _shared: dict[Callable[[Context], Any], Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

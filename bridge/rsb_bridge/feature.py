@@ -25,21 +25,24 @@ GROUP = "rsb_console.feature"
 BRINGS: Mapping[str, str] = {
     "bench": "bench",
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
+    "record": "recording",
     "zenoh": "zenoh",
 }
 """Keys of session files, with the feature of this project that brings each, for messages where it is missing."""
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
-    "bench": "bench", "doctor": "doctor", "fleet": "fleet", "look": "pictures", "pub": "driving", "report": "history",
+    "bench": "bench", "doctor": "doctor", "fleet": "fleet", "look": "pictures", "pub": "driving",
+    "record": "recording", "report": "history",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
     "drive": "driving", "history": "history", "look": "pictures", "publish": "driving",
+    "record": "recording",
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""
-BRINGS_SETTINGS: Mapping[str, str] = {}
+BRINGS_SETTINGS: Mapping[str, str] = {"commands": "own_commands"}
 """The same of settings in ``console.yaml``."""
 
 T = TypeVar("T")
@@ -285,6 +288,14 @@ class Feature:
 
     def console_settings(self) -> Iterable[Any]:
         """Return settings of ``console.yaml``, each a `rsb_console.notation.console_setting.ConsoleSetting`."""
+        return ()
+
+    def own_actions(self, preferences: Any) -> Iterable[Any]:
+        """Return actions that the user's settings make, of `rsb_console.actions.action.Group.OWN`.
+
+        Args:
+            preferences: the `rsb_console.preferences.Preferences`.
+        """
         return ()
 
     def message_views(self) -> Iterable[Any]:

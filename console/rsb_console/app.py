@@ -15,9 +15,10 @@ from textual import work
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.faults import ChangeKind, FaultWatch, fault_count
-from rsb_bridge.model.snapshot import Snapshot, State
+from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_console.actions.action import Group
+from rsb_console.notation.glyphs import STATE_WORD
 from rsb_console.operations.deadman import Deadman
 from rsb_console.operations.session_operations import attach_instead, confirm_end, welcome
 from rsb_console.screens.dialog import FullScreen
@@ -28,7 +29,7 @@ from rsb_console.terminal.input_queue import DIALOG, is_guarded
 from rsb_console.terminal_app import ShutdownReason, TerminalApp
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from concurrent.futures import Future
 
     from textual import events
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.model.faults import FaultChange
+    from rsb_bridge.model.faults import FaultChange, Faulty
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import Console
@@ -89,8 +90,16 @@ class ConsoleApp(TerminalApp[None]):
         resources: ExitStack | None = None,
     ) -> None:
         super().__init__(
-            readonly=readonly, ascii_only=ascii_only, theme=theme, config=config, dialogs={Group.OPERATE, Group.SESSION}
+            readonly=readonly,
+            ascii_only=ascii_only,
+            theme=theme,
+            config=config,
+            dialogs={Group.OPERATE, Group.SESSION, Group.OWN},
         )
+        self.actions = self.preferences.actions
+        for action in self.actions:
+            if action.group is Group.OWN:
+                self.bind(action.keys, f"screen.{action.id}", description=action.label, show=False)
         self.engine: EngineApi | None = None
         self.base = Path()
         self.path = path
@@ -102,7 +111,7 @@ class ConsoleApp(TerminalApp[None]):
         self.refresh_rate = self.preferences.refresh_rate or usual
         self.deadman = Deadman()
         self._questions = NewQuestions()
-        self.fault_bell = Bell(self.bell, is_on=self.preferences.bell)
+        self.fault_bell = Bell(self._ring, is_on=self.preferences.bell)
         self.changes = Changes()
         console: Console = self
         self.main: MainScreen = self.main_screen(console)
@@ -327,6 +336,11 @@ class ConsoleApp(TerminalApp[None]):
         if gives is not None and self.engine is not None:
             await self.command(self.engine.answer_asker(route.key, gives=gives, who=question.who))
 
+    def _ring(self, begun: Sequence[FaultChange]) -> None:
+        self.bell()
+        if self.preferences.notify:
+            self.tell_desktop(self.snapshot().name or self.TITLE, fault_text([change.subject for change in begun]))
+
     # --- actions
 
     def request_quit(self) -> None:
@@ -352,9 +366,15 @@ class ConsoleApp(TerminalApp[None]):
 
 
 class Bell:
-    """Rings when a fault of the shown engine begins. Earlier faults do not ring."""
+    """Rings when a fault of the shown engine begins. Earlier faults do not ring.
 
-    def __init__(self, ring: Callable[[], None], *, is_on: bool, clock: Callable[[], float] = time.monotonic) -> None:
+    Args:
+        ring: gets the faults that have begun.
+    """
+
+    def __init__(
+        self, ring: Callable[[Sequence[FaultChange]], None], *, is_on: bool, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.is_on = is_on
         self._ring = ring
         self._clock = clock
@@ -374,7 +394,22 @@ class Bell:
             begun = [change for change in self._watch.find_changes(snapshot, now) if rings_for(change)]
             if begun and now - self._rang_at >= RINGS_EVERY:
                 self._rang_at = now
-                self._ring()
+                self._ring(begun)
+
+
+def fault_text(faulty: Sequence[Faulty]) -> str:
+    """Return the first of some faults in words, and how many more there are."""
+    first, more = faulty[0], len(faulty) - 1
+    reason = first.reason
+    match first:
+        case LinkSnapshot():
+            name, reason = first.name, reason or first.warning
+        case PatternSnapshot():
+            name = first.spec.topic
+        case _:
+            name = first.topic
+    shown = ": ".join(filter(None, (f"{name} {STATE_WORD[first.state]}", reason)))
+    return f"{shown} (and {more} more)" if more else shown
 
 
 def rings_for(change: FaultChange) -> bool:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
-    from contextlib import ExitStack
+    from contextlib import AbstractContextManager, ExitStack
     from pathlib import Path
 
     from textual.notifications import SeverityLevel
@@ -43,10 +43,12 @@ class ConsoleShell(Protocol):
     Attributes:
         preferences: the user's themes and keys.
         config: the folder that those are in.
+        terminal: file descriptor of the terminal.
     """
 
     preferences: Preferences
     config: Path
+    terminal: int
     refresh_rate: float
 
     @property
@@ -66,6 +68,9 @@ class ConsoleShell(Protocol):
         markup: bool = True,
     ) -> None:
         """Show a message for a while (Textual's)."""
+
+    def suspend(self) -> AbstractContextManager[None]:
+        """Leave the terminal to another program meanwhile (Textual's)."""
 
     def key_labels(self, action: Action) -> list[str]:
         """Return the keys of an action, as written on a keyboard."""

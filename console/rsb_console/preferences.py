@@ -20,12 +20,13 @@ from textual.color import Color, ColorParseError
 from textual.theme import Theme
 
 from rsb_bridge.config.files import is_there, replace_file, why_not_written
-from rsb_bridge.feature import BRINGS_ACTIONS, BRINGS_SETTINGS
+from rsb_bridge.feature import BRINGS_ACTIONS, BRINGS_SETTINGS, installed
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
-from rsb_console.actions.all_actions import screens
+from rsb_console.actions.all_actions import ACTIONS, screens
 from rsb_console.notation.console_setting import feature_settings
 from rsb_console.notation.topic_column import ADDED
+from rsb_console.terminal.terminal_facts import TerminalSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -69,7 +70,7 @@ TOPIC_COLUMNS = {
     **{column.title: column.shows for column in ADDED},
 }
 """Columns of the topics that an operator may leave out, and what they show; state and topic stay."""
-OWN_SETTINGS = ("bell", "columns", "refresh_rate", "theme")
+OWN_SETTINGS = ("bell", "columns", "notify", "refresh_rate", "terminal", "theme")
 _SETTING = r"^{name}\s*:[^#\n]*?(?P<comment>\s*#.*)?$"
 
 
@@ -94,6 +95,7 @@ class PreferenceProblem(Wording):
     NO_SETTINGS = "{path}: must map names to values, like 'bell: true'"
     UNKNOWN_SETTINGS = "{path}: {names}: no setting; there are {known}"
     NO_BELL = "{path}: bell: give true or false"
+    NO_NOTIFY = "{path}: notify: give true or false"
     NO_RATE = "{path}: refresh_rate: give one of {rates}"
     NO_COLUMNS = "{path}: columns: give a list of {columns}"
     BY_FEATURE = "{path}: {mistake}"
@@ -228,12 +230,15 @@ def _settings_problem(path: Path, settings: object) -> str:
         return PreferenceProblem.UNKNOWN_SETTINGS(path=path, names=", ".join(unknown), known=listed)
     if not isinstance(settings.get("bell", False), bool):
         return PreferenceProblem.NO_BELL(path=path)
+    if not isinstance(settings.get("notify", False), bool):
+        return PreferenceProblem.NO_NOTIFY(path=path)
     if settings.get("refresh_rate", REFRESH_RATES[0]) not in REFRESH_RATES:
         return PreferenceProblem.NO_RATE(path=path, rates=", ".join(f"{rate:g}" for rate in REFRESH_RATES))
     columns = settings.get("columns", [])
     if not isinstance(columns, list) or any(column not in TOPIC_COLUMNS for column in columns):
         return PreferenceProblem.NO_COLUMNS(path=path, columns=", ".join(TOPIC_COLUMNS))
     try:
+        TerminalSettings.read(settings.get("terminal", {}))
         _of_features(settings)
     except ValueError as error:
         return PreferenceProblem.BY_FEATURE(path=path, mistake=error)
@@ -260,10 +265,13 @@ class Preferences:
         theme: the name of the one to begin with.
         suits_terminal: whether nobody chose it, so it may change once the terminal tells its colours.
         keymap: action ids to the user's keys.
+        actions: of the console, and those that the settings make.
         bell: whether the terminal's bell for new faults is on at the start.
+        notify: whether the desktop gets a notification when the bell rings.
         refresh_rate: one of `REFRESH_RATES`, or None for one that suits the line.
         columns: some of `TOPIC_COLUMNS`, or None for all that fit.
         features: values of the features' settings that the user has written, by name; `ConsoleSetting.of` reads them.
+        terminal: what the user has set about the terminal.
         problems: titles and texts of mistakes.
     """
 
@@ -272,8 +280,10 @@ class Preferences:
         self._path = config / "console.yaml"
         settings = self._load_settings()
         self.bell: bool = settings.get("bell", False)
+        self.notify: bool = settings.get("notify", False)
         self.refresh_rate: float | None = settings.get("refresh_rate")
         self.columns: frozenset[str] | None = frozenset(settings["columns"]) if "columns" in settings else None
+        self.terminal = TerminalSettings.read(settings.get("terminal", {}))
         self.features: dict[str, Any] = _of_features(settings)
         self.theme = self._load_themes(config, settings.get("theme") if theme is None else theme)
         try:
@@ -281,6 +291,19 @@ class Preferences:
         except PreferenceError as error:
             self.keymap = {}
             self.problems.append(("The default keys are used", str(error)))
+        self.actions = self._all_actions()
+
+    def _all_actions(self) -> tuple[Action, ...]:
+        actions = [*ACTIONS]
+        owner = {key: action.id for action in actions for key in self.keys(action)}
+        for action in (each for feature in installed() for each in feature.own_actions(self)):
+            if shared := next((key for key in self.keys(action) if key in owner), ""):
+                names = {"key": shared, "one": owner[shared], "other": action.id}
+                self.problems.append(("A key left out", PreferenceProblem.SHARED_KEY(path=self._path, **names)))
+            else:
+                actions.append(action)
+                owner |= dict.fromkeys(self.keys(action), action.id)
+        return tuple(actions)
 
     def _load_themes(self, config: Path, wanted: str | None) -> str:
         self.themes, problems = load_themes(shipped_themes(), config / "themes")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from platformdirs import user_log_path
 from rich.console import COLOR_SYSTEMS
+from textual import work
 from textual.app import App, ReturnType
 from textual.screen import SystemModalScreen
 
@@ -36,6 +37,7 @@ from rsb_console.preferences import (
     config_path,
 )
 from rsb_console.screens.help import ActionsProvider
+from rsb_console.terminal import desktop_notification
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
 from rsb_console.terminal.pulse import ASKED_EVERY
@@ -111,8 +113,10 @@ class TerminalApp(App[ReturnType]):
         self._readonly = readonly
         self.ascii_only = ascii_only
         self.config = config_path() if config is None else config
-        self.facts = facts_before_answers(os.environ, self.terminal)
         self.preferences = Preferences(self.config, theme)
+        self.facts = self.preferences.terminal.over(facts_before_answers(os.environ, self.terminal))
+        if self.preferences.terminal.colours is not None:
+            self._use_colours()
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
@@ -209,6 +213,13 @@ class TerminalApp(App[ReturnType]):
         if isinstance(self._driver, ConsoleDriver):
             self._driver.entitle("".join(filter(str.isprintable, title)))
 
+    @work
+    async def tell_desktop(self, title: str, text: str) -> None:
+        """Show a notification on the operator's desktop, if the terminal is known to pass it on."""
+        made = await asyncio.to_thread(desktop_notification.sequence, os.environ, self.facts.name, title, text)
+        if made and isinstance(self._driver, ConsoleDriver):
+            self._driver.write(made)
+
     async def ask(self, dialog: Screen[T]) -> T | None:
         self.input_queue.waits_for(dialog)
         return await self.push_screen_wait(dialog)
@@ -264,16 +275,21 @@ class TerminalApp(App[ReturnType]):
 
     def suit_terminal(self, facts: TerminalFacts) -> None:
         """Take what the terminal has told of itself: draw with its colours, in a theme for them."""
+        facts = self.preferences.terminal.over(facts)
         had, self.facts = self.facts.colours, facts
-        if facts.colours > had and self.console.color_system is not None:
-            # rich finds out the colours once, by TERM. It has no public way to be told.
-            vars(self.console)["_color_system"] = COLOR_SYSTEMS[facts.colour_system]
+        if facts.colours > had:
+            self._use_colours()
             self.refresh_css(animate=False)
         few, many = (SIXTEEN_COLORS, SIXTEEN_ON_LIGHT), (DEFAULT_THEME, LIGHT_THEME)
         if self.preferences.suits_terminal and self.theme in (*few, *many):
             self.theme = (many if facts.colours > 16 else few)[bool(facts.light)]
         elif self.theme == SIXTEEN_COLORS and facts.light:
             self.theme = SIXTEEN_ON_LIGHT
+
+    def _use_colours(self) -> None:
+        """Have Textual write the colours that the terminal has: rich finds them out by TERM, and once."""
+        if self.console.color_system is not None and self.facts.colours:
+            vars(self.console)["_color_system"] = COLOR_SYSTEMS[self.facts.colour_system]  # no public way is there
 
     def action_theme(self) -> None:
         names = sorted(self.available_themes)

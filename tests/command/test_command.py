@@ -587,7 +587,7 @@ def test_demo_bridges_and_leaves_one_topic_to_add() -> None:
     ) as run:
         assert run.stdout
         seen = ""
-        while ": 1 disarmed, 6 ok |" not in seen:  # each topic flows, or is answered; /cmd_vel waits for an operator
+        while ": 1 disarmed, 9 ok |" not in seen:  # each topic flows, or is answered; /cmd_vel waits for an operator
             line = run.stdout.readline()
             assert line
             seen += line

@@ -20,8 +20,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 EXTRAS = {
     "run": (),
     "fleet": ("zenoh", "metrics"),
-    "ros": ("ros", "zenoh", "metrics", "look"),
-    "dev": ("ros", "ros-test", "zenoh", "metrics", "look", "dev"),
+    "ros": ("ros", "zenoh", "metrics", "look", "record"),
+    "dev": ("ros", "ros-test", "zenoh", "metrics", "look", "record", "dev"),
 }
 BUILD = PROJECT["build-system"]["requires"]
 NAMED = {

@@ -34,7 +34,7 @@ class Rung:
         self.now = 0.0
         self.bell = Bell(self._ring, is_on=is_on, clock=lambda: self.now)
 
-    def _ring(self) -> None:
+    def _ring(self, _begun: object) -> None:
         self.times += 1
 
     def sees(self, *routes: RouteSnapshot, seconds: float = LASTS + 1, engine: Any = ENGINE) -> int:
@@ -92,7 +92,7 @@ def test_it_does_not_ring_while_it_is_off() -> None:
 @on_main()
 async def test_a_key_turns_it_on_and_off(app: ConsoleApp, pilot: Pilot[None]) -> None:
     rung: list[bool] = []
-    bell = app.fault_bell = Bell(lambda: rung.append(True), is_on=False)
+    bell = app.fault_bell = Bell(lambda _: rung.append(True), is_on=False)
     put(app, FINE)
     await pilot.press("exclamation_mark")
     await shown(pilot, "the bell rings")

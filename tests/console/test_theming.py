@@ -186,6 +186,7 @@ def test_choice_leaves_file_alone_that_it_cannot_edit(tmp_path: Path, text: str)
         ("[bell]", PreferenceProblem.NO_SETTINGS, {}),
         ("bel: true", PreferenceProblem.UNKNOWN_SETTINGS, {"names": "bel"}),
         ("bell: loud", PreferenceProblem.NO_BELL, {}),
+        ("notify: loud", PreferenceProblem.NO_NOTIFY, {}),
         ("refresh_rate: 3", PreferenceProblem.NO_RATE, {}),
         ("columns: [AGES]", PreferenceProblem.NO_COLUMNS, {}),
         ("columns: AGE", PreferenceProblem.NO_COLUMNS, {}),
@@ -238,7 +239,8 @@ def test_mistake_in_feature_setting_has_its_file(tmp_path: Path) -> None:
 def test_unknown_setting_lists_those_of_features(tmp_path: Path) -> None:
     (tmp_path / "console.yaml").write_text("tile: []")
     ((_, reported),) = preferences.Preferences(tmp_path, None).problems
-    assert says(reported, PreferenceProblem.UNKNOWN_SETTINGS, known="bell, columns, refresh_rate, theme and tiles")
+    *own, last = sorted(preferences.OWN_SETTINGS)
+    assert says(reported, PreferenceProblem.UNKNOWN_SETTINGS, known=f"{', '.join((*own, last))} and tiles")
 
 
 def chosen_columns() -> dict[str, object]:

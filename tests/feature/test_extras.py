@@ -85,6 +85,18 @@ def test_action_of_missing_feature_names_it(tmp_path: Path) -> None:
     assert ran.stdout == f"{keys}: this installation has no driving: install all of rsb-console, or leave drive out\n"
 
 
+def test_setting_of_missing_feature_names_it(tmp_path: Path) -> None:
+    (tmp_path / "console.yaml").write_text("commands: {X: {run: uptime}}")
+    asked = WITHOUT + (
+        "import pathlib\n"
+        "from rsb_console.preferences import Preferences\n"
+        f"for _, problem in Preferences(pathlib.Path({str(tmp_path)!r}), None).problems: print(problem)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, timeout=180, check=True)
+    assert ran.stdout.startswith(f"{tmp_path / 'console.yaml'}: this installation has no own_commands: ")
+    assert ran.stdout.count("\n") == 1
+
+
 @pytest.mark.skipif(not FOLDERS, reason="the core alone")
 def test_the_core_knows_which_feature_brings_which_transport() -> None:
     found = {

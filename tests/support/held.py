@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import deque
 from collections.abc import Iterator, Mapping, Set
 
-_CONTAINERS = (Mapping, Set, list, deque, bytearray)
+_CONTAINERS = (Mapping, Set, list, deque, array, bytearray)
 
 
 def held_by(thing: object) -> int:

@@ -186,13 +186,17 @@ def _message_differences(here: MessageType, there: MessageType, prefix: str) -> 
         yield TypeDifference.ORDER(type=_shown(here.type_name))
 
 
-def type_text(kind: FieldType) -> str:
-    """Return a field's type as message files write it: ``float32[]``, ``string<=10``."""
+def type_text(kind: FieldType, nested: str = "") -> str:
+    """Return a field's type as message files write it: ``float32[]``, ``string<=10``.
+
+    Args:
+        nested: its name where it is a message, or empty for the full one, printable and short.
+    """
     container, base = divmod(kind.type_id - 1, KINDS)
     base += 1
     if (base not in _PRIMITIVES and base != NESTED) or container not in range(4):
         return "unknown"
-    name = _shown(kind.nested_type_name) if base == NESTED else _PRIMITIVES[base]
+    name = (nested or _shown(kind.nested_type_name)) if base == NESTED else _PRIMITIVES[base]
     if kind.string_capacity:
         name += f"<={kind.string_capacity}"
     match container:

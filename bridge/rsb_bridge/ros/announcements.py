@@ -375,6 +375,10 @@ class Announcements:
         if self._own.remove(gid):
             self._say_soon()
 
+    def is_own(self, gid: bytes) -> bool:
+        """Whether a publisher is one of ours, which publishes messages of a link."""
+        return self._own.origin_of(gid) is not None
+
     def _say_soon(self) -> None:
         if self._saying is None and self._publisher is not None:
             # Others read only so many bytes in a second.

@@ -138,6 +138,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.outputs = SourcePublishers(self, self._unpacker)
         self.rest = RestAfterArming(self)
         self.check = MessageCheck(context, peer.budget.checks)
+        self._choose_pace()
         compose_when_switched(self, self._compose_gates)
         self._received = 0
         self._report_at = _REPORTS_AFTER  # messages received
@@ -355,6 +356,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         batch, arriving, leaving = incoming_gates(self)
         self._gates = chained(batch), chained(arriving), chained(leaving)
 
+    def renew_tap(self) -> None:
+        super().renew_tap()
+        self._choose_pace()
+
+    def _choose_pace(self) -> None:
+        # Here, so that without a tap no message is asked for it.
+        self._hand_on = self._publish if self.peek_slot.tap is None else self._publish_one_by_one
+
     def deliver(self, messages: Sequence[Message]) -> None:
         """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop."""
         if self._unpacker.holds:
@@ -368,10 +377,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             return
         now, offset = self.context.stamps.now(), self.peer.stamps.offset
         if offset is None or not LATE < (now - messages[0][1]) / 1e9 + offset < OUTLIVE.high or self._must_be_fresh:
-            self._publish(messages, now, began)
+            self._hand_on(messages, now, began)
             return
         allowed = self._catch_up.allowed(messages, began, max(self.meter.rate, self.meter.usual_rate or 0.0))
-        self._publish(messages[:allowed], now, began)
+        self._hand_on(messages[:allowed], now, began)
         if later := messages[allowed:]:
             self._unpacker.pause(later, EVERY)
 
@@ -379,6 +388,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _must_be_fresh(self) -> bool:
         """Whether gates look at its messages, as at commands, or a latched topic's publishers keep them."""
         return self.is_latched or self._gates != _NO_GATES
+
+    def _publish_one_by_one(self, messages: Sequence[Message], now: int, began: float) -> None:
+        """Publish messages as `_publish`, of which the last of those that it gets is shown: here each."""
+        for at, message in enumerate(messages):
+            self._publish((message,), now, began)
+            if self._unpacker.holds:
+                self._unpacker.wait(messages[at + 1 :])
+                return
 
     def _publish(self, messages: Sequence[Message], now: int, began: float) -> None:
         """Publish messages that came at `now` (ns of the clock of stamps) and `began` (s), as `deliver`."""
@@ -445,10 +462,16 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
             self.latency.add(latency)
         if last and self.peek_slot.wanted:
-            clock = (self.peer.clock.offset, self.peer.clock.uncertainty)
-            shown = peeked(self, last, self.context.wall_ns(), latency=latency, clock=clock)
-            self.peek_slot.put(shown, self.context.now())
+            self._show(last, latency)
         self.count(count, size, began)
+
+    def _show(self, content: bytes, latency: float | None) -> None:
+        slot, now = self.peek_slot, self.context.wall_ns()
+        if slot.tap is not None:
+            slot.tap(content, now, now - int((latency or 0.0) * 1e9), b"", 0)
+        if slot.is_awaited:
+            clock = (self.peer.clock.offset, self.peer.clock.uncertainty)
+            slot.put(peeked(self, content, now, latency=latency, clock=clock), self.context.now())
 
     def _refuse(self, why: Refused, messages: int = 1) -> None:
         """Count messages that arrived, and that a gate keeps back."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol, TypeAlias
 
 import msgspec
 
@@ -11,7 +11,7 @@ from rsb_bridge.model.snapshot import PEEK_LIMIT, PeekedMessage
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
@@ -30,17 +30,44 @@ class PeekError(Exception):
     """A message cannot be viewed now; the text gives the reason."""
 
 
-class PeekSlot:
-    """The slot for a copy of a route's next message."""
+Tap: TypeAlias = "Callable[[bytes, int, int, bytes, int], None]"
+"""Gets each message once it has come from ROS, or once it is published. Called on the I/O thread.
 
-    def __init__(self) -> None:
-        self.wanted = False  # a viewer waits. The route checks only this while messages pass
-        self.free_at = float("-inf")  # s, from when on the next message may be copied
+It takes the serialized message; when it passed, in ns since the epoch on this machine's clock; when it was published on
+the sending side, as far as known, else the same; the id of its publisher, or nothing on the receiving side; its number
+among that publisher's messages, from 1, or 0 if unknown.
+"""
+
+
+class PeekSlot:
+    """The slot for a copy of a route's next message, and the tap that gets all messages.
+
+    Args:
+        tap: may be changed by `set_tap`.
+
+    Attributes:
+        wanted: whether a viewer waits, or there is a tap. The route checks only this while messages pass.
+        free_at: s, from when on the next message may be copied.
+    """
+
+    def __init__(self, tap: Tap | None = None) -> None:
+        self.tap = tap
+        self.wanted = tap is not None
+        self.free_at = float("-inf")
         self._waiting: set[asyncio.Future[PeekedMessage]] = set()
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether a viewer waits."""
+        return bool(self._waiting)
+
+    def set_tap(self, tap: Tap | None) -> None:
+        self.tap = tap
+        self.wanted = tap is not None or self.is_awaited
 
     def put(self, message: PeekedMessage, now: float) -> None:
         waiting, self._waiting = self._waiting, set()
-        self.wanted = False
+        self.wanted = self.tap is not None
         self.free_at = now + EVERY
         for future in waiting:
             # A viewer that gave up has cancelled it.
@@ -55,7 +82,7 @@ class PeekSlot:
             return await future
         finally:
             self._waiting.discard(future)
-            self.wanted = bool(self._waiting)
+            self.wanted = self.tap is not None or self.is_awaited
 
 
 class Peekable(Protocol):

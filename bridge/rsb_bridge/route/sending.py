@@ -459,7 +459,7 @@ class OutgoingPath:
             return
         route = self._route
         if route.peek_slot.wanted:
-            self._show(batch[-1])
+            self._show(batch)
         self._ledger.offered += len(batch)
         if self._sourced is not None:
             batch = self._sourced(batch)
@@ -497,9 +497,15 @@ class OutgoingPath:
             size += len(message[0])
         self._send(messages, size, publisher)
 
-    def _show(self, message: RawMessage) -> None:
-        time_ns = message.stamp - self._context.stamps.shift
-        self._route.peek_slot.put(peeked(self._route, message.payload, time_ns), self._context.now())
+    def _show(self, messages: Sequence[RawMessage]) -> None:
+        slot, newest = self._route.peek_slot, messages[-1]
+        if slot.tap is not None:
+            now = self._context.wall_ns()
+            for payload, _, gid, number, _, source in messages:
+                slot.tap(payload, now, source or now, gid, number)
+        if slot.is_awaited:
+            time_ns = newest.stamp - self._context.stamps.shift
+            slot.put(peeked(self._route, newest.payload, time_ns), self._context.now())
 
     def _compressed(self, message: Message) -> Message:
         """Return a message as it is sent: compressed if both sides agreed on that and it gets smaller.
@@ -518,7 +524,7 @@ class OutgoingPath:
     def emit(self, samples: Sequence[Sample]) -> None:
         """Take messages of a latched topic whose histories are known by now: they just came, or waited for these."""
         if self._route.peek_slot.wanted and samples:
-            self._show(samples[-1].message)
+            self._show([each.message for each in samples])
         admitted, left_out = self._latest_later.admit(samples)
         self._ledger.throttled += left_out
         self._route.traffic.offered += len(admitted)

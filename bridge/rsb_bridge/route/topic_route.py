@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.idling import Signs
+    from rsb_bridge.route.peeking import Tap
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -174,7 +175,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self._flows_since = context.now()
         self._full_at: float | None = None  # s, when the link was last full in this direction
         self.set_stale_after()
-        self.peek_slot = PeekSlot()
+        self.peek_slot = PeekSlot(self._new_tap())
         self.traffic = TrafficMeter(context.now())
         self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
         self._logged_ends: tuple[str, str, str] | None = None
@@ -195,6 +196,13 @@ class TopicRoute(Route, Generic[ChannelT]):
         raise NotImplementedError
 
     # --- what is the same for both
+
+    def _new_tap(self) -> Tap | None:
+        return self.context.tap_of(self.local_topic, self) if self.purpose.in_graph else None
+
+    def renew_tap(self) -> None:
+        """Give all messages to another tap from now on, or to none: `Context.tap_of` has changed."""
+        self.peek_slot.set_tap(self._new_tap())
 
     @property
     def present_type(self) -> TypeVersion:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
 
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
 
 
 class Group(StrEnum):
@@ -20,13 +20,14 @@ class Group(StrEnum):
     VIEW = "View"  # the main screen
     OPERATE = "Operate"  # the main screen
     SESSION = "Session"  # the main screen
+    OWN = "Own commands"  # the main screen
     CONSOLE = "Console"  # the app
     FLEET = "Fleet"  # the fleet's screen
 
 
 NAMESPACE = {
     Group.MOVE: "focused", Group.VIEW: "screen", Group.OPERATE: "screen", Group.SESSION: "screen", Group.CONSOLE: "app",
-    Group.FLEET: "screen",
+    Group.OWN: "screen", Group.FLEET: "screen",
 }  # fmt: skip
 
 
@@ -97,6 +98,8 @@ class Action:
         on_robot: the same on screens that show a robot; or None.
         with_message: the same with a message that another screen has made, such as a goal on a map: a coroutine
             function of a `rsb_console.console_api.Console`, a topic, a type and fields as YAML; or None.
+        on_link: the same on a link under the cursor in the list of links: a coroutine function of a
+            `rsb_console.console_api.Console` and the link's snapshot; or None.
         after: the id of the action that it follows in help, footer and palette; or empty, to be the last.
         chapters: the keys of the screens that it opens, for the help.
     """
@@ -118,6 +121,7 @@ class Action:
     stops: Callable[[Any], bool] | None = None
     on_robot: OnRobot | None = None
     with_message: Callable[[Any, str, str, str], Awaitable[None]] | None = None
+    on_link: Callable[[Any, LinkSnapshot], Awaitable[None]] | None = None
     after: str = ""
     chapters: tuple[KeyChapter, ...] = ()
 

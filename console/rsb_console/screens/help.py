@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from rsb_console.widgets.lines import Line
 
 KEYS_WIDTH, ID_WIDTH = 13, 15  # cells
+OWN_KEYS = "console.yaml"
+"""The file with the keys of an operator's own commands, where others have the id for ``keys.yaml``."""
 
 
 class KeyList(ScrolledLines):
@@ -68,7 +70,8 @@ class HelpScreen(ModalScreen[None]):
             for action in actions:
                 keys = "  ".join(self.console.key_labels(action))
                 first, *more = textwrap.wrap(action.help, room - 2)
-                yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (f"{first:<{room}}", ""), (action.id, "dim"))
+                where = OWN_KEYS if action.group is Group.OWN else action.id
+                yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (f"{first:<{room}}", ""), (where, "dim"))
                 yield from (((" " * KEYS_WIDTH + text, ""),) for text in more)
             yield ()
         yield from self._chapters([each for each in chapters if each.screen not in self._classes_below], room)

@@ -27,6 +27,7 @@ from rsb_console.widgets.topics import TopicsTable, state_order
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from textual import events
     from textual.app import App, ComposeResult
 
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
@@ -222,6 +223,17 @@ class LinksScreen(ModalScreen[None]):
 
     def on_selectable_list_cursor_moved(self) -> None:
         self.detail.show(self.table.selected, self.console.snapshot().time, server=self._is_server)
+
+    def on_key(self, event: events.Key) -> None:
+        """Do what one of the operator's own keys does to the link under the cursor."""
+        preferences, link = self.console.preferences, self.table.selected
+        own = (each for each in preferences.actions if each.on_link is not None)
+        action = next((each for each in own if event.key in preferences.keys(each)), None)
+        if action is None or action.on_link is None or link is None or (action.changes and self.console.readonly):
+            return
+        event.stop()
+        if self.table.is_seen():
+            self.run_worker(action.on_link(self.console, link), group=DIALOG)
 
     def action_open(self) -> None:
         if self.table.selected is not None:

@@ -12,7 +12,7 @@ from textual.screen import Screen
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.action import NAMESPACE, FooterEntry, Group
-from rsb_console.actions.all_actions import ACTIONS, BY_ID, bindings
+from rsb_console.actions.all_actions import BY_ID, bindings
 from rsb_console.widgets.bars import BarState, KeyBar, KeyEntry, StatusBar, state_counts, warning_count
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.fault_pane import Fault, FaultLines, MoreKeys, faults_of
@@ -122,7 +122,8 @@ class MainScreen(Screen[None]):
         super().__init__()
         self.console = console
         self.explanations = Explanations(console)
-        for action in ACTIONS:
+        self._actions = {action.id: action for action in console.preferences.actions}
+        for action in self._actions.values():
             if action.run is not None:
                 setattr(self, f"action_{action.id}", partial(self.act, action))
         self.status, self.faults, self.prompt, self.key_bar = StatusBar(), FaultLines(), Prompt(), KeyBar()
@@ -209,7 +210,12 @@ class MainScreen(Screen[None]):
     def show_keys(self) -> None:
         """Show the keys that are possible now, if they have changed; none below a dialog, which has its own."""
         here = self.app.screen is self
-        entries = [entry for action in ACTIONS if here and action.in_footer if (entry := self._key_entry(action))]
+        entries = [
+            entry
+            for action in self._actions.values()
+            if here and action.in_footer
+            if (entry := self._key_entry(action))
+        ]
         if entries != self._keys_shown:
             self._keys_shown = entries
             self.key_bar.show(entries)
@@ -226,7 +232,7 @@ class MainScreen(Screen[None]):
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Grey out actions that need a topic while none is selected; hide all changes while read-only."""
-        known = BY_ID.get(action)
+        known = self._actions.get(action)
         if known is None:
             return super().check_action(action, parameters)
         if known.group is Group.OPERATE and self.console.engine is None:
@@ -240,7 +246,8 @@ class MainScreen(Screen[None]):
     def on_key(self, event: events.Key) -> None:
         """Explain why a key for a change does nothing."""
         # A key comes here only if its action is disabled.
-        if self.console.readonly and any(a.changes and event.key in self.console.preferences.keys(a) for a in ACTIONS):
+        keys = self.console.preferences.keys
+        if self.console.readonly and any(a.changes and event.key in keys(a) for a in self._actions.values()):
             self.notify(MainText.READ_ONLY(), timeout=2)
 
     def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:

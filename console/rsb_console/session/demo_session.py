@@ -38,11 +38,14 @@ _PORTS = range(20_000, 27_900)
 port."""
 _started = itertools.count()
 _READY_WITHIN = 15.0  # s; after that the console shows that the bridge waits for the robot
-# The robot also has /battery_state, for the operator to add.
+# The robot also has /battery_state, for the operator to add, and more to look at.
 _TOPICS = (
     Topic(topic="/scan", direction="receive", protocol="udp", expected_rate=10.0),
     Topic(topic="/odom", direction="receive", protocol="udp", expected_rate=50.0),
     Topic(topic="/map", direction="receive", protocol="tcp", compression="zstd"),
+    Topic(topic="/plan", direction="receive", protocol="tcp", expected_rate=1.0),
+    Topic(topic="/tf", direction="receive", protocol="udp", expected_rate=25.0),
+    Topic(topic="/tf_static", direction="receive", protocol="tcp"),
     Topic(topic="/goal_pose", direction="transmit", protocol="tcp", expected_rate=1.0),
     Topic(topic="/cmd_vel", direction="transmit", type="geometry_msgs/msg/Twist", protocol="tcp", arm=True),
     Topic(topic="/set_light", direction="transmit", kind="service", timeout=5.0),
@@ -195,7 +198,9 @@ def need_ros() -> None:
         EngineError: they are; it says what to do.
     """
     missing = [
-        name for name in ("rclpy", "sensor_msgs", "nav_msgs", "std_srvs") if importlib.util.find_spec(name) is None
+        name
+        for name in ("rclpy", "sensor_msgs", "nav_msgs", "diagnostic_msgs", "std_srvs")
+        if importlib.util.find_spec(name) is None
     ]
     if missing:
         raise EngineError(

@@ -20,7 +20,9 @@ import time
 import tty
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+import msgspec
 
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU
 
@@ -157,6 +159,44 @@ class TerminalFacts:
         cell = "" if self.cell is None else f"{self.cell[0]:g} × {self.cell[1]:g} pixels a cell"
         pixels = f"{self.pixels} pixels" if self.pixels else ""
         return ", ".join(filter(None, (self.name, colours, cell, pixels)))
+
+
+class TerminalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the user knows better than the terminal tells, or None.
+
+    Attributes:
+        colours: the number, or ``true``.
+        pixels: protocol for images.
+        cell: pixels of a character, ``8x19``.
+    """
+
+    colours: Literal[0, 16, 256, "true"] | None = None
+    pixels: Literal["kitty", "sixel", "none"] | None = None
+    cell: Annotated[str, msgspec.Meta(pattern=r"\A[1-9]\d{0,2}x[1-9]\d{0,2}\Z")] | None = None
+
+    @classmethod
+    def read(cls, value: object) -> TerminalSettings:
+        """Return the settings of a file.
+
+        Raises:
+            ValueError: the reason, which begins with the place of the mistake.
+        """
+        try:
+            return msgspec.convert(value, cls)
+        except msgspec.ValidationError as error:
+            problem, _, place = str(error).partition(" - at `$")
+            raise ValueError(f"terminal{place.rstrip('`')}: {problem}") from None
+
+    def over(self, facts: TerminalFacts) -> TerminalFacts:
+        """Return the facts with what the user has set in their place."""
+        if self.colours is not None:
+            facts = replace(facts, colours=TRUE_COLOUR if self.colours == "true" else self.colours)
+        if self.pixels is not None:
+            facts = replace(facts, pixels="" if self.pixels == "none" else self.pixels)
+        if self.cell is not None:
+            width, height = map(float, self.cell.split("x"))
+            facts = replace(facts, cell=(width, height))
+        return facts
 
 
 def can_be_asked(environ: Mapping[str, str]) -> bool:

@@ -93,7 +93,8 @@ _WIDE, _BOX = 120, 44
 """Columns of a screen from which on the box stands at the side, and its own there."""
 _NAMED = 4
 """Robots in one line."""
-_WAYS_SHOWN, _KEYS = "↑↓←→ uiojlm,.", "space stop · +- speed · A arm · esc leave"
+_WAYS_SHOWN = "↑↓←→ uiojlm,."
+_KEYS = ("space stop", "+- speed", "A arm", "esc leave")
 
 
 class DriveText(Wording):
@@ -533,10 +534,14 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         is_armed = route is not None and route.arming is not None and route.arming.armed and not self._detached
         state = Content.styled(f" {self._state()} ", "$warning bold reverse") if is_armed else Content(self._state())
         lines = (Content(first), state, *map(Content, (*self._limited(), *others)))
+        drive = f"hold {_WAYS_SHOWN} to drive" if self._is_relayed() else f"{_WAYS_SHOWN} drive"
+        keys = (drive, *_KEYS)
+        is_wide = self.size.width >= _WIDE
+        if is_wide:  # at the side, a line is short
+            lines += (Content(""), *(Content.styled(key, "$quiet") for key in keys))
         self._pane.update(Content("\n").join(lines))
         self._pane.set_class(is_armed, "-armed")
-        drive = f"hold {_WAYS_SHOWN} to drive" if self._is_relayed() else f"{_WAYS_SHOWN} drive"
-        self._pane.border_subtitle = Content(f" {drive} · {_KEYS} ")
+        self._pane.border_subtitle = Content("" if is_wide else f" {' · '.join(keys)} ")
 
     def _forget_refusal(self, route: RouteSnapshot | None) -> None:
         """Show a refusal no longer than the topic is held by the same operator: it names who held it then."""

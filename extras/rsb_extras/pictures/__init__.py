@@ -60,8 +60,9 @@ class Pictures(Feature):
     def checks(self) -> Iterable[Check]:
         from rsb_bridge.model.finding import Check  # noqa: PLC0415
         from rsb_extras.pictures.confinement_check import confined  # noqa: PLC0415
+        from rsb_extras.pictures.terminal_check import terminal  # noqa: PLC0415
 
-        return (Check("pictures", "pictures", confined),)
+        return Check("pictures", "pictures", confined), Check("terminal", "terminal", terminal)
 
     def console_settings(self) -> Iterable[ConsoleSetting[Any]]:
         from rsb_extras.pictures.layouts import LAYOUTS  # noqa: PLC0415

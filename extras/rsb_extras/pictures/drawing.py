@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import math
+import struct
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
@@ -26,16 +27,16 @@ from rsb_extras.pictures.picture import Cells
 
 if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Message, Value
-    from rsb_extras.pictures.picture import Pixels, Scale, Series, Wish
+    from rsb_extras.pictures.picture import FieldNumber, Pixels, Scale, Series, Wish
 
 _GROUP = "rsb_console.views"
 _PLOTTED = {
     "sensor_msgs": (
-        "JointState", "Imu", "BatteryState", "Range", "Temperature", "FluidPressure", "MagneticField",
-        "RelativeHumidity", "Illuminance",
+        "Imu", "Joy", "Range", "Temperature", "FluidPressure", "MagneticField", "RelativeHumidity", "Illuminance",
     ),
     "geometry_msgs": (
-        "Twist", "TwistStamped", "Vector3", "Vector3Stamped", "Wrench", "WrenchStamped", "Accel", "AccelStamped",
+        "Twist", "TwistStamped", "TwistWithCovarianceStamped", "Vector3", "Vector3Stamped", "Wrench", "WrenchStamped",
+        "Accel", "AccelStamped",
     ),
     "std_msgs": (
         "Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32", "UInt64",
@@ -45,18 +46,21 @@ _PLOTTED = {
 _MAPPED = (
     "nav_msgs/msg/OccupancyGrid", "nav2_msgs/msg/Costmap", "nav_msgs/msg/Path", "nav_msgs/msg/Odometry",
     "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseArray",
-    "geometry_msgs/msg/PolygonStamped",
+    "geometry_msgs/msg/PolygonStamped", "visualization_msgs/msg/Marker", "visualization_msgs/msg/MarkerArray",
 )  # fmt: skip
 VIEWS: dict[str, str] = {
     **{f"{package}/msg/{name}": "plots:PlotView" for package, names in _PLOTTED.items() for name in names},
     "plot": "plots:PlotView",
     "tree": "lists:FieldsView",
+    "fields": "plots:NumbersView",
     **dict.fromkeys(_MAPPED, "map_view:MapView"),
     "map": "map_view:MapView",
     "tf2_msgs/msg/TFMessage": "lists:TfTree",
     "diagnostic_msgs/msg/DiagnosticArray": "lists:DiagnosticsView",
     "diagnostic_msgs/msg/DiagnosticStatus": "lists:DiagnosticsView",
     "rcl_interfaces/msg/Log": "lists:LogView",
+    "sensor_msgs/msg/BatteryState": "bars:BatteryView",
+    "sensor_msgs/msg/JointState": "bars:JointsView",
     "sensor_msgs/msg/NavSatFix": "track:TrackView",
     "sensor_msgs/msg/LaserScan": "points:PointsView",
     "sensor_msgs/msg/PointCloud2": "points:PointsView",
@@ -80,6 +84,7 @@ class TakenMessage(NamedTuple):
         message: its values; arrays of primitive elements are raw (`rsb_bridge.cdr.decoder.Items.raw`).
         time: s since the epoch, when DDS received it.
         author: full name of the node that published it, or empty if unknown.
+        is_asked: whether the viewer named the topic; others help to draw those.
     """
 
     topic: str
@@ -87,6 +92,7 @@ class TakenMessage(NamedTuple):
     message: Message
     time: float
     author: str = ""
+    is_asked: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +102,13 @@ class Drawn:
     Attributes:
         content: the picture, or None before the first message, or with a problem.
         problem: the reason why it is missing or incomplete, and what to do.
+        numbers: `rsb_extras.pictures.picture.Picture.numbers`.
     """
 
     content: Pixels | Cells | Series | None = None
     notes: tuple[str, ...] = ()
     problem: str = ""
+    numbers: tuple[FieldNumber, ...] = ()
 
 
 class UndrawableError(Exception):
@@ -187,26 +195,35 @@ class Canvas:
     Attributes:
         width: cells.
         height: cells.
-        dots: the braille pattern of each cell, row by row; a view may write it directly.
+        dots: the braille pattern of each cell, row by row; a view may write it directly, as the next three.
+        blocks: for each cell without dots, the index of its character in `BLOCKS`.
         styles: the index of each cell's style, row by row (`style`).
+        backgrounds: the index of the style behind each cell, row by row.
     """
 
     ACROSS, DOWN = 2, 4
     """Dots of a cell."""
     BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
     """Bit of each dot in a braille pattern, by row and column."""
+    BLOCKS = " ▘▝▀▖▌▞▛▗▚▐▜▄▙▟█⠠"
+    """A cell's quarters by their bits (upper left 1, upper right 2, lower left 4, lower right 8), and a dot."""
+    A_DOT = 16
 
     def __init__(self, width: int, height: int) -> None:
         self.width, self.height = width, height
         self.dots = bytearray(width * height)
+        self.blocks = bytearray(width * height)
         self.styles = bytearray(width * height)
+        self.backgrounds = bytearray(width * height)
         self._line_dots = _LINE_DOTS
         self._characters: dict[int, str] = {}
         self._palette: dict[str, int] = {"": 0}
 
     def style(self, name: str) -> int:
         """Return the index of a style of `rsb_extras.pictures.picture.STYLES`, or of a colour ``#rrggbb``."""
-        return self._palette.setdefault(name, min(len(self._palette), _STYLES - 1))
+        if name not in self._palette and len(self._palette) >= _STYLES:
+            return _STYLES - 1
+        return self._palette.setdefault(name, len(self._palette))
 
     def dot(self, x: int, y: int, style: str = "") -> None:
         """Set a dot, counted from the upper left, if it is on the canvas."""
@@ -248,20 +265,34 @@ class Canvas:
                 self._characters[cell] = character
                 self.styles[cell] = self.style(style)
 
-    def scale_bar(self, column: float) -> None:
-        """Draw a bar with its length at the lower left, for so many metres a column."""
+    def scale_bar(self, column: float) -> int:
+        """Draw a bar with its length at the lower left, for so many metres a column; return the column behind it."""
         rough = column * self.width / 5
         power = 10 ** math.floor(math.log10(rough))
         length = next(each * power for each in (1, 2, 5, 10) if each * power >= rough)
-        self.write(1, self.height - 1, f"├{'─' * max(0, round(length / column) - 1)}┤ {length:g} m", "axis")
+        bar = f"├{'─' * max(0, round(length / column) - 1)}┤ {length:g} m"
+        self.write(1, self.height - 1, bar, "axis")
+        return 1 + len(bar)
+
+    def characters(self) -> set[int]:
+        """Return the cells that have text."""
+        return {*self._characters}
+
+    def clear_row(self, row: int) -> None:
+        """Remove all from a row, the background too, so that text on it can be read."""
+        for cell in range(row * self.width, (row + 1) * self.width):
+            self.dots[cell] = self.blocks[cell] = self.styles[cell] = self.backgrounds[cell] = 0
+            self._characters.pop(cell, None)
 
     def cells(self, scale: Scale | None = None) -> Cells:
         """Return the picture."""
-        characters = [chr(_BRAILLE + pattern) if pattern else " " for pattern in self.dots]
+        both = zip(self.dots, self.blocks, strict=True)
+        characters = [chr(_BRAILLE + pattern) if pattern else self.BLOCKS[block] for pattern, block in both]
         for cell, character in self._characters.items():
             characters[cell] = character
         rows = ("".join(characters[row * self.width : (row + 1) * self.width]) for row in range(self.height))
-        return Cells(tuple(rows), bytes(self.styles), tuple(self._palette), scale)
+        backgrounds = bytes(self.backgrounds) if any(self.backgrounds) else b""
+        return Cells(tuple(rows), bytes(self.styles), tuple(self._palette), scale, backgrounds)
 
 
 def nested(message: Message, path: str) -> Value | None:
@@ -288,6 +319,22 @@ def elements(message: Message, path: str) -> list[Message]:
     """Return the messages in an array by its path, or an empty list if it is missing."""
     value = nested(message, path)
     return [each for each in value.shown if isinstance(each, dict)] if isinstance(value, Items) else []
+
+
+def first_values(items: Items, most: int) -> list[Value]:
+    """Return the first elements of an array, also of one of primitive elements."""
+    if items.raw is None:
+        return items.shown[:most]
+    count = min(items.total, most)
+    size = struct.calcsize(items.code)
+    return list(struct.unpack(f"{items.code[0]}{count}{items.code[1:]}", items.raw[: count * size]))
+
+
+def floats(message: Message, path: str, most: int) -> list[float]:
+    """Return the first numbers in an array by its path, or an empty list if it is missing."""
+    value = nested(message, path)
+    found = first_values(value, most) if isinstance(value, Items) else []
+    return [float(each) for each in found if isinstance(each, int | float)]
 
 
 def raw(message: Message, path: str) -> tuple[memoryview, str]:

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_extras.pictures.picture import Cells, Pixels, Series
 
-VIEWS_OF_PEER = 4
-"""Views that one peer has at the same time (docs/picture-protocol.md). A round figure."""
+VIEWS_OF_PEER = 9
+"""Views that one peer has at the same time (docs/picture-protocol.md): as many as a screen has tiles."""
 _ANSWERED_WITHIN = 15.0
 """s: the other side may have to ask three nodes for a type, 2.5 s each (`ros.type_descriptions`). A round figure."""
 _LOOK_EVERY = 0.5
@@ -199,7 +199,13 @@ class LinkViews(Extension):
         await self._internal.opened(route, look.route)  # the peer may have found it open before this side does
         if (source := self._internal.source(route)) is None:
             raise LinkError(ViewRefused.NO_VIEW())
-        view = TopicView(self._context, look.topics, wish, _Sender(self._context, source).send)
+        view = TopicView(
+            self._context,
+            look.topics,
+            wish,
+            _Sender(self._context, source).send,
+            may_look=lambda topic: not self._refusal((topic,), route),
+        )
         await view.check()
         if self._link.ids.open_route(look.route) is not route:  # it was closed while the graph was asked
             view.close()

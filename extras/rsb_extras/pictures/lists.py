@@ -35,6 +35,8 @@ _STATUS_OLD = 5.0
 _VALUES = 20
 """Values of a status that are remembered. A round figure: a node may send any number."""
 _STATUS_LEVELS = {0: ("ok", "ok"), 1: ("WARN", "warning"), 2: ("ERROR", "error"), 3: ("STALE", "warning")}
+_MOST_PARTS = 8
+"""Parts of a status's name that are groups: a round figure."""
 _STATUS_ORDER = {2: 0, 1: 1, 3: 2, 0: 3}
 """Rank of each level: the worst comes first."""
 _LOG_LENGTH = 1000
@@ -240,8 +242,55 @@ class _Status(NamedTuple):
     time: float
 
 
+class _Group:
+    """Statuses below a part of their names, as diagnostic_aggregator groups them."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._inner: dict[str, _Group] = {}
+        self._status: _Status | None = None
+        self._level = 0
+        """The worst level of it and all below."""
+
+    def add(self, parts: list[str], status: _Status) -> None:
+        """Add a status below the further parts of its name."""
+        group = self
+        for part in parts:
+            group = group._inner.setdefault(part, _Group(part))
+            group._level = min(group._level, status.level, key=_STATUS_ORDER.__getitem__)
+        group._status = status
+
+    def lines(self, opened: int, depth: int = 0) -> list[_Line]:
+        """Return the lines of all below it, worst first.
+
+        Args:
+            opened: depth down to which groups without faults are opened, too.
+        """
+        lines: list[_Line] = []
+        for inner in sorted(self._inner.values(), key=lambda each: (_STATUS_ORDER[each._level], each._name)):
+            word, style = _STATUS_LEVELS[inner._level]
+            is_open = bool(inner._inner) and (inner._level != 0 or opened > depth)
+            sign = "" if not inner._inner else "▾ " if is_open else f"▸ {len(inner._inner)} in "
+            status, indent = inner._status, "  " * depth
+            message = "" if status is None else status.message
+            name = f"{inner._name}  "
+            lines.append([(f"{word:<6}", style), (f"{indent}{sign}", "axis"), (name, "strong"), (message, "")])
+            if status is not None and status.level:
+                lines += [[(f"       {indent}{key}: ", "axis"), (value, "")] for key, value in status.values]
+            if is_open:
+                lines += inner.lines(opened, depth + 1)
+        return lines
+
+
+def _parts(name: str) -> list[str]:
+    """Return the parts of an aggregated name (/Robot/Motors/left); of others, a / has no meaning."""
+    if not name.startswith("/"):
+        return [name]
+    return name[1:].split("/", _MOST_PARTS - 1)
+
+
 class DiagnosticsView(View):
-    """Draws the newest status of each name of diagnostic_msgs, worst first, with the values of the bad ones."""
+    """Draws the newest status of each name of diagnostic_msgs as a tree, worst first, with the values of bad ones."""
 
     def __init__(self) -> None:
         self._statuses: dict[str, _Status] = {}
@@ -259,17 +308,14 @@ class DiagnosticsView(View):
     def draw(self, wish: Wish) -> Drawn:
         now = {name: self._aged(status) for name, status in self._statuses.items()}
         counts = [sum(status.level == level for status in now.values()) for level in (2, 1, 3, 0)]
-        shown = [
-            (name, status)
-            for name, status in sorted(now.items(), key=lambda each: (_STATUS_ORDER[each[1].level], each[0]))
-            if status.level >= wish.level and (wish.match in name or wish.match in status.message)
-        ]
-        lines = []
-        for name, status in shown:
-            word, style = _STATUS_LEVELS[status.level]
-            lines.append([(f"{word:<6}", style), (f"{name}  ", "strong"), (status.message, "")])
-            if status.level:
-                lines += [[(f"       {key}: ", "axis"), (value, "")] for key, value in status.values]
+        root = _Group("")
+        for name, status in now.items():
+            if status.level >= wish.level and (wish.match in name or wish.match in status.message):
+                root.add(_parts(name), status)
+        lines, depth = root.lines(0), 1
+        # Where there is room, groups without faults are opened, too: all of a depth or none.
+        while depth < _MOST_PARTS and len(opened := root.lines(depth)) <= wish.height:
+            lines, depth = opened, depth + 1
         first = max(0, min(len(lines) - 1, int(-wish.y * wish.height)))
         notes = ("{} errors, {} warnings, {} stale, {} ok".format(*counts),)
         cells = _cells(lines[first : first + wish.height] or [[("", "")]], wish.width, wish.height)

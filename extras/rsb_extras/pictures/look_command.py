@@ -28,6 +28,7 @@ from rsb_console.terminal.terminal_facts import ask, facts_before_answers
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.graphics import BANDS, USUAL_CELL, Painter, bands_of, frame_of, why_no_graphics
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
+from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import MOST_ACROSS, MOST_COLUMNS, MOST_DOWN, MOST_ROWS, Picture, Pixels, Wish, in_full
 from rsb_extras.pictures.picture_files import FORMATS, picture_file
 from rsb_extras.pictures.picture_rows import COLOURS, UnreadableError, picture_rows, reads_webp
@@ -51,15 +52,15 @@ _SETTLE_SECONDS = 2.0
 """s after the first picture of several topics. A round figure: a rare transform may still be missing then."""
 _STYLES = {
     "dim": "bright_black", "strong": "bold", "axis": "bright_black", "ok": "green", "warning": "yellow",
-    "error": "bold red", "robot": "bold bright_cyan", "path": "cyan", "scan": "magenta", "occupied": "",
-    "free": "bright_black", "goal": "bold bright_yellow",
+    "error": "bold red", "robot": "bold bright_cyan", "path": "cyan", "scan": "bright_magenta", "curve": "magenta",
+    "occupied": "", "free": "bright_black", "goal": "bold bright_yellow", "lethal": "red",
 }  # fmt: skip
 """The styles of pictures on a terminal, without a theme."""
+_INK = "#d0d0d0"
+_PAPER = Paper.of("#121212", _INK)
 _HOME, _CLEAR_REST, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
 _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 _NEXT_LINE = "\n"
-_PAPER = 0, 0, 0
-"""Colour of the rest of an image's last cells."""
 
 
 class LookText(Wording):
@@ -297,7 +298,7 @@ def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
         if isinstance(content, Pixels):
             sextants = arguments.facts.draws_sextants
             return image_rows(content, wish.width, wish.height, colours=_colours(arguments), sextants=sextants)
-        return picture_rows(content, wish.width, wish.height)
+        return picture_rows(content, wish.width, wish.height, colours=_colours(arguments))
     except UnreadableError as error:
         raise EngineError(str(error)) from None
 
@@ -328,10 +329,17 @@ def _encoded(console: Console, row: Row, *, ascii_only: bool) -> str:
         if system is None:
             parts.append(shown)
             continue
-        fore = _STYLES.get(style, style)
-        look = Style.parse(f"{fore} on {background}" if background else fore or "none")
-        parts.append(look.render(shown, color_system=system))
+        parts.append(Style.parse(_look(style, background)).render(shown, color_system=system))
     return "".join(parts)
+
+
+def _look(style: str, background: str) -> str:
+    """Return rich's words for the style of a part."""
+    fore = _PAPER.colour(style[1:]) or _PAPER.own if style.startswith("@") else _STYLES.get(style, style)
+    if background.startswith("@"):  # a map's ground, on which the terminal's own foreground may be unreadable
+        background = _PAPER.colour(background[1:]) or _PAPER.own
+        fore = fore or _INK
+    return f"{fore} on {background}" if background else fore or "none"
 
 
 def _status(viewed: Viewed) -> str:
@@ -365,7 +373,9 @@ class ImagePrinter:
             UnreadableError: the other side's image is damaged.
         """
         frame = frame_of(pixels, wish)
-        self._bands = bands_of(pixels, frame, self._cell, self._protocol, self._first_id, _PAPER, self._bands)
+        self._bands = bands_of(
+            pixels, frame, self._cell, self._protocol, self._first_id, _PAPER.background, self._bands
+        )
         return self._painter.painted(self._bands, (0, 0), ())
 
     def inline(self, pixels: Pixels, wish: Wish) -> str:
@@ -376,7 +386,7 @@ class ImagePrinter:
         """
         frame = frame_of(pixels, wish)
         rows = frame.rows
-        bands = bands_of(pixels, frame, self._cell, self._protocol, self._first_id, _PAPER)
+        bands = bands_of(pixels, frame, self._cell, self._protocol, self._first_id, _PAPER.background)
         # The lines come first: at the end of the screen, they scroll it, which the image would not, or not enough.
         image = "".join(f"\x1b8{_down(band.top)}{band.sequence}" for band in bands)
         return f"{_NEXT_LINE * rows}\x1b[{rows}A\x1b7{image}\x1b8\x1b[{rows}B"

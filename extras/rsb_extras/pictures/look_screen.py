@@ -17,8 +17,9 @@ from rsb_bridge.model.text import escape_text
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.picker import Suggestion, SuggestionList
-from rsb_extras.pictures.drawing import has_picture, is_layer
+from rsb_extras.pictures.drawing import has_picture, is_layer, is_map
 from rsb_extras.pictures.layouts import LOG, RATES, Subject, layouts_for
+from rsb_extras.pictures.picture import Wish
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,6 +32,12 @@ if TYPE_CHECKING:
 
 _KEYS = " type to search · ↑↓ choose · ⏎ look · esc close"
 _SIDE, _TOPIC = 14, 34
+_OVERVIEW = (
+    (("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"), Wish(rate=5.0)),
+    (("nav_msgs/msg/OccupancyGrid",), Wish()),
+    (("nav_msgs/msg/Odometry",), Wish(how="plot")),
+)
+"""Types of the tiles of an overview, and how to draw them."""
 _ASKED_EVERY = 3.0
 """s between two questions to all sides. A round figure: each asks for the whole graph, over the link."""
 
@@ -100,9 +107,25 @@ class LookScreen(ModalScreen[tuple[Subject, ...]]):
         for layout in layouts_for(self.console):
             shown = ", ".join(", ".join(tile.topics) for tile in layout.tiles)
             yield self._other(f"layout {layout.name}", escape_text(shown), *map(self._known, layout.tiles))
+        for side in self._found:
+            if tiles := self._overview(side):
+                shown = ", ".join(tile.topics[0] for tile in tiles)
+                yield self._other(f"overview {side}".rstrip(), escape_text(shown), *tiles)
         yield from self._topics(found)
         yield self._other(RATES, "of all bridged topics", Subject((RATES,)))
         yield self._other(LOG, "of this bridge", Subject((LOG,)))
+
+    def _overview(self, side: str) -> tuple[Subject, ...]:
+        """Return tiles of a side's camera, map and speed, and of the rates; none if it has only one of these."""
+        tiles = []
+        for types, wish in _OVERVIEW:
+            infos = [each for each in self._found[side] if each.type_name in types and each.publishers]
+            # The shortest name: /map comes before /global_costmap/costmap, and /camera/image_raw before its like.
+            if infos:
+                info = min(infos, key=lambda each: (len(each.topic), each.topic))
+                layers = self._layers(side, info) if is_map(info.type_name) and not wish.how else ()
+                tiles.append(Subject((info.topic,), side, info.type_name, layers, wish))
+        return (*tiles, Subject((RATES,), side)) if len(tiles) > 1 else ()
 
     def _other(self, name: str, shown: str, *subjects: Subject) -> Suggestion:
         self._subjects[name] = subjects

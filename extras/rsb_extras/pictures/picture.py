@@ -30,12 +30,14 @@ PICTURE_LIMIT = 1 << 20
 _TEXT = 255
 _Text: TypeAlias = Annotated[str, Meta(max_length=_TEXT, pattern=rf"\A[^{UNPRINTABLE}]*\Z")]
 _Number: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
+MOST_NUMBERS = 1000
+"""Numbers of which a viewer chooses some to plot."""
 MOST_VALUE = 1e300
 """Largest value of a plot: differences and sums stay finite."""
 _Value: TypeAlias = Annotated[float, Meta(ge=-MOST_VALUE, le=MOST_VALUE)]
 _Place: TypeAlias = Annotated[float, Meta(ge=-1e100, le=1e100)]
 _Step: TypeAlias = Annotated[float, Meta(ge=1e-12, le=1e100)]
-_Style: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A(|[a-z]+|#[0-9a-fA-F]{6})\Z")]
+_Style: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A(|@?[a-z]+|@?#[0-9a-fA-F]{6})\Z")]
 
 
 class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -46,8 +48,9 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
         height: cells of the picture's area.
         rate: Hz of pictures, at most.
         how: kind of picture, or an empty string for the usual one of the type: ``plot`` draws numbers over time,
-            ``tree`` shows all fields.
-        fields: paths of the numbers to plot (``pose.position.x``, ``ranges[3]``), or none for the first few.
+            ``tree`` shows all fields, ``fields`` lists the numbers to plot (`Picture.numbers`).
+        fields: paths of the numbers to plot (``pose.position.x``, ``ranges[3]``), with the topic before them if there
+            are several (``/odom:pose.position.x``, `field_of`), or none for the usual ones.
         zoom: factor; above 1 shows less, larger.
         x: shift of the view to the right, in parts of its width.
         y: shift of the view upwards, in parts of its height.
@@ -86,6 +89,17 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
 def in_full(wish: Wish) -> Wish:
     """Return a wish for an image in its own resolution, up to `LONGEST_SIDE`, if the viewer reads WebP."""
     return msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS, across=MOST_ACROSS, down=MOST_DOWN)
+
+
+def field_of(topic: str, path: str) -> str:
+    """Return the path of a number of one of several topics, as in `Wish.fields`."""
+    return f"{topic}:{path}"
+
+
+def split_field(field: str) -> tuple[str, str]:
+    """Return the topic of a path in `Wish.fields`, or an empty string, and the path in its messages."""
+    topic, colon, path = field.partition(":")
+    return (topic, path) if colon and topic.startswith("/") else ("", field)
 
 
 class Pixels(msgspec.Struct, frozen=True, omit_defaults=True, tag="pixels"):
@@ -127,17 +141,23 @@ class Cells(msgspec.Struct, frozen=True, omit_defaults=True, tag="cells"):
     Attributes:
         rows: of the text. Each character takes one cell; rows may be shorter than the picture is wide.
         styles: for each character of each row, one after the other, the index of its style in `palette`.
-        palette: names of styles (`STYLES`), or colours as ``#rrggbb``.
+        palette: names of styles (`STYLES`), or colours as ``#rrggbb``. Behind a character they are tints, which a
+            viewer mixes with its own background; ``@`` before one gives a character itself the colour of that tint.
         scale: the place of the cells in the world, if they are a map.
+        backgrounds: for each character, as in `styles`, the index of the tint behind it, or empty for none at all.
     """
 
     rows: Annotated[tuple[Annotated[str, Meta(max_length=MOST_COLUMNS)], ...], Meta(max_length=MOST_ROWS)]
     styles: bytes = b""
     palette: Annotated[tuple[_Style, ...], Meta(max_length=256)] = ()
     scale: Scale | None = None
+    backgrounds: bytes = b""
 
 
-STYLES = ("", "dim", "strong", "axis", "ok", "warning", "error", "robot", "path", "scan", "occupied", "free", "goal")
+STYLES = (
+    "", "dim", "strong", "axis", "ok", "warning", "error", "robot", "path", "scan", "occupied", "free", "goal",
+    "unknown", "lethal",
+)  # fmt: skip
 """Styles of `Cells` that a viewer's theme colours."""
 
 
@@ -172,6 +192,19 @@ class Curve(msgspec.Struct, frozen=True, omit_defaults=True):
     mean: _Value | None = None
 
 
+class FieldNumber(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A number that can be plotted.
+
+    Attributes:
+        path: in the topic's messages.
+        value: newest one, or None if that is no number (NaN) or infinite.
+    """
+
+    topic: _Text
+    path: _Text
+    value: _Value | None = None
+
+
 class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     """A picture of messages, or the reason why it is missing.
 
@@ -187,6 +220,7 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
         waiting: before the first message: facts about the topic's publishers, and what to do.
         number: of the content, from 1; each other content of a view has another one. 0 within one side.
         is_unchanged: whether the content is left out, as it is the one that was sent with this number.
+        numbers: all that can be plotted, if the wish asks for ``fields``; then there is no content.
     """
 
     content: Pixels | Cells | Series | None = None
@@ -200,6 +234,7 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     waiting: _Text = ""
     number: Annotated[int, Meta(ge=0, le=(1 << 63) - 1)] = 0
     is_unchanged: bool = False
+    numbers: Annotated[tuple[FieldNumber, ...], Meta(max_length=MOST_NUMBERS)] = ()
 
 
 class Viewed(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -268,11 +303,13 @@ def check_picture(picture: Picture) -> Picture:
         if content.coding == "rgb" and len(content.data) != 3 * content.width * content.height:
             raise PictureError("an image has not as many bytes as its size says")
     elif isinstance(content, Cells):
-        if len(content.styles) not in (0, sum(map(len, content.rows))):
-            raise PictureError("not each character has a style")
-        if max(content.styles, default=0) >= max(1, len(content.palette)):  # 0 needs no palette
-            raise PictureError("a character has a style that is not in the palette")
-        if not all(style in STYLES or style.startswith("#") for style in content.palette):
+        characters = sum(map(len, content.rows))
+        for indices in (content.styles, content.backgrounds):
+            if len(indices) not in (0, characters):
+                raise PictureError("not each character has a style")
+            if max(indices, default=0) >= max(1, len(content.palette)):  # 0 needs no palette
+                raise PictureError("a character has a style that is not in the palette")
+        if not all((name := style.removeprefix("@")) in STYLES or name.startswith("#") for style in content.palette):
             raise PictureError("the palette has a style that is none")
         if content.scale is not None and min(content.scale.column, content.scale.row) <= 0:
             raise PictureError("a map's cells have no size")

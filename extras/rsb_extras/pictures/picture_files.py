@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from rich.color import Color
 
 from rsb_console.session.exports import cell
+from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import Cells, Pixels, Series
 from rsb_extras.pictures.picture_rows import picture_rows, rgb_of
 
@@ -25,9 +26,11 @@ _CELL_WIDTH, _CELL_HEIGHT = 9, 18
 _RGB, _DEPTH = 2, 8
 _COLOURS = {
     "dim": "#808080", "strong": "#ffffff", "axis": "#808080", "ok": "#50c850", "warning": "#e0c040", "error": "#ff6060",
-    "robot": "#60ffff", "path": "#40b0c0", "scan": "#d070d0", "free": "#606060", "goal": "#ffff60",
+    "robot": "#60ffff", "path": "#40b0c0", "scan": "#d070d0", "free": "#606060", "goal": "#ffff60", "lethal": "#ff6060",
 }  # fmt: skip
 """The styles of pictures in SVG."""
+_PAPER = "#101010"
+_ON = Paper.of(_PAPER, "#d0d0d0")
 
 
 def picture_file(content: Cells | Pixels | Series, suffix: str) -> bytes:
@@ -67,26 +70,27 @@ def svg(rows: Sequence[Row]) -> bytes:
     width = max((sum(len(part.text) for part in row) for row in rows), default=1) * _CELL_WIDTH
     lines = []
     for number, row in enumerate(rows, 1):
-        at = 0
+        column, top = 0, (number - 1) * _CELL_HEIGHT
         for part in row:
-            if part.background:
-                place = f'x="{at * _CELL_WIDTH}" y="{(number - 1) * _CELL_HEIGHT}" height="{_CELL_HEIGHT}"'
-                lines.append(
-                    f'<rect {place} width="{len(part.text) * _CELL_WIDTH}" fill="{_colour(part.background)}"/>'
-                )
-            at += len(part.text)
+            tint = part.background.removeprefix("@")
+            if background := _ON.colour(tint) if tint != part.background else part.background and _colour(tint):
+                place = f'x="{column * _CELL_WIDTH}" y="{top}" width="{len(part.text) * _CELL_WIDTH}"'
+                lines.append(f'<rect {place} height="{_CELL_HEIGHT}" fill="{background}"/>')
+            column += len(part.text)
         shown = "".join(f'<tspan fill="{_colour(part.style)}">{_escaped(part.text)}</tspan>' for part in row)
         lines.append(f'<text x="0" y="{number * _CELL_HEIGHT - 4}" xml:space="preserve">{shown}</text>')
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{len(rows) * _CELL_HEIGHT}" '
         'font-family="monospace" font-size="15">'
-        f'<rect width="100%" height="100%" fill="#101010"/>{"".join(lines)}</svg>\n'
+        f'<rect width="100%" height="100%" fill="{_PAPER}"/>{"".join(lines)}</svg>\n'
     ).encode()
 
 
 def _colour(style: str) -> str:
     if style.startswith("color("):
         return Color.parse(style).get_truecolor().hex
+    if style.startswith("@"):
+        return _ON.colour(style[1:]) or _PAPER
     return style if style.startswith("#") else _COLOURS.get(style, "#d0d0d0")
 
 
@@ -108,7 +112,8 @@ def _csv(series: Series) -> bytes:
 
 
 def _text(cells: Cells) -> bytes:
-    return "".join(f"{row.rstrip()}\n" for row in cells.rows).encode()
+    rows = ("".join(part.text for part in row) for row in picture_rows(cells, 0, 0, colours=0))
+    return "".join(f"{row.rstrip()}\n" for row in rows).encode()
 
 
 _WRITERS: dict[tuple[type, str], Callable[..., bytes]] = {

@@ -22,6 +22,7 @@ from textual.widgets._toast import Toast, ToastRack
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
 from rsb_extras.pictures.graphics import BANDS, USUAL_CELL, Painter, bands_of, frame_of
+from rsb_extras.pictures.paper import Paper
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 _LOOKS = {
     "dim": "dim", "strong": "strong", "axis": "dim", "ok": "ok", "warning": "stale", "error": "down",
-    "robot": "ok", "path": "key", "scan": "plot", "free": "dim", "goal": "stale",
+    "robot": "ok", "path": "key", "curve": "plot", "free": "dim", "goal": "stale", "lethal": "down",
 }  # fmt: skip
 """The theme's look of each style of a picture that has another name there."""
 _COVERED_EVERY = 0.1
@@ -98,7 +99,7 @@ class PicturePane(Widget, can_focus=True):
         """
         facts = self.terminal.facts
         cell = facts.cell or USUAL_CELL
-        paper = self.background_colors[1].rgb
+        paper = self._paper.background
         self._bands = await asyncio.to_thread(
             bands_of, image, frame_of(image, wish), cell, facts.pixels, self._first_id, paper, self._bands
         )
@@ -190,17 +191,30 @@ class PicturePane(Widget, can_focus=True):
             strip = self._strips[y] = strip.adjust_cell_length(self.size.width, self.visual_style.rich_style)
         return strip
 
+    @property
+    def _paper(self) -> Paper:
+        own = self.visual_style
+        assert own.background is not None
+        assert own.foreground is not None
+        return Paper(own.background.rgb, own.foreground.rgb)
+
     def _style(self, name: str, background: str) -> Style:
-        style = self._styles.get((name, background))
+        key = name, background
+        style = self._styles.get(key)
         if style is None:
             if len(self._styles) > 20_000:  # each pixel of an image may have colours of its own
                 self._styles.clear()
             style = self.visual_style.rich_style
-            if name.startswith(("#", "color(")):
-                style += Style(color=name, bgcolor=background or None)
-            elif (look := _LOOKS.get(name, name)) in LOOK_CLASSES:
+            if not background or background.startswith("@"):  # a character's colour, not an image's
+                name, background = self._paper.ink(name) or name, self._paper.colour(background[1:])
+            if name.startswith("@"):
+                name = self._paper.colour(name[1:]) or self._paper.own
+            is_colour = name.startswith(("#", "color("))
+            if background or is_colour:
+                style += Style(color=name if is_colour else None, bgcolor=background or None)
+            if (look := _LOOKS.get(name, name)) in LOOK_CLASSES:
                 style += self.app.get_component_styles(LOOK_CLASSES[look]).partial_rich_style
-            self._styles[name, background] = style
+            self._styles[key] = style
         return style
 
 

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 COLOURS = {None: 0, "standard": 16, "windows": 16, "256": 256, "truecolor": 1 << 24}
 """The number of a terminal's colours, by rich's name of its colour system."""
-_CURVE_STYLES = ("scan", "path", "goal", "ok", "warning", "error", "robot", "strong")
+_FEW = 16
+_COST = "·"
+"""A cell with a cost, on a terminal without colours."""
+_CURVE_STYLES = ("curve", "path", "goal", "ok", "warning", "error", "robot", "strong")
 _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE = 0x2800
 _DOTS_ACROSS, _DOTS_DOWN = 2, 4
@@ -31,8 +34,9 @@ class Part(NamedTuple):
     """Some cells of one row.
 
     Attributes:
-        style: a style of `rsb_extras.pictures.picture.STYLES`, or a colour as ``#rrggbb`` or ``color(7)``.
-        background: a colour, or an empty string for the terminal's own.
+        style: a style of `rsb_extras.pictures.picture.STYLES`, or a colour as ``#rrggbb`` or ``color(7)``, or after an
+            ``@`` a tint (`rsb_extras.pictures.paper`).
+        background: a colour, or after an ``@`` a tint, or an empty string for the terminal's own.
     """
 
     text: str
@@ -43,15 +47,18 @@ class Part(NamedTuple):
 Row = tuple[Part, ...]
 
 
-def picture_rows(content: Cells | Series, width: int, height: int, *, cursor: int | None = None) -> list[Row]:
+def picture_rows(
+    content: Cells | Series, width: int, height: int, *, colours: int = 256, cursor: int | None = None
+) -> list[Row]:
     """Return a picture's rows; those of an image are in `rsb_extras.pictures.blocks`.
 
     Args:
         width: cells that a plot fills.
         height: cells that a plot fills.
+        colours: the terminal's.
         cursor: column of a plot, from the left edge of its curves, whose values the legend shows, or None.
     """
-    return _plot(content, width, height, cursor) if isinstance(content, Series) else _cells(content)
+    return _plot(content, width, height, cursor) if isinstance(content, Series) else _cells(content, colours)
 
 
 def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) -> list[Row]:
@@ -68,6 +75,8 @@ def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) ->
     after: list[Part] = []
     at = 0
     for each in rows[row]:
+        if at <= column < at + len(each.text) and each.background.startswith("@"):
+            part = part._replace(background=each.background)  # the ground of a map goes on below the mark
         before.append(each._replace(text=each.text[: max(0, column - at)]))
         after.append(each._replace(text=each.text[max(0, column + 1 - at) :]))
         at += len(each.text)
@@ -110,20 +119,38 @@ def rgb_of(pixels: Pixels) -> bytes:
     raise UnreadableError("an image has another size than it says")
 
 
-def _cells(cells: Cells) -> list[Row]:
+def _cells(cells: Cells, colours: int) -> list[Row]:
     rows: list[Row] = []
     at = 0
+    palette = cells.palette or ("",)
+    tints = [f"@{tint}" if _is_shown(tint := style.removeprefix("@"), colours) else "" for style in palette]
     for text in cells.rows:
         styles = cells.styles[at : at + len(text)] or bytes(len(text))
+        backgrounds = cells.backgrounds[at : at + len(text)] or bytes(len(text))
         at += len(text)
         parts: list[Part] = []
         begin = 0
-        for style, same in groupby(styles):
-            count = len([*same])
-            parts.append(Part(text[begin : begin + count], cells.palette[style] if cells.palette else ""))
-            begin += count
+        for (style, background), same in groupby(zip(styles, backgrounds, strict=True)):
+            end = begin + len([*same])
+            name, tint = palette[style], tints[background] if cells.backgrounds else ""
+            shown = text[begin:end]
+            begin = end
+            if name.startswith("@") and not tints[style]:
+                shown, name = " " * len(shown), ""  # half of a cell in a colour that this terminal lacks
+            elif name == "free" and tint:
+                shown, name = " " * len(shown), ""  # the dots say what the colour says
+            elif not colours and cells.backgrounds and not shown.strip() and palette[background].startswith("#"):
+                shown = _COST * len(shown)
+            if parts and parts[-1][1:] == (name, tint):
+                shown = parts.pop().text + shown
+            parts.append(Part(shown, name, tint))
         rows.append(tuple(parts))
     return rows
+
+
+def _is_shown(tint: str, colours: int) -> bool:
+    """Whether a terminal has colours for a tint; 16 are too few for those between background and foreground."""
+    return tint != "" and (colours > _FEW or (colours == _FEW and tint.startswith("#")))
 
 
 def _plot(series: Series, width: int, height: int, cursor: int | None) -> list[Row]:

@@ -26,6 +26,7 @@ from rsb_console.notation import formats
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.drawing import VIEWS, is_map
+from rsb_extras.pictures.field_chooser import FieldChooser
 from rsb_extras.pictures.goal_on_map import POSE, Goal
 from rsb_extras.pictures.graphics import why_no_graphics
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
@@ -40,6 +41,7 @@ from rsb_extras.pictures.picture import (
     Pixels,
     Series,
     in_full,
+    split_field,
 )
 from rsb_extras.pictures.picture_files import formats_of, picture_file, svg
 from rsb_extras.pictures.picture_rows import AXIS, Part, UnreadableError, picture_rows, reads_webp, with_mark
@@ -58,7 +60,9 @@ _IN_FULL_WITHIN = 5.0  # s. A round figure: an operator waits for the file
 _RATES = (0.2, 0.5, 1.0, 2.0, 5.0, MOST_RATE)
 _ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
 _WAYS = ("", "plot", "tree")
-_KEYS = ("space hold", "t text", "+- zoom", "p file", "h how", "<> rate", "←→↑↓")
+_SPANS = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
+"""s of a plot's time axis."""
+_KEYS = ("space hold", "t text", "+- zoom", "p file", "f fields", "h how", "<> rate", "←→↑↓")
 _MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
 _PUBLISH = next((action.with_message for action in ACTIONS if action.with_message is not None), None)
 _TURN = 15.0
@@ -73,7 +77,7 @@ class ViewText(Wording):
     HELD = "HELD: space goes on"
     OLD = "{age} old"
     SIDE = "drawn by {side}"
-    COST = "{rate}"
+    FEW_COLOURS = "{colours} colours: COLORTERM=truecolor or terminal: {{colours: true}} in console.yaml shows more"
     WRITTEN = "written: {files}"
     NOT_WRITTEN = "the picture cannot be written: {error}"
     NO_PICTURE = "there is no picture yet"
@@ -89,6 +93,7 @@ class PictureTile(Tile):
         Binding("g", "goal", show=False),
         Binding("enter", "place", show=False),
         Binding("h", "way", show=False),
+        Binding("f", "fields", show=False),
         Binding("plus,equals_sign", f"zoom({_ZOOM})", show=False),
         Binding("minus", f"zoom({1 / _ZOOM})", show=False),
         Binding("left", f"move({-_PAN}, 0)", show=False),
@@ -138,19 +143,15 @@ class PictureTile(Tile):
 
     @property
     def cost(self) -> float:
+        """Bytes a second that it takes of a link."""
         now = time.monotonic()
         while self._sizes and now - self._sizes[0][0] > _COST_OVER:
             self._sizes.popleft()
         return sum(size for _, size in self._sizes) / _COST_OVER
 
     def on_mount(self) -> None:
-        super().on_mount()
         # The age of a picture grows without a new one.
         self.set_interval(1.0, self._entitle)
-
-    def on_unmount(self) -> None:
-        super().on_unmount()
-        self.end()
 
     def begin(self) -> None:
         self.fit()
@@ -233,6 +234,8 @@ class PictureTile(Tile):
 
     @property
     def _topics(self) -> tuple[str, ...]:
+        if of_fields := tuple(dict.fromkeys(filter(None, (split_field(each)[0] for each in self._wish.fields)))):
+            return of_fields
         is_usual = not self._wish.how
         return self.subject.topics + (self._layers if self._shows_layers and is_usual else ())
 
@@ -265,7 +268,9 @@ class PictureTile(Tile):
         if isinstance(content, Pixels):
             rows = self._blocks
         elif content is not None:
-            rows = picture_rows(content, self._wish.width, self._wish.height, cursor=self._cursor)
+            rows = picture_rows(
+                content, self._wish.width, self._wish.height, colours=self._colours, cursor=self._cursor
+            )
             if (scale := self._scale) is not None and self._goal is not None and self._goal.frame != scale.frame:
                 self._goal = None  # its coordinates mean another place
             if scale is not None and self._goal is not None:
@@ -311,12 +316,19 @@ class PictureTile(Tile):
         return [
             *parts,
             *picture.notes,
-            ViewText.COST(rate=formats.byte_rate(self.cost)) if where else "",
+            formats.byte_rate(self.cost) if where else "",
             ViewText.SIDE(side=side),
             f"at most {self._wish.rate:g} Hz",
-            self.terminal.facts.line() if isinstance(picture.content, Pixels) else "",
+            self._how_shown if isinstance(picture.content, Pixels) else "",
             picture.type_name,
         ]
+
+    @property
+    def _how_shown(self) -> str:
+        """What the terminal was found to show, or how to get more."""
+        facts = self.terminal.facts
+        few = facts.colours <= 16 and not self.app.no_color
+        return ViewText.FEW_COLOURS(colours=facts.colours or "no") if few else facts.line()
 
     # -- keys ---------------------------------------------------------------------------------------------------------
 
@@ -330,7 +342,21 @@ class PictureTile(Tile):
         self._viewed = self._goal = None
         self._change(how=_WAYS[(_WAYS.index(self._wish.how) + 1) % len(_WAYS)] if self._wish.how in _WAYS else "")
 
+    @work(group=DIALOG)
+    async def action_fields(self) -> None:
+        """Choose numbers to plot, of this topic or of several."""
+        fields = await self.console.ask(FieldChooser(self.console, self.subject, self._wish.fields))
+        if fields is not None:
+            self._viewed = self._goal = None
+            self._change(how="plot" if fields else "", fields=fields)
+
     def action_zoom(self, factor: float) -> None:
+        """Show less, larger; of a plot, a shorter time."""
+        if isinstance(self.content, Series):
+            longer = [each for each in _SPANS if each > self._wish.seconds]
+            shorter = [each for each in _SPANS if each < self._wish.seconds]
+            self._change(seconds=(shorter or _SPANS[:1])[-1] if factor > 1 else (longer or _SPANS[-1:])[0])
+            return
         self._change(zoom=max(0.05, min(200.0, self._wish.zoom * factor)))
 
     def action_move(self, right: float, up: float) -> None:
@@ -442,11 +468,12 @@ class PictureTile(Tile):
         if content is None:
             self.notify(ViewText.NO_PICTURE(), markup=False)
             return
-        drawing = None
+        drawn = drawing = None
         if isinstance(content, Pixels):
-            drawing = await asyncio.to_thread(self._in_blocks, content)
-            content = (await self._image_in_full() if self._goes_on.is_set() else None) or content
+            drawn, content = content, (await self._image_in_full() if self._goes_on.is_set() else None) or content
         try:
+            if drawn is not None:
+                drawing = await asyncio.to_thread(self._in_blocks, drawn)
             files = await asyncio.to_thread(_write, self.subject.topics[0], content, drawing)
         except (OSError, UnreadableError) as error:
             self.notify(ViewText.NOT_WRITTEN(error=error), severity="error", markup=False)

@@ -47,17 +47,14 @@ class Tile(PicturePane):
 
     Attributes:
         subject: what it shows.
-        cost: bytes a second that it takes of a link.
+        is_on: whether it is in sight.
     """
 
     def __init__(self, console: Console, subject: Subject) -> None:
         super().__init__()
         self.console = console
         self.subject = subject
-
-    @property
-    def cost(self) -> float:
-        return 0.0
+        self.is_on = False
 
     def keys(self) -> Sequence[str]:
         """Return its keys with their labels, the more important ones first."""
@@ -83,13 +80,24 @@ class Tile(PicturePane):
             if self.app.check_action(name, ()) and any(map(action.suits, routes))
         ]
 
+    def turn(self, *, on: bool) -> None:
+        """Begin to show it, or end, as it is hidden."""
+        if on != self.is_on:
+            self.is_on = on
+            (self.begin if on else self.end)()
+
     def begin(self) -> None:
-        """Show it from now on."""
         raise NotImplementedError
 
     def end(self) -> None:
-        """Show it no longer, as it is hidden."""
         raise NotImplementedError
+
+    def on_resize(self) -> None:
+        if self.is_on:
+            self.fit()
+
+    def on_unmount(self) -> None:
+        self.turn(on=False)
 
     def fit(self) -> None:
         """Take its present size."""
@@ -107,17 +115,13 @@ class _LinesTile(Tile):
 
     title: str
 
-    def on_mount(self) -> None:
-        super().on_mount()
-        self._timer = self.set_interval(_REDRAWN_EVERY, self.fit)
-        self.entitle(f" {self.title} ")
-
     def begin(self) -> None:
-        self._timer.resume()
+        self.entitle(f" {self.title} ")
+        self._timer = self.set_interval(_REDRAWN_EVERY, self.fit)
         self.fit()
 
     def end(self) -> None:
-        self._timer.pause()
+        self._timer.stop()
 
     def fit(self) -> None:
         self.show([fit_row(row, self.size.width) for row in self.rows(self.size.height)])

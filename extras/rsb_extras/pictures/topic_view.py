@@ -7,6 +7,7 @@ import contextlib
 import math
 import threading
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -18,7 +19,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_graph import agreed_type
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
-from rsb_extras.pictures.drawing import VIEWS
+from rsb_extras.pictures.drawing import VIEWS, is_map
 from rsb_extras.pictures.picture import MOST_RATE, Picture, Wish
 from rsb_extras.pictures.renderer import renderer_of
 from rsb_extras.pictures.worker import TakenSample, Task
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.ros.ros_interface import RawMessage, Subscription
+    from rsb_bridge.route.peeking import Tap
 
 KEPT_BYTES, KEPT_MESSAGES = 256 << 10, 2000
 """Messages between two pictures that are kept for the next one, of each topic; the newest is always kept. Round
@@ -38,6 +40,8 @@ _LATCHED_AGAIN_AFTER = 10.0
 """s after which kept messages may be asked for once more: one of them may be what ends the process that draws."""
 _LARGE = (VIEWS["sensor_msgs/msg/Image"], VIEWS["sensor_msgs/msg/PointCloud2"])
 """Views of types whose messages may be larger than what DDS has room for."""
+FRAMES = ("/tf", "/tf_static")
+"""Topics of transforms, which a map needs though its viewer does not name them: they do not leave this side."""
 _SLOWEST = 0.05
 """Hz of pictures at the least, also where less is wished."""
 
@@ -55,11 +59,13 @@ class _Feed:
     """The messages of one topic between two pictures. The ROS thread adds, the I/O thread takes.
 
     Attributes:
+        is_asked: whether the viewer named the topic.
         authors: names of the nodes that publish it, by their publishers' ids, or None if this bridge publishes it.
     """
 
-    def __init__(self, viewable: TopicSpec, description: str) -> None:
+    def __init__(self, viewable: TopicSpec, description: str, *, is_asked: bool) -> None:
         self.viewable = viewable
+        self.is_asked = is_asked
         self.description = viewable.type_name, description, viewable.type_hash
         self.resolved_at = 0.0
         self.subscription: Subscription | None = None
@@ -88,7 +94,10 @@ class _Feed:
             kept, self._kept, self._bytes = self._kept, deque(), 0
         topic, name, *_ = self.viewable
         authors = self.authors or {}
-        return [TakenSample(topic, name, each.payload, each.stamp, authors.get(each.gid, "")) for each in kept]
+        return [
+            TakenSample(topic, name, each.payload, each.stamp, authors.get(each.gid, ""), self.is_asked)
+            for each in kept
+        ]
 
     def close(self) -> None:
         if self.subscription is not None:
@@ -102,6 +111,7 @@ class TopicView:
         topics: their names here; the first one gives the kind of picture.
         deliver: takes each picture, and returns when the next one may be drawn.
         bridged: returns a topic that this bridge itself publishes, or None.
+        may_look: whether the viewer may look at a topic that it did not name.
 
     Attributes:
         wish: may be changed at any time by `change`.
@@ -114,6 +124,7 @@ class TopicView:
         wish: Wish,
         deliver: Callable[[Picture], Awaitable[None]],
         bridged: Callable[[str], TopicSpec | None] = lambda _: None,
+        may_look: Callable[[str], bool] = lambda _: True,
     ) -> None:
         self._context = context
         self._renderer = context.shared(renderer_of)
@@ -121,6 +132,8 @@ class TopicView:
         self._origin: Hashable = ("view", self._number)
         self._deliver = deliver
         self._bridged = bridged
+        self._may_look = may_look
+        self._finding_frames: asyncio.Task[None] | None = None
         self.topics = topics
         self.wish = wish
         self._feeds: dict[str, _Feed] = {}
@@ -163,6 +176,8 @@ class TopicView:
         """End the subscriptions, for good."""
         if not self._is_closed:
             self._is_closed = True
+            if self._finding_frames is not None:
+                self._finding_frames.cancel()
             for topic in [*self._feeds]:
                 self._close_feed(topic)
             self._renderer.forget(self._number)
@@ -193,13 +208,16 @@ class TopicView:
         samples: list[TakenSample] = []
         seen, size, problem = self._seen_before, 0, ""
         feeds = [feed for topic in topics if (feed := self._feeds.get(topic)) is not None]
+        frames = [feed for topic, feed in self._feeds.items() if topic not in topics]
+        for feed in frames:
+            samples += feed.take()
         for feed in feeds:
             samples += feed.take()
             seen += feed.seen
             size = size or feed.size
             if feed.size > MESSAGE_LIMIT:
                 problem = ViewProblem.MESSAGE_TOO_LARGE(topic=feed.viewable.topic, size=feed.size, limit=MESSAGE_LIMIT)
-        descriptions = tuple({feed.viewable.type_name: feed.description for feed in feeds}.values())
+        descriptions = tuple({feed.viewable.type_name: feed.description for feed in (*frames, *feeds)}.values())
         now = int(self._context.wall() * 1e9)
         task = Task(self._number, feeds[0].viewable.type_name, self.wish, tuple(samples), seen, size, descriptions, now)
         picture = await self._renderer.draw(task)
@@ -221,11 +239,15 @@ class TopicView:
         again = self._lacks_latched and now - self._latched_at > _LATCHED_AGAIN_AFTER
         if again:
             self._lacks_latched, self._latched_at = False, now
+        frames = self._frames(topics)
         for topic, feed in [*self._feeds.items()]:
-            if topic not in topics or (again and feed.viewable.qos.latched):
+            if topic not in (*topics, *frames) or (again and feed.viewable.qos.latched):
                 self._close_feed(topic)
+                if topic in FRAMES and not feed.is_asked and not self._may_look(topic):
+                    self._renderer.forget(self._number)  # what the viewer may no longer see is in no further picture
+                    self._lacks_latched = True
         self._absent = {
-            topic: at for topic, at in self._absent.items() if topic in topics and now - at < _RESOLVE_EVERY
+            topic: at for topic, at in self._absent.items() if topic in (*topics, *frames) and now - at < _RESOLVE_EVERY
         }
         for topic in topics:
             if topic in self._absent:
@@ -236,17 +258,37 @@ class TopicView:
                 if topic == topics[0]:
                     raise
                 self._absent[topic] = now
+        frames = self._frames(topics)  # the first topic's type is known by now
+        if frames and (self._finding_frames is None or self._finding_frames.done()):
+            # Not awaited: to ask nodes for a type takes seconds, in which the map would stand still.
+            self._finding_frames = asyncio.create_task(self._open_frames(frames))
+
+    def _frames(self, topics: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the topics of transforms that a map needs, and that its viewer may look at but did not name."""
+        first = self._feeds.get(topics[0])
+        how = self.wish.how or ("plot" if self.wish.fields else "" if first is None else first.viewable.type_name)
+        if not (how == "map" or is_map(how)):
+            return ()
+        return tuple(topic for topic in FRAMES if topic not in topics and self._may_look(topic))
+
+    async def _open_frames(self, frames: tuple[str, ...]) -> None:
+        for topic in frames:
+            if topic not in self._absent:
+                try:
+                    await self._feed(topic)
+                except LinkError:
+                    self._absent[topic] = self._context.now()
 
     def _close_feed(self, topic: str) -> None:
         feed = self._feeds.pop(topic)
-        self._seen_before += feed.seen
+        self._seen_before += feed.seen * feed.is_asked
         feed.close()
 
     async def _feed(self, topic: str) -> None:
         """Subscribe to a topic, or again if its publishers have changed."""
         viewable, authors = await self._resolve(topic)
-        feed = self._feeds.get(topic)
-        if feed is not None and feed.viewable == viewable:
+        feed, is_asked = self._feeds.get(topic), topic in self.topics
+        if feed is not None and feed.viewable == viewable and feed.is_asked == is_asked:
             feed.authors = authors
             return
         text = await self._context.descriptions.find(viewable.type_name, viewable.type_hash, topic)
@@ -256,7 +298,7 @@ class TopicView:
             raise LinkError("the view is closed")
         if feed is not None:
             self._close_feed(topic)
-        feed = self._feeds[topic] = _Feed(viewable, text)
+        feed = self._feeds[topic] = _Feed(viewable, text, is_asked=is_asked)
         feed.resolved_at, feed.authors = self._context.now(), authors
         try:
             feed.subscription = self._context.ros.subscribe(viewable, self._sink(feed), self._origin)
@@ -271,7 +313,15 @@ class TopicView:
                 self._has_news = True
                 self._context.call(self._news.set)
 
-        return sink
+        tap = self._context.tap_of(feed.viewable.topic, feed.viewable)
+        if tap is None:
+            return sink
+
+        def tapped(batch: Sequence[RawMessage]) -> None:
+            sink(batch)
+            self._context.call(partial(_hand_to, tap, batch, self._context.wall_ns()))
+
+        return tapped
 
     async def _resolve(self, topic: str) -> tuple[TopicSpec, dict[bytes, str] | None]:
         """Return a topic as it is published now, and its publishers' nodes as in `_Feed.authors`.
@@ -299,6 +349,11 @@ class TopicView:
             raise LinkError(f"{topic} has publishers of several types")
         authors = {each.gid: each.node for each in publishers}
         return TopicSpec(topic, type_name, type_hash, _qos_for([each.qos for each in publishers])), authors
+
+
+def _hand_to(tap: Tap, batch: Sequence[RawMessage], time_ns: int) -> None:
+    for each in batch:
+        tap(each.payload, time_ns, each.source or time_ns, each.gid, each.number)
 
 
 def _qos_for(offered: Sequence[Qos]) -> Qos:

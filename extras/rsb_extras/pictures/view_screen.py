@@ -90,7 +90,6 @@ class ViewScreen(FullScreen[bool]):
         self._first = [_tile(console, subject) for subject in subjects[:TILES]]
         self._box = Container(*self._first, id="tiles")
         self._is_zoomed = False
-        self._shown: list[Tile] = []
 
     def compose(self) -> ComposeResult:
         yield self._box
@@ -125,7 +124,7 @@ class ViewScreen(FullScreen[bool]):
     # -- layout -------------------------------------------------------------------------------------------------------
 
     def _lay_out(self) -> None:
-        """Arrange the tiles, and have those that got out of sight end."""
+        """Arrange the tiles, and end those that are out of sight."""
         if not self.is_attached:
             return
         room, tiles = self._room(), self.tiles
@@ -142,15 +141,11 @@ class ViewScreen(FullScreen[bool]):
             tile.display = tile in shown
             # The first tile gets what is left of the last row.
             tile.styles.column_span = 1 + (columns * rows - len(shown) if number == 0 and len(shown) > 1 else 0)
-        self.call_after_refresh(self._begin_shown, shown)
+        self.call_after_refresh(self._turn_shown, shown)
 
-    def _begin_shown(self, shown: list[Tile]) -> None:
-        before, self._shown = self._shown, shown
-        for tile in before:
-            if tile not in shown and tile.is_attached:
-                tile.end()
-        for tile in shown:
-            (tile.fit if tile in before else tile.begin)()
+    def _turn_shown(self, shown: list[Tile]) -> None:
+        for tile in self.tiles:
+            tile.turn(on=tile in shown)
         self._show_keys()
 
     def _room(self) -> Spacing:
@@ -159,7 +154,7 @@ class ViewScreen(FullScreen[bool]):
         return top.room(self.size) if isinstance(top, SideBox) else Spacing()
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
-        if len(self._shown) == 1:
+        if not all(tile.display for tile in self.tiles):
             self._lay_out()
         self._show_keys()
 
@@ -219,8 +214,6 @@ class ViewScreen(FullScreen[bool]):
             self.dismiss(None)
             return
         tiles[tiles.index(tile) - 1].focus()
-        tile.end()
-        self._shown = [each for each in self._shown if each is not tile]
         await tile.remove()
         self._is_zoomed = False
         self._lay_out()

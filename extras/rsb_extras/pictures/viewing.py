@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_extras.pictures.link_views import PeerView
 
-VIEWS = 8
+VIEWS = 12
 """Views of all consoles at the same time. A round figure: one process draws them all."""
 WAITS_AT_MOST = 10.0
 """s after which a console gets None, and asks again, as `route.peeking.WAITS_AT_MOST`."""

@@ -63,6 +63,7 @@ class TakenSample(msgspec.Struct, frozen=True, array_like=True):
         payload: serialized, with its encapsulation header.
         stamp: ns since the epoch, when DDS received it.
         author: full name of the node that published it, or empty if unknown.
+        is_asked: whether the viewer named the topic (`TakenMessage.is_asked`).
     """
 
     topic: str
@@ -70,6 +71,7 @@ class TakenSample(msgspec.Struct, frozen=True, array_like=True):
     payload: bytes
     stamp: int
     author: str = ""
+    is_asked: bool = True
 
 
 class Task(msgspec.Struct, frozen=True, array_like=True):
@@ -147,10 +149,11 @@ class Artist:
             try:
                 time = sample.stamp / 1e9
                 self._view(task).receive(
-                    TakenMessage(sample.topic, sample.type_name, decoded.message, time, sample.author)
+                    TakenMessage(sample.topic, sample.type_name, decoded.message, time, sample.author, sample.is_asked)
                 )
-                taken, _ = self._newest.get(task.view, (0, 0))
-                self._newest[task.view] = max(taken, sample.stamp), _stamp_of(decoded.message)
+                if sample.is_asked:  # a picture is as old as what the viewer asked for
+                    taken, _ = self._newest.get(task.view, (0, 0))
+                    self._newest[task.view] = max(taken, sample.stamp), _stamp_of(decoded.message)
             except UndrawableError as error:
                 problem = str(error)
         try:
@@ -171,6 +174,7 @@ class Artist:
             stamp=stamp,
             notes=tuple(sanitize_text(each, 255) for each in drawn.notes[:16]),  # docs/picture-protocol.md
             problem=sanitize_text(problem or drawn.problem),
+            numbers=drawn.numbers,
         )
 
     def _type(self, name: str, text: str, type_hash: str) -> TypeDescription:
@@ -205,7 +209,7 @@ class Artist:
 
 
 def _how(task: Task) -> str:
-    return task.wish.how or task.type_name
+    return task.wish.how or ("plot" if task.wish.fields else task.type_name)
 
 
 def _missing(module: str, task: Task) -> str:

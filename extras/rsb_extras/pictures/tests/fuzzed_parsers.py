@@ -65,6 +65,7 @@ _PICTURES = (
     Picture(Pixels(2, 2, bytes(12)), taken=1, stamp=1, messages=2, size=9, type_name="a/msg/B", notes=("2×2",)),
     Picture(Pixels(1, 1, b"RIFF\x1a\0\0\0WEBPVP8L", "webp")),
     Picture(Cells(("ab", "⣿▲"), bytes((0, 1, 0, 2)), ("", "dim", "#102030"), Scale("map", 0.0, 1.0, 0.1, 0.2))),
+    Picture(Cells(("▀⠠█",), bytes((1, 2, 3)), ("", "@#102030", "free", "occupied"), None, bytes((2, 2, 1)))),
     Picture(Series(1.0, 0.5, (Curve("x", (1.0, None), (2.0, None), 1.5, 1.5),)), problem="late"),
 )
 

@@ -96,6 +96,46 @@ def test_the_worst_diagnostics_come_first_with_their_values() -> None:
     assert not any("hidden" in line for line in lines)
 
 
+AGGREGATED = (
+    ("/Robot", 2), ("/Robot/Motors", 2), ("/Robot/Motors/left", 2), ("/Robot/Motors/right", 0), ("/Robot/Power", 0),
+    ("/Robot/Power/battery", 0), ("node: a/b", 0),
+)  # fmt: skip
+
+
+def diagnostics(*names: tuple[str, int], wish: Wish = WISH) -> list[str]:
+    values = [KeyValue(key="current", value="9 A")]
+    statuses = [DiagnosticStatus(level=bytes((level,)), name=name, values=values) for name, level in names]
+    return rows(drawn(wish, DiagnosticArray(status=statuses)))
+
+
+def test_aggregated_diagnostics_are_a_tree() -> None:
+    lines = diagnostics(*AGGREGATED, wish=Wish(width=80, height=9))
+    found = [line for line in lines if "current" not in line]
+    assert [line.split()[-1] for line in found] == ["Robot", "Motors", "left", "right", "Power", "a/b"]
+    assert [line[:6].strip() for line in found] == ["ERROR", "ERROR", "ERROR", "ok", "ok", "ok"]
+    assert "1 in Power" in found[4], "there is nothing wrong with what it has"
+    assert len(lines) - len(found) == 3, "values of bad ones only"
+
+
+def test_groups_without_faults_are_opened_if_there_is_room() -> None:
+    assert any("battery" in line for line in diagnostics(*AGGREGATED))
+    assert not any("battery" in line for line in diagnostics(*AGGREGATED, wish=Wish(width=80, height=9)))
+
+
+def test_group_is_as_bad_as_its_worst() -> None:
+    lines = diagnostics(("/a/b/c", 0), ("/a/b/d", 1), ("/a/e", 0))
+    assert [line[:6].strip() for line in lines if "current" not in line] == ["WARN", "WARN", "WARN", "ok", "ok"]
+
+
+def test_found_diagnostics_have_their_groups() -> None:
+    lines = diagnostics(*AGGREGATED, wish=Wish(width=80, height=20, match="battery"))
+    assert [line.split()[-1] for line in lines] == ["Robot", "Power", "battery"]
+
+
+def test_deep_names_end_in_one_group() -> None:
+    assert len(diagnostics(("/".join(["", *"abcdefghijklm"]), 0))) == 8
+
+
 def test_stale_diagnostics() -> None:
     old, new = (DiagnosticArray(status=[DiagnosticStatus(name=name)]) for name in ("old", "new"))
     picture = Artist().do(task(WISH, old, new, every=60.0))
@@ -118,6 +158,28 @@ def test_a_track() -> None:
     lines = rows(drawn(WISH, *fixes))
     assert any("◆" in line for line in lines)
     assert any("m" in line for line in lines)
+
+
+def fixes(deviation: float = 0.0) -> list[NavSatFix]:
+    """Return fixes on a way to the north, of 1.11 m each 0.1 s."""
+    covariance = [deviation**2, 0.0, 0.0, 0.0, deviation**2, 0.0, 0.0, 0.0, 0.0]
+    return [
+        NavSatFix(
+            latitude=48.0 + at * 1e-5, longitude=11.0, position_covariance=covariance,
+            position_covariance_type=2 if deviation else 0,
+        )
+        for at in range(20)
+    ]  # fmt: skip
+
+
+def test_a_track_has_speed_and_deviation() -> None:
+    exact, rough = (drawn(WISH, *fixes(deviation)) for deviation in (0.0, 5.0))
+    assert any("11.1 m/s" in note for note in exact.notes)
+    assert any("± 5 m" in note for note in rough.notes)
+    assert not any("±" in note for note in exact.notes)
+    dim = [cells_of(each).styles.count(cells_of(each).palette.index("dim")) for each in (rough,)]
+    assert dim[0] > 8
+    assert "dim" not in cells_of(exact).palette
 
 
 def test_no_fix() -> None:

@@ -14,9 +14,11 @@ from tests.support.wording import has_text
 
 from rsb_bridge.cdr.decoder import Items, Message
 from rsb_extras.pictures.drawing import Canvas, Drawn, TakenMessage
-from rsb_extras.pictures.map_view import MapProblem, MapView, Transform
+from rsb_extras.pictures.grids import GridProblem
+from rsb_extras.pictures.map_view import MapProblem, MapView
 from rsb_extras.pictures.picture import Picture, Wish
 from rsb_extras.pictures.tests.samples import cells_of, task
+from rsb_extras.pictures.transforms import Transform
 from rsb_extras.pictures.worker import Artist
 
 WISH = Wish(width=40, height=20)
@@ -64,10 +66,10 @@ def place(of: Picture, mark: str) -> tuple[float, float]:
 
 
 def styles(of: Picture | Drawn) -> dict[str, list[int]]:
-    """Return the rows in which each style is."""
+    """Return the rows in which each style is, without the row of the legend."""
     cells, at = cells_of(of), 0
     found: dict[str, list[int]] = {}
-    for row, text in enumerate(cells.rows):
+    for row, text in enumerate(cells.rows[:-1]):
         for character, style in zip(text, cells.styles[at : at + len(text)], strict=True):
             if character != " ":
                 found.setdefault(cells.palette[style], []).append(row)
@@ -102,14 +104,14 @@ def test_robot_heading_and_goal_are_in_place(yaw: float, mark: str, kind: type) 
 def test_a_scan_goes_along_with_the_robot() -> None:
     odometry = pose(2.0, 0.0, math.pi / 2, Odometry)
     odometry.child_frame_id = "base_link"
-    scan = LaserScan(angle_min=0.0, angle_increment=0.01, range_min=0.1, range_max=9.0, ranges=[2.0] * 3)
+    scan = LaserScan(angle_min=0.0, angle_increment=0.01, range_min=0.1, range_max=9.0, ranges=[4.0] * 3)
     scan.header.frame_id = "base_link"
     result = picture(grid(), odometry, scan)
     assert result.problem == ""
     cells = cells_of(result)
     assert cells.scale is not None
     row = styles(result)["scan"][0]
-    assert abs(cells.scale.top - (row + 0.5) * cells.scale.row - 2.0) < 1.0
+    assert abs(cells.scale.top - (row + 0.5) * cells.scale.row - 4.0) < 1.0
 
 
 def test_frame_of_tf_is_not_moved_by_odometry() -> None:
@@ -118,7 +120,10 @@ def test_frame_of_tf_is_not_moved_by_odometry() -> None:
     shown: tuple[tuple[str, Message], ...] = (
         ("tf2_msgs/msg/TFMessage", {"transforms": Items("", 1, [transform])}),
         ("nav_msgs/msg/Odometry", {"header": {"frame_id": "other"}, "child_frame_id": "base_link"}),
-        ("geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "base_link"}}),
+        (
+            "geometry_msgs/msg/PoseStamped",
+            {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 1, "y": 1}}},
+        ),
     )
     for type_name, message in shown:
         view.receive(TakenMessage(f"/{type_name}", type_name, message, 1.0))
@@ -142,7 +147,7 @@ def test_a_path_is_a_line() -> None:
 def test_a_grid_whose_size_is_a_lie() -> None:
     message = grid()
     message.info.width = 2**31
-    assert has_text(picture(message).problem, MapProblem.BAD_GRID)
+    assert has_text(picture(message).problem, GridProblem.BAD_GRID)
 
 
 def test_zoom_shows_less() -> None:
@@ -165,8 +170,8 @@ def test_unknown_cells_of_a_costmap_are_not_occupied() -> None:
     message: Message = {"metadata": {"size_x": 2, "size_y": 2, "resolution": 1.0}, "data": cells}
     view.receive(TakenMessage("/c", "nav2_msgs/msg/Costmap", message, 1.0))
     found = styles(view.draw(WISH))
-    assert found.keys() == {"free", "occupied", "axis"}
-    assert max(found["occupied"]) <= max(found["free"]) + 1, "below are the unknown ones"
+    assert {"free", "lethal"} <= found.keys()
+    assert max(found["lethal"]) <= max(found["free"]) + 1, "below are the unknown ones"
 
 
 def test_repeated_path_is_drawn_in_bounded_time() -> None:
@@ -178,3 +183,161 @@ def test_repeated_path_is_drawn_in_bounded_time() -> None:
     before = bytes(canvas.dots)
     canvas.line(0, 599, 799, 0, "path")
     assert sum(a != b for a, b in zip(before, bytes(canvas.dots), strict=True)) <= 2  # its ends
+
+
+# -- the ground
+
+
+def tints(of: Picture | Drawn) -> dict[str, set[int]]:
+    """Return the columns of the middle row in which each tint is."""
+    cells = cells_of(of)
+    middle, width = len(cells.rows) // 2, len(cells.rows[0])
+    row = cells.backgrounds[middle * width : (middle + 1) * width]
+    found: dict[str, set[int]] = {}
+    for column, tint in enumerate(row):
+        found.setdefault(cells.palette[tint], set()).add(column)
+    return found
+
+
+def test_free_and_unknown_ground_differ() -> None:
+    message = grid()
+    message.data = [0 if at % 100 < 50 else -1 for at in range(10_000)]
+    message.data[99] = 0  # so that all of it is known
+    found = tints(picture(message))
+    assert found["free"] == set(range(min(found["free"]), 20))
+    assert found["unknown"] >= set(range(20, 40))
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.02, math.pi / 2])
+def test_wall_of_one_cell_is_whole(turned: float) -> None:
+    message = grid(2000, 0.01)
+    message.info.origin.orientation.z, message.info.origin.orientation.w = math.sin(turned / 2), math.cos(turned / 2)
+    message.data = [100 if at // 2000 == 1000 else 0 for at in range(4_000_000)]
+    cells = cells_of(picture(message))
+    walls = sum(cells.palette[style] == "occupied" for style in cells.styles[: -len(cells.rows[-1])])
+    assert walls >= (8 if turned > 1 else 16), "cells of a grid of 20 m in a square picture of 20 rows"
+
+
+def test_walls_are_drawn_by_quarters() -> None:
+    message = grid(4, 1.0)
+    message.data = [100 if at in (0, 5) else 0 for at in range(16)]
+    shown = "".join(cells_of(picture(message, wish=Wish(width=2, height=4, zoom=1.1))).rows)
+    assert set(shown) & set("▖▘▝▗▞▚▄▀▌▐")
+
+
+def costs(values: list[int], topic: str) -> set[str]:
+    """Return the tints of a row of values."""
+    message = OccupancyGrid(data=values)
+    message.header.frame_id = "map"
+    message.info.width, message.info.height, message.info.resolution = len(values), 1, 1.0
+    result = Artist().do(task(Wish(width=4 * len(values), height=8), message, topic=topic))
+    assert result is not None
+    cells = cells_of(result)
+    return {cells.palette[each] for each in (*cells.backgrounds, *cells.styles)}
+
+
+def test_costs_are_told_by_topic_or_values() -> None:
+    values = [0, 0, 0, 0, 0, 0, 10, 90, 99, 100]
+    as_map, by_name = costs([0, 0, 40, 50, 60, 70], "/map"), costs([0, 0, 40, 50, 60, 70], "/local_costmap/costmap")
+    assert not any("#" in each for each in as_map)
+    assert any("#" in each for each in by_name)
+    assert {"lethal", "#00ffff", "#0000ff", "#ff0000"} <= costs(values, "/anything")
+
+
+def test_costs_leave_walls_of_map_in_sight() -> None:
+    wall, cost = grid(), grid()
+    cost.data = [0] * 5000 + [100] * 5000
+    both = MapView()
+    for topic, message in (("/map", wall), ("/costmap", cost)):
+        info = {"width": 100, "height": 100, "resolution": 0.1, "origin": {"position": {"x": -5.0, "y": -5.0}}}
+        values = Items("int8", 10_000, raw=memoryview(bytes(each % 256 for each in message.data)), code="<b")
+        decoded: Message = {"header": {"frame_id": "map"}, "info": info, "data": values}  # type: ignore[dict-item]
+        both.receive(TakenMessage(topic, "nav_msgs/msg/OccupancyGrid", decoded, 1.0))
+    over = styles(both.draw(WISH))
+    assert {"lethal", "occupied"} <= over.keys()
+    assert over["occupied"] == styles(picture(wall))["occupied"]
+
+
+def test_ground_goes_on_behind_dots() -> None:
+    cells = cells_of(picture(grid(), path([(-4.0, 0.0), (4.0, 0.0)])))
+    behind = {
+        cells.palette[background]
+        for style, background in zip(cells.styles, cells.backgrounds, strict=True)
+        if cells.palette[style] == "path" and background
+    }
+    assert behind == {"free"}
+
+
+def path(points: list[tuple[float, float]]) -> Path:
+    message = Path(poses=[pose(x, y, 0.0) for x, y in points])
+    message.header.frame_id = "map"
+    return message
+
+
+def test_legend_names_topics_as_room_allows() -> None:
+    messages = grid(), path([(0.0, 0.0), (1.0, 1.0)])
+    wide, narrow, low = (
+        picture(*messages, wish=Wish(width=width, height=height)) for width, height in ((100, 20), (24, 20), (24, 3))
+    )
+    assert "/topic0" in cells_of(wide).rows[-1]
+    assert "/topic1" in cells_of(wide).rows[-1]
+    assert "…" in cells_of(narrow).rows[-1]
+    assert "topic" not in cells_of(low).rows[-1]
+
+
+# -- robots and frames
+
+
+def frame(child: str, parent: str, x: float = 0.0, *, topic: str = "/tf", asked: bool = False) -> TakenMessage:
+    transform: Message = {
+        "header": {"frame_id": parent},
+        "child_frame_id": child,
+        "transform": {"translation": {"x": x, "y": 5.0}},
+    }
+    return TakenMessage(topic, "tf2_msgs/msg/TFMessage", {"transforms": Items("", 1, [transform])}, 1.0, is_asked=asked)
+
+
+def on_grid(*received: TakenMessage) -> MapView:
+    view = MapView()
+    cells = Items("int8", 100, raw=memoryview(bytes(100)), code="<b")
+    info: Message = {"width": 10, "height": 10, "resolution": 1.0}
+    message: Message = {"header": {"frame_id": "map"}, "info": info, "data": cells}
+    view.receive(TakenMessage("/map", "nav_msgs/msg/OccupancyGrid", message, 1.0))
+    for each in received:
+        view.receive(each)
+    return view
+
+
+def shown(view: MapView) -> str:
+    return "\n".join(cells_of(view.draw(Wish(width=60, height=20))).rows)
+
+
+def test_robot_is_drawn_where_frames_have_it() -> None:
+    without, with_it = shown(on_grid()), shown(on_grid(frame("odom", "map"), frame("base_link", "odom", 5.0)))
+    assert "▶" not in without
+    assert "▶" in with_it
+    two = on_grid(frame("a/base_link", "map", 2.0), frame("b/base_link", "map", 8.0), frame("b/base_footprint", "map"))
+    assert shown(two).count("▶") == 4, "each on the map, and in the legend"
+
+
+def test_robot_of_frames_is_not_drawn_twice() -> None:
+    odometry: Message = {"header": {"frame_id": "map"}, "child_frame_id": "base_link", "pose": {"pose": {}}}
+    view = on_grid(frame("base_link", "map", 5.0), TakenMessage("/odom", "nav_msgs/msg/Odometry", odometry, 1.0))
+    assert shown(view).count("▶") == 2
+
+
+def test_names_of_frames_are_shown_if_asked_for() -> None:
+    assert "·laser" not in shown(on_grid(frame("laser", "map", 5.0)))
+    assert "·laser" in shown(on_grid(frame("laser", "map", 5.0, asked=True)))
+
+
+def test_robot_whose_transform_is_old_is_named() -> None:
+    view = on_grid(frame("base_link", "map"))
+    fresh = view.draw(WISH)
+    view.now = 60.0
+    old = view.draw(WISH)
+    assert not any(has_text(note, MapProblem.OLD) for note in fresh.notes)
+    assert any(has_text(note, MapProblem.OLD, frame="base_link") for note in old.notes)
+    static = on_grid(frame("base_link", "map", topic="/tf_static"))
+    static.now = 60.0
+    assert not any(has_text(note, MapProblem.OLD) for note in static.draw(WISH).notes)

@@ -17,8 +17,8 @@ Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
 RED, GREEN = b"\xff\0\0", b"\0\xff\0"
 
 
-def rows(content: Cells | Series, width: int, height: int) -> list[str]:
-    return ["".join(part.text for part in row) for row in picture_rows(content, width, height)]
+def rows(content: Cells | Series, width: int = 80, height: int = 24, **how: int) -> list[str]:
+    return ["".join(part.text for part in row) for row in picture_rows(content, width, height, **how)]
 
 
 def webp(width: int, height: int, **how: object) -> bytes:
@@ -40,6 +40,33 @@ def test_characters_without_styles() -> None:
     assert picture_rows(Cells(("ab", "c")), 80, 24) == [(Part("ab"),), (Part("c"),)]
     assert picture_rows(Cells(("ab",), palette=("ok",)), 80, 24) == [(Part("ab", "ok"),)]
     assert picture_rows(Cells(()), 80, 24) == []
+
+
+GROUND = Cells(
+    ("a ▀ ⠠",), bytes((0, 0, 3, 0, 1)), ("", "free", "#0000ff", "@#0000ff", "@free"), None, bytes((1, 2, 1, 0, 1))
+)
+
+
+def test_tints_lie_behind_characters() -> None:
+    expected = (Part("a", "", "@free"), Part(" ", "", "@#0000ff"), Part("▀", "@#0000ff", "@free"), Part(" "))
+    (shown,) = picture_rows(GROUND, 80, 24)
+    assert shown == (*expected, Part(" ", "", "@free")), "the colour says what the dot says"
+
+
+def test_few_colours_show_only_saturated_tints() -> None:
+    (shown,) = picture_rows(GROUND, 80, 24, colours=16)
+    assert shown == (Part("a"), Part(" ", "", "@#0000ff"), Part("▀", "@#0000ff"), Part(" "), Part("⠠", "free"))
+
+
+def test_without_colours_characters_say_what_tints_say() -> None:
+    assert rows(GROUND, colours=0) == ["a·  ⠠"]
+    halves = Cells(("▀",), b"\1", ("", "@free"), None, b"\0")
+    assert rows(halves, colours=16) == [" "]
+
+
+def test_a_mark_stands_on_the_ground() -> None:
+    (shown,) = with_mark(picture_rows(GROUND, 80, 24), 1, 0, Part("X", "goal"), 5)
+    assert shown[1] == Part("X", "goal", "@#0000ff")
 
 
 def test_a_plot_fills_its_area() -> None:

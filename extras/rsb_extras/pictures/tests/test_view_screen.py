@@ -652,7 +652,7 @@ async def test_an_image_is_written_in_its_own_resolution(app: ConsoleApp, pilot:
 async def test_without_full_image_visible_one_is_written(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     await comes(pilot, viewed(IMAGE))
     await until(pilot, lambda: has_picture(app), "the picture")
-    await written(pilot, EngineError("4 views of this link are open already"))
+    await written(pilot, EngineError("9 views of this link are open already"))
     await notified(pilot, ViewText.WRITTEN)
     file, drawing = sorted(folder.iterdir())
     assert ElementTree.parse(drawing).getroot().tag.endswith("svg")
@@ -782,7 +782,7 @@ async def test_a_picture_larger_than_the_pane_is_cut(app: ConsoleApp, pilot: Pil
     await until(pilot, lambda: has_picture(app), "the picture")
     await shown(pilot, "xxx")
     assert all(len(line) == NARROW[0] for line in text(app).splitlines())
-    await comes(pilot, viewed(Pixels(400, 300, bytes(360_000))))
+    await comes(pilot, viewed(Pixels(400, 300, (bytes(2400) + b"\xff" * 2400) * 75)))
     await shown(pilot, "▀▀")
 
 

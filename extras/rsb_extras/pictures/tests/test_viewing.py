@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -34,6 +35,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Grant, Topic
 from rsb_extras.pictures.link_views import VIEW, VIEWS_OF_PEER, LinkViews, ViewCode, ViewRefused
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
+from rsb_extras.pictures.map_view import MapProblem
 from rsb_extras.pictures.picture import Cells, Picture, Wish
 from rsb_extras.pictures.renderer import Renderer, renderer_of
 from rsb_extras.pictures.tests import picture_places
@@ -271,6 +273,39 @@ def test_looking_is_less_than_reading(bridge: Bridge, robot: Domain) -> None:
     eventually(
         lambda: any(each.key == key and has_text(each.reason, DeniedText.NOT_ALLOWED) for each in now(server).routes)
     )
+
+
+@pytest.mark.parametrize("may", [True, False])
+def test_map_gets_frames_that_its_viewer_may_look_at(
+    bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch, may: bool
+) -> None:
+    """An odometry stands for the transforms, whose package is not among the tests'."""
+    picture_places.VIEW_FRAMES.set(monkeypatch, ("/frames",))
+    far, frames = robot.publisher("/far", PoseStamped), robot.publisher("/frames", Odometry)
+    allowed = ("/far", "/other", "/frames")[: 2 + may]
+    server, client = bridge.server(), bridge.client(allow=tuple(Grant(topic, may="look") for topic in allowed))
+    eventually(lambda: linked(client) and linked(server))
+    eventually(lambda: all(agree(robot.id, topic) for topic in ("/far", "/frames")))
+    at_base, transform = pose(1.0), Odometry(child_frame_id="base_link")
+    at_base.header.frame_id, transform.header.frame_id = "base_link", "map"
+
+    def drawn() -> Viewed | None:
+        future = look_at(server, "me", ("/far",), Wish(width=40, height=20, rate=10.0, frame="map"), "robot1")
+        while not future.done():
+            far.publish(at_base)
+            frames.publish(transform)
+            time.sleep(0.02)
+        viewed = future.result()
+        (view,) = views_drawn_by(inside(client).role.links()[0]).values()
+        is_settled = "/frames" in feeds(view[0]) if may else viewed is not None and viewed.picture.messages > 20
+        return viewed if viewed is not None and is_settled and bool(viewed.picture.content) == may else None
+
+    viewed = eventually(drawn)
+    if may:
+        assert "◆" in rows(viewed)
+        assert "/frames" not in rows(viewed), "nobody asked for it: it is no part of the picture"
+    else:
+        assert has_text(viewed.picture.problem, MapProblem.NO_TRANSFORM)
 
 
 def test_right_that_is_taken_away_ends_view(bridge: Bridge, robot: Domain) -> None:

@@ -1,0 +1,1 @@
+"""The demo's simulated robot, its rooms, and its desk."""

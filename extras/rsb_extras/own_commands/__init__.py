@@ -1,0 +1,32 @@
+"""Own commands: keys of the console that run an operator's shell commands, as ``console.yaml`` lists them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.feature import Feature
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_console.actions.action import Action
+    from rsb_console.notation.console_setting import ConsoleSetting
+    from rsb_console.preferences import Preferences
+    from rsb_extras.own_commands.own_command import OwnCommand
+
+
+class OwnCommands(Feature):
+    name = "own_commands"
+
+    def console_settings(self) -> Iterable[ConsoleSetting[tuple[OwnCommand, ...]]]:
+        from rsb_extras.own_commands.own_command import COMMANDS  # noqa: PLC0415 -- `Feature` says why, here and below
+
+        return (COMMANDS,)
+
+    def own_actions(self, preferences: Preferences) -> Iterable[Action]:
+        from rsb_extras.own_commands.own_command import COMMANDS, action_of  # noqa: PLC0415
+
+        return map(action_of, COMMANDS.of(preferences))
+
+
+FEATURE = OwnCommands()

@@ -1,0 +1,48 @@
+"""What ``doctor`` finds out about the terminal: what images will look like, and what would make them better."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.finding import Finding, Grade
+from rsb_bridge.model.wording import Wording
+from rsb_console.terminal.terminal_facts import TRUE_COLOUR, ask, can_be_asked, facts_before_answers
+from rsb_extras.pictures.graphics import why_no_graphics
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rsb_console.terminal.terminal_facts import TerminalFacts
+
+
+class TerminalText(Wording):
+    NONE = "no terminal: standard input or output is a file or a pipe"
+    PIXELS = "images are shown in pixels: {facts}"
+    BLOCKS = "images are shown in characters: {facts}"
+    MORE_COLOURS = "if it has more colours: export COLORTERM=truecolor, or terminal: {{colours: true}} in console.yaml"
+    MORE_PIXELS = "kitty, WezTerm, Ghostty, foot or xterm -ti vt340 show pixels"
+
+
+def terminal() -> Iterator[Finding]:
+    """Ask the terminal of this command."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        yield Finding("terminal", Grade.UNKNOWN, "terminal", TerminalText.NONE())
+        return
+    facts = facts_before_answers(os.environ, 1)
+    if can_be_asked(os.environ):
+        facts = ask(facts, 0, 1)
+    yield finding(facts)
+
+
+def finding(facts: TerminalFacts) -> Finding:
+    """Return what a terminal's facts mean for images."""
+    lacks = why_no_graphics(facts.pixels)
+    shows_pixels = facts.pixels != "" and not lacks
+    text = (TerminalText.PIXELS if shows_pixels else TerminalText.BLOCKS)(facts=facts.line())
+    remedy = lacks
+    if not facts.pixels:
+        remedy = TerminalText.MORE_PIXELS() if facts.colours == TRUE_COLOUR else TerminalText.MORE_COLOURS()
+    data = {"name": facts.name, "colours": facts.colours, "cell": facts.cell, "pixels": facts.pixels}
+    return Finding("terminal", Grade.NOTE if remedy else Grade.OK, "terminal", text, remedy, data)

@@ -1,0 +1,96 @@
+"""Recording: the last seconds of all bridged topics, in memory, and in a file when an operator asks for it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
+
+from rsb_bridge.feature import Feature, SessionKey
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from rsb_bridge.engine.bridge import Bridge
+    from rsb_bridge.engine.part import EnginePart
+    from rsb_bridge.model.commands import Command
+    from rsb_console.actions.action import Action
+    from rsb_console.command.remote_arguments import AddCommand, Complete
+
+
+class RecordLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The bounds of what is kept in memory; the tighter one counts.
+
+    Attributes:
+        seconds: age of the oldest message.
+        megabytes: MiB of all messages together.
+    """
+
+    seconds: float = 30.0
+    megabytes: float = 32.0
+
+
+RECORD: SessionKey[bool | RecordLimits] = SessionKey("record", bool | RecordLimits, False, live=True)
+"""Whether the last messages are kept, and within which bounds."""
+
+
+def record_limits(session: Any) -> RecordLimits | None:
+    """Return the bounds that a session sets, or None if it keeps nothing."""
+    value = RECORD.of(session)
+    return RecordLimits() if value is True else value or None
+
+
+class Recording(Feature):
+    name = "recording"
+    libraries: ClassVar[Mapping[str, str]] = {"record": "mcap"}
+
+    def session_keys(self) -> Iterable[SessionKey[Any]]:
+        return (RECORD,)
+
+    def problems(self, session: Any) -> Iterable[tuple[str, str]]:
+        from rsb_extras.recording import record_rules  # noqa: PLC0415 -- `Feature` says why, here and below
+
+        return record_rules.problems(session)
+
+    def advice(self, session: Any, file: Path | None) -> Iterable[tuple[str, str]]:
+        from rsb_extras.recording import record_rules  # noqa: PLC0415
+
+        return record_rules.advice(session)
+
+    def commands(self) -> Iterable[type[Command[object]]]:
+        from rsb_extras.recording.keep_last import KeepLast  # noqa: PLC0415
+
+        return (KeepLast,)
+
+    def parts(self, bridge: Bridge) -> Iterable[EnginePart]:
+        from rsb_extras.recording.keeping import Keeping  # noqa: PLC0415
+
+        return (Keeping(bridge),)
+
+    def subcommands(self, add: AddCommand, complete: Complete) -> None:
+        from rsb_console.command.remote_arguments import EXIT, named_bridge_options, subcommand  # noqa: PLC0415
+
+        summary = "write the last seconds of all bridged topics to a file (MCAP)"
+        place = "rsb_extras.recording.record_command:record"
+        parser = add("record", subcommand(place), summary, EXIT, after="report")
+        named_bridge_options(parser, complete)
+        parser.add_argument(
+            "--seconds", type=float, default=None, metavar="N", help="how many; without it, all that is kept"
+        )
+        output = "move the file there, on the bridge's machine; without it, the bridge names it"
+        complete(parser.add_argument("--output", metavar="FILE", help=output), "files")
+
+    def actions(self) -> Iterable[Action]:
+        from rsb_console.actions.action import Action, Group, late  # noqa: PLC0415
+
+        return (
+            Action(
+                "record", "P", "record", "Write the last seconds of all bridged topics to a file", Group.OPERATE,
+                changes=True, also="keep, mcap, bag, rosbag, black box",
+                run=late("rsb_extras.recording.record_key:record_last"),
+            ),
+        )  # fmt: skip
+
+
+FEATURE = Recording()

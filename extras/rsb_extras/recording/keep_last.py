@@ -1,0 +1,54 @@
+"""What a console asks an engine for: a file of the last messages."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from rsb_bridge.model.commands import Command
+from rsb_bridge.model.limits import TEXT_LENGTH
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.wire.records import Count, Name, Seconds
+
+TOPICS_NAMED = 10
+_PATH = 4096
+"""Characters of a path: Linux's PATH_MAX."""
+
+
+class KeptRecording(msgspec.Struct, frozen=True):
+    """A recording that was written.
+
+    Attributes:
+        path: of the file, on the engine's machine.
+        host: name of that machine.
+        seconds: from the first message to the last.
+        size: bytes of the file.
+        undescribed: topics without any message in it, as nobody describes their types; the first ones.
+        too_large: messages without a place in the ring, since it was switched on.
+    """
+
+    path: Annotated[str, Meta(max_length=_PATH)]
+    host: Annotated[str, Meta(max_length=TEXT_LENGTH)]
+    messages: Count
+    topics: Count
+    seconds: Seconds
+    size: Count
+    undescribed: Annotated[tuple[Name, ...], Meta(max_length=TOPICS_NAMED)] = ()
+    too_large: Count = 0
+
+
+class KeepLast(Command[KeptRecording], frozen=True, tag="keep_last"):
+    """Write the last messages of all bridged topics to a new file on the engine's machine.
+
+    Attributes:
+        seconds: how many, or None for all that are kept.
+    """
+
+    refreshes = False
+    seconds: Annotated[float, Meta(gt=0)] | None = None
+
+    def checked(self, result: KeptRecording) -> KeptRecording:
+        path, host = sanitize_text(result.path, _PATH), sanitize_text(result.host)
+        return msgspec.structs.replace(result, path=path, host=host)

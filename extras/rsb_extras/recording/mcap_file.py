@@ -1,0 +1,149 @@
+"""Recordings in files: MCAP with the profile ``ros2``, as `ros2 bag` writes it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
+
+import yaml
+
+from rsb_bridge.config.files import owner_only
+from rsb_bridge.model.qos import TIMES
+from rsb_bridge.model.wording import Wording
+from rsb_extras.recording.message_definition import message_definition
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from rsb_bridge.model.qos import Qos
+
+_LONGEST = (1 << 64) - 1  # ns; a time of MCAP
+_NUMBERS = 1 << 32  # of messages, after which they begin again
+_NEVER = {"sec": 9223372036, "nsec": 854775807}
+"""A deadline, lifespan or lease where there is none, as rmw has it."""
+
+
+class McapText(Wording):
+    """The reason why there can be no recording."""
+
+    NOT_INSTALLED = "mcap is not installed: pip install 'rsb-console[record]' on the bridge's machine"
+
+
+class McapError(Exception):
+    """There can be no recording; the message says why, and what to do."""
+
+
+class RecordedTopic(NamedTuple):
+    """A topic as one publisher or one link has it.
+
+    Attributes:
+        type_name: ``pkg/msg/Name``.
+        description: of the type, with its hash (`rsb_bridge.cdr.description`).
+        publisher: name of a node or a link, or empty for any.
+    """
+
+    topic: str
+    type_name: str
+    type_hash: str
+    description: str
+    qos: Qos
+    publisher: str = ""
+
+
+class McapFile:
+    """Writes the messages of one recording. Each topic becomes a channel with its first message.
+
+    Args:
+        file: is written to from its beginning, and not closed.
+
+    Attributes:
+        messages: number of those that are written.
+
+    Raises:
+        McapError: MCAP's library is not installed.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        try:
+            from mcap.writer import Writer  # noqa: PLC0415 -- bridges that record nothing do without
+        except ImportError:
+            raise McapError(McapText.NOT_INSTALLED()) from None
+        self.messages = 0
+        self._writer: Any = Writer(file)
+        self._writer.start(profile="ros2", library="rsb-console")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[RecordedTopic, int] = {}
+
+    def add(self, topic: RecordedTopic, content: bytes, time: int, published: int, number: int = 0) -> None:
+        """Write a message.
+
+        Args:
+            content: the serialized message (CDR).
+            time: ns since the epoch, when it came to the place that records.
+            published: ns since the epoch, when it was published.
+            number: among its publisher's messages, from 1, or 0 if unknown.
+
+        Raises:
+            DescriptionError: no message file can describe the topic's type. Nothing is written.
+            OSError: the file cannot be written.
+        """
+        channel = self._channels.get(topic) or self._channel(topic)
+        # Clocks of publishers may say anything.
+        logged, stamp = (min(max(0, each), _LONGEST) for each in (time, published))
+        self._writer.add_message(channel, logged, content, stamp, number % _NUMBERS)
+        self.messages += 1
+
+    def finish(self) -> None:
+        """Write the end of the file: index and statistics."""
+        self._writer.finish()
+
+    def _channel(self, topic: RecordedTopic) -> int:
+        schema = self._schemas.get(topic.description)
+        if schema is None:
+            definition = message_definition(topic.description)
+            schema = self._writer.register_schema(topic.type_name, "ros2msg", definition.encode())
+            self._schemas[topic.description] = schema
+        metadata = {"offered_qos_profiles": qos_profiles(topic.qos), "topic_type_hash": topic.type_hash}
+        if topic.publisher:
+            metadata["publisher"] = topic.publisher
+        channel: int = self._writer.register_channel(topic.topic, "cdr", schema, metadata)
+        self._channels[topic] = channel
+        return channel
+
+
+def qos_profiles(qos: Qos) -> str:
+    """Return a QoS as rosbag2 writes it since its version 9 (Jazzy)."""
+    profile: dict[str, object] = {
+        "history": qos.history,
+        "depth": qos.depth,
+        "reliability": qos.reliability,
+        "durability": qos.durability,
+        "liveliness": qos.liveliness,
+        "avoid_ros_namespace_conventions": False,
+    }
+    for name in TIMES:
+        seconds, rest = divmod(round(getattr(qos, name) * 1e9), 1_000_000_000)
+        profile[name] = {"sec": seconds, "nsec": rest} if seconds or rest else dict(_NEVER)
+    text: str = yaml.safe_dump([profile], sort_keys=False)
+    return text
+
+
+@contextlib.contextmanager
+def new_recording(path: Path) -> Iterator[McapFile]:
+    """A recording in a file that is not there yet, mode 0600; where writing it fails, it is not there either.
+
+    Raises:
+        McapError: MCAP's library is not installed.
+        OSError: the file is there, or it cannot be written.
+    """
+    handle = owner_only(str(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            recording = McapFile(file)
+            yield recording
+            recording.finish()
+    except BaseException:  # of the caller, too: half a recording is of no use
+        path.unlink(missing_ok=True)
+        raise

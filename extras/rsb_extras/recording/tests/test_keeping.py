@@ -1,0 +1,277 @@
+"""Recordings of bridges between two domains."""
+
+from __future__ import annotations
+
+import itertools
+import resource
+import stat
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from geometry_msgs.msg import PoseStamped
+from msgspec.structs import replace
+from nav_msgs.msg import OccupancyGrid, Odometry
+from std_msgs.msg import String
+from tests.support.bridge import carries, reloaded, stage
+from tests.support.domain import LATCHED, text
+from tests.support.filled import filled
+from tests.support.inside import inside
+from tests.support.waiting import eventually
+from tests.support.wording import pattern
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.files import Shortage
+from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.route.topic_route import TopicRoute
+from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
+from rsb_extras.pictures.picture import Wish
+from rsb_extras.recording import RecordLimits
+from rsb_extras.recording.keep_last import KeepLast
+from rsb_extras.recording.keeping import FOLDER_SIZE, KeepProblem
+from rsb_extras.recording.mcap_file import McapText
+from rsb_extras.recording.tests.recordings import read, read_strictly
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+    from rsb_bridge.engine import Engine
+    from rsb_extras.recording.keep_last import KeptRecording
+    from rsb_extras.recording.message_ring import MessageRing
+
+ON = {"record": True}
+
+
+def keep(engine: Engine, seconds: float | None = None) -> KeptRecording:
+    return engine.do(KeepLast(seconds)).result(60)
+
+
+def kept(engine: Engine) -> int:
+    """Return the number of messages in an engine's ring."""
+    part: Any = inside(engine).handlers[KeepLast]
+    ring = part.__self__.ring
+    return 0 if ring is None else len(ring)
+
+
+def routes(engine: Engine) -> list[TopicRoute[Any]]:
+    found = [route for link in inside(engine).role.links() for route in tuple(link.routes.values())]
+    return [route for route in found if isinstance(route, TopicRoute)]
+
+
+def test_both_sides_write_what_passed(bridge: Bridge, robot: Domain, pc: Domain, folder: Path) -> None:
+    grid = OccupancyGrid()
+    grid.info.width, grid.info.height, grid.data = 3, 2, [0, 100, -1, 0, 0, 0]
+    robot.publisher("/map", OccupancyGrid, LATCHED).publish(grid)
+    chat, odometry = robot.publisher("/chat"), robot.publisher("/odom", Odometry)
+    for topic, kind in (("/chat", String), ("/odom", Odometry)):
+        pc.listener(topic, kind)
+    pc.listener("/map", OccupancyGrid, LATCHED)
+    topics = (Topic("/chat", "transmit"), Topic("/odom", "transmit", compression="zstd"), Topic("/map", "transmit"))
+    engines = bridge.both(*topics, features=ON)
+    carries([chat, odometry], engines[0], ["/chat", "/odom"])
+    eventually(lambda: stage(engines[0], "/map", "published"))
+    began = time.time_ns()
+    for number in range(20):
+        chat.publish(text(f"message {number}"))
+        odometry.publish(filled(Odometry))
+    eventually(lambda: all(kept(each) == 41 for each in engines))
+    for engine in engines:
+        written = keep(engine)
+        path = Path(written.path)
+        assert (written.messages, written.topics, path.parent) == (41, 3, folder)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        messages = read(path)
+        times = [each.time for each in messages]
+        assert times == sorted(times)
+        assert [each.message.data for each in messages if each.topic == "/chat"] == [f"message {n}" for n in range(20)]
+        assert {each.message.child_frame_id for each in messages if each.topic == "/odom"} == {"größer"}
+        (latched,) = (each.message for each in messages if each.topic == "/map")
+        assert (latched.info.width, latched.data.tolist()) == (3, [0, 100, -1, 0, 0, 0])
+        for schema, channel, message in read_strictly(path):
+            assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+            if channel.topic == "/chat":
+                assert began <= message.publish_time <= time.time_ns()
+                assert abs(message.log_time - message.publish_time) < 30e9
+    assert len([*folder.glob("*.mcap")]) == 2, "nothing is overwritten"
+
+
+def test_off_no_route_has_a_tap(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    listener, publisher = pc.listener("/chat"), robot.publisher("/chat")
+    engines = bridge.both(Topic("/chat", "transmit"))
+    carries([publisher], engines[0], ["/chat"])
+    publisher.publish(text("one"))
+    eventually(lambda: listener.payloads)
+    for engine in engines:
+        (route,) = routes(engine)
+        assert route.peek_slot.tap is None
+        assert not route.peek_slot.wanted
+        with pytest.raises(EngineError, match="record: true"):
+            keep(engine)
+
+
+def test_burst_of_large_and_small_keeps_order(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Large ones are unpacked and published on other threads; those behind them wait."""
+    listener, publisher = pc.listener("/chat"), robot.publisher("/chat")
+    engines = bridge.both(Topic("/chat", "transmit", compression="zstd"), features=ON)
+    carries([publisher], engines[0], ["/chat"])
+    words = [f"{number} " * (400_000 if number % 10 == 0 else 1) for number in range(50)]
+    for each in words:
+        publisher.publish(text(each))
+    eventually(lambda: len(listener.payloads) == 50)
+    for engine in engines:
+        eventually(lambda engine=engine: kept(engine) == 50)
+        assert [each.message.data for each in read(keep(engine).path)] == words
+
+
+def test_latched_topic_from_before_the_window_is_there(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    pc.listener("/map", OccupancyGrid, LATCHED)
+    chat, there = robot.publisher("/chat"), pc.listener("/chat")
+    robot.publisher("/map", OccupancyGrid, LATCHED).publish(OccupancyGrid(data=[7]))
+    topics = Topic("/map", "transmit"), Topic("/chat", "transmit")
+    engines = bridge.both(*topics, features={"record": RecordLimits(seconds=1.0, megabytes=1.0)})
+    eventually(lambda: stage(engines[0], "/map", "published"))
+    carries([chat], engines[0], ["/chat"])
+    began = time.time()
+    eventually(lambda: time.time() - began > 1.5)
+    chat.publish(text("late"))
+    eventually(lambda: there.payloads)
+    for engine in engines:
+        eventually(lambda engine=engine: kept(engine) == 2)
+        first, second = read(keep(engine).path)
+        assert (first.topic, second.topic, first.message.data.tolist()) == ("/map", "/chat", [7])
+        assert second.time - first.time < 1e9, "players do not wait for the others"
+
+
+def test_recording_begins_and_ends_with_a_reload(bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path) -> None:
+    listener, publisher = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    carries([publisher], server, ["/chat"])
+    publisher.publish(text("before"))
+    eventually(lambda: listener.payloads)
+    for engine in (server, client):
+        reloaded(engine, tmp_path / f"{engine.session.role}.yaml", features=ON)
+    publisher.publish(text("between"))
+    for engine in (server, client):
+        eventually(lambda engine=engine: kept(engine) == 1)
+        assert [each.message.data for each in read(keep(engine).path)] == ["between"]
+        reloaded(engine, tmp_path / f"{engine.session.role}.yaml", features={})
+        assert (kept(engine), routes(engine)[0].peek_slot.tap) == (0, None)
+    publisher.publish(text("after"))
+    eventually(lambda: len(listener.payloads) == 3)
+    with pytest.raises(EngineError, match="record: true"):
+        keep(client)
+
+
+def test_message_over_several_links_is_kept_once(bridge: Bridge, robot: Domain, pc: Domain, third: Domain) -> None:
+    """The server takes it from one robot, and brings it to another; it takes the PC's own to both."""
+    clients = tuple(Client(name, key_file=bridge.key_file) for name in ("from", "to"))
+    server = bridge.server(clients=clients, shared_keys=True, features=ON)
+    bridge.client(Topic("/chat", "transmit"), Topic("/news", "receive"), name="from")
+    bridge.client(Topic("/chat", "receive"), Topic("/news", "receive"), name="to", domain_id=third.id)
+    chat, news = robot.publisher("/chat"), pc.publisher("/news")
+    listeners = [third.listener("/chat"), third.listener("/news"), robot.listener("/news")]
+    pc.listener("/chat")
+
+    def is_heard() -> bool:
+        chat.publish(text("first"))
+        news.publish(text("first"))
+        return all(each.payloads for each in listeners)
+
+    eventually(is_heard)
+    for number in range(10):
+        chat.publish(text(f"chat {number}"))
+        news.publish(text(f"news {number}"))
+    eventually(lambda: all(each.texts(1)[0].endswith(" 9") for each in listeners))
+    words = sorted(each.message.data for each in read(keep(server).path) if each.message.data != "first")
+    assert words == sorted(f"{topic} {number}" for topic in ("chat", "news") for number in range(10))
+
+
+def test_topic_of_a_view_is_recorded_where_it_is_drawn(bridge: Bridge, robot: Domain) -> None:
+    publisher = robot.publisher("/pose", PoseStamped)
+    server, client = bridge.both(features=ON)
+    eventually(lambda: inside(client).context.ros.publishers("/pose"))
+    look = LookAtTopics("me", ("/pose",), Wish(40, 20))
+
+    def drawn() -> bool:
+        publisher.publish(PoseStamped())
+        return server.do(look).result(30) is not None and kept(client) > 2
+
+    eventually(drawn)
+    assert {each.topic for each in read(keep(client).path)} == {"/pose"}
+    with pytest.raises(EngineError, match=pattern(KeepProblem.NOTHING_YET)):
+        keep(server)
+    server.do(EndLook("me")).result(30)
+
+
+@pytest.fixture
+def talking(bridge: Bridge, robot: Domain, pc: Domain) -> Engine:
+    """A client that has kept a message."""
+    publisher = robot.publisher("/chat")
+    pc.listener("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"), features=ON)
+    carries([publisher], server, ["/chat"])
+    publisher.publish(text("one"))
+    eventually(lambda: kept(client) == 1)
+    return client
+
+
+def test_full_disk_is_a_plain_error(talking: Engine, folder: Path) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        with pytest.raises(EngineError, match=pattern(Shortage.FILE_SIZE, error="File too large")):
+            keep(talking)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not [*folder.iterdir()]
+    assert keep(talking).messages == 1
+
+
+def test_recordings_fill_no_disk(talking: Engine, folder: Path) -> None:
+    keep(talking)
+    with (folder / "many.mcap").open("wb") as file:
+        file.truncate(FOLDER_SIZE)
+    with pytest.raises(EngineError, match=pattern(KeepProblem.FOLDER_FULL, folder=folder, size=2.1)):
+        keep(talking)
+
+
+def test_one_recording_is_written_at_a_time(talking: Engine) -> None:
+    futures = [talking.do(KeepLast()) for _ in range(3)]
+    texts = [str(future.exception(60) or "") for future in futures]
+    assert texts == ["", KeepProblem.BUSY(), KeepProblem.BUSY()]
+
+
+def test_missing_library_is_named_by_the_engine(talking: Engine, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "mcap.writer", None)
+        with pytest.raises(EngineError, match=pattern(McapText.NOT_INSTALLED)):
+            keep(talking)
+    assert not [*folder.iterdir()]
+
+
+def test_loop_goes_on_while_a_recording_is_written(talking: Engine, robot: Domain) -> None:
+    """Of a ring that is full of small messages, which take longest to write."""
+    part: Any = inside(talking).handlers[KeepLast]
+    ring: MessageRing = part.__self__.ring
+    newest = ring.copy(0.0)[1][0]
+    turns: list[float] = []
+
+    def fill() -> None:
+        now = inside(talking).context.now()
+        while ring.held + 2 * newest.cost < ring.size:
+            ring.add(replace(newest, at=now))
+        turn()
+
+    def turn() -> None:
+        turns.append(inside(talking).context.now())
+        inside(talking).context.loop.call_later(0.001, turn)
+
+    inside(talking).context.call(fill)
+    eventually(lambda: turns)
+    written = keep(talking)
+    assert written.messages > 100_000
+    longest = max(after - before for before, after in itertools.pairwise([*turns]))
+    assert longest < 0.2, "7 ms on an idle machine"

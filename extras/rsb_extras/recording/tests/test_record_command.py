@@ -1,0 +1,160 @@
+"""The command and the key: what they say of a recording, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import stat
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from msgspec.structs import replace
+from tests.console.driving import NARROW, WIDE, on_main, shown
+from tests.console.scripted import ScriptedEngine, answers, refused
+from tests.support.wording import says
+
+from rsb_bridge.config.validation import validate
+from rsb_bridge.model.session import Session
+from rsb_extras.recording import Recording, RecordLimits, record_limits
+from rsb_extras.recording.keep_last import KeepLast
+from rsb_extras.recording.keeping import KeepProblem
+from rsb_extras.recording.mcap_file import McapText
+from rsb_extras.recording.record_command import RecordedText
+from rsb_extras.recording.record_rules import RecordText
+from rsb_extras.recording.tests.scripted_answers import KEPT
+
+if TYPE_CHECKING:
+    from tests.support.control import Machine
+    from textual.pilot import Pilot
+
+    from rsb_console.app import ConsoleApp
+    from rsb_extras.recording.keep_last import KeptRecording
+
+
+@pytest.fixture
+def answer(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Have the bridge answer with a recording, or refuse one."""
+    known: Any = answers()
+    asked: list[KeepLast] = []
+
+    def have(kept: KeptRecording | str) -> list[KeepLast]:
+        def reply(command: KeepLast) -> Any:
+            asked.append(command)
+            return refused(kept) if isinstance(kept, str) else kept
+
+        monkeypatch.setitem(known, KeepLast, reply)
+        return asked
+
+    return have
+
+
+def test_command_says_where_it_is(ran: Any, machine: Machine, answer: Any) -> None:
+    machine.have(ScriptedEngine())
+    asked = answer(KEPT)
+    done = ran("record", "--seconds", "10")
+    assert (done.code, asked) == (0, [KeepLast(10.0)])
+    assert says(done.out, RecordedText.WRITTEN, messages=9876, topics=12, path=KEPT.path)
+    answer(replace(KEPT, host="elsewhere", undescribed=("/odd",), too_large=3))
+    done = ran("record")
+    assert asked[-1] == KeepLast(None)
+    assert says(done.out, RecordedText.WRITTEN_THERE, host="elsewhere")
+    assert says(done.out, RecordedText.UNDESCRIBED, topics="/odd")
+    assert says(done.out, RecordedText.TOO_LARGE, count=3)
+
+
+def test_json_has_all_of_it(ran: Any, machine: Machine, answer: Any) -> None:
+    machine.have(ScriptedEngine())
+    answer(KEPT)
+    found = json.loads(ran("record", "--json").out)
+    assert (found["ok"], found["path"], found["messages"], found["size"]) == (True, KEPT.path, 9_876, 8_400_000)
+
+
+def test_output_moves_the_file(ran: Any, machine: Machine, answer: Any, tmp_path: Path) -> None:
+    machine.have(ScriptedEngine())
+    source, target = tmp_path / "kept.mcap", tmp_path / "mine.mcap"
+    source.write_bytes(b"recording")
+    answer(replace(KEPT, path=str(source)))
+    done = ran("record", "--output", str(target))
+    assert (done.code, target.read_bytes(), source.exists()) == (0, b"recording", False)
+    assert says(done.out, RecordedText.WRITTEN, path=target)
+    assert stat.S_IMODE(target.stat().st_mode) == 0o600
+    source.write_bytes(b"another")
+    done = ran("record", "--output", str(target))
+    assert (done.code, target.read_bytes(), source.read_bytes()) == (1, b"recording", b"another")
+    assert says(done.err, RecordedText.NOT_MOVED, target=target, path=source)
+    answer(replace(KEPT, host="elsewhere"))
+    done = ran("record", "--output", str(tmp_path / "other.mcap"))
+    assert done.code == 1
+    assert says(done.err, RecordedText.ELSEWHERE, path=KEPT.path, host="elsewhere")
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
+def test_no_time_is_wrong_usage(seconds: str, ran: Any, machine: Machine) -> None:
+    machine.have(ScriptedEngine())
+    done = ran("record", "--seconds", seconds)
+    assert (done.code, says(done.err, RecordedText.SECONDS)) == (2, True)
+
+
+def test_off_is_a_failure(ran: Any, machine: Machine, answer: Any) -> None:
+    machine.have(ScriptedEngine())
+    answer(KeepProblem.OFF())
+    done = ran("record")
+    assert (done.code, says(done.err, KeepProblem.OFF)) == (1, True)
+
+
+@on_main(WIDE, NARROW)
+async def test_key_says_where_it_is(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("P")
+    await shown(pilot, "9,876")
+    await shown(pilot, "/recordings/")
+
+
+@on_main()
+async def test_key_says_how_to_switch_it_on(app: ConsoleApp, pilot: Pilot[None], answer: Any) -> None:
+    asked = answer(KeepProblem.OFF())
+    await pilot.press("P")
+    await shown(pilot, "record: true")
+    assert asked == [KeepLast()]
+
+
+def session(value: object) -> Session:
+    return Session(
+        name="robot1",
+        role="server",
+        key_file="robot1.key",
+        server_ip="127.0.0.1",
+        server_port=7060,
+        domain_id=1,
+        features={"record": value},
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "where"),
+    [
+        (RecordLimits(0.5), "record.seconds"),
+        (RecordLimits(1e9), "record.seconds"),
+        (RecordLimits(float("nan")), "record.seconds"),
+        (RecordLimits(30, 0), "record.megabytes"),
+        (RecordLimits(30, 1e6), "record.megabytes"),
+    ],
+)
+def test_bounds_have_a_range(value: object, where: str) -> None:
+    ((location, message),) = [(each.location, each.message) for each in validate(session(value))]
+    assert location == where
+    assert says(message, RecordText.OUT_OF_RANGE)
+
+
+@pytest.mark.parametrize(
+    ("value", "limits"), [(False, None), (True, RecordLimits(30, 32)), (RecordLimits(5, 8), RecordLimits(5, 8))]
+)
+def test_session_says_whether_and_how_much(value: object, limits: RecordLimits | None) -> None:
+    assert record_limits(session(value)) == limits
+    assert not [*validate(session(value))]
+
+
+def test_check_advises_to_install_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    advice = [*Recording().advice(session(True), None)]
+    assert advice == [("record", McapText.NOT_INSTALLED())]
+    assert not [*Recording().advice(session(False), None)]
