@@ -66,7 +66,7 @@ def text(app: App[Any]) -> str:
     return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
 
-async def until(pilot: Pilot[None], condition: Callable[..., object], what: str, seconds: float = 180.0) -> None:
+async def until(pilot: Pilot[None], condition: Callable[..., object], what: str, seconds: float = 20.0) -> None:
     """Wait until `condition`, which still holds when the widgets have done what they had to do by then.
 
     Textual's pause sends a message to every widget, which takes more time than most conditions: only at the end.
@@ -130,7 +130,7 @@ async def notified(pilot: Pilot[None], wording: Wording, **parameters: object) -
     await until(pilot, is_there, f"a notification: {wording!r}")
 
 
-async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", seconds: float = 180.0) -> None:
+async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", seconds: float = 20.0) -> None:
     """Go to the end, which may still move, until the screen shows `words`."""
     deadline = time.monotonic() + seconds
     while words not in text(pilot.app):
@@ -163,7 +163,7 @@ async def left_as_it_was(app: ConsoleApp, pilot: Pilot[None], name: str) -> None
     await shown(pilot, f"Edit {name}")
 
 
-async def settled(pilot: Pilot[None], seconds: float = 180.0) -> None:
+async def settled(pilot: Pilot[None], seconds: float = 20.0) -> None:
     """Wait until the screen no longer changes: scrollbars come a refresh after what they scroll."""
     deadline = time.monotonic() + seconds
     before, same = "", 0

@@ -18,9 +18,9 @@ ROUND = 250.0
 
 
 class Drive:
-    def __init__(self) -> None:
+    def __init__(self, start: Place = TOUR[0]) -> None:
         self.now = 100.0
-        self.motion = Motion(lambda: self.now)
+        self.motion = Motion(lambda: self.now, start)
 
     def wait(self, seconds: float) -> tuple[float, float, float]:
         for _ in range(round(seconds / STEP)):
@@ -154,16 +154,17 @@ def test_it_stays_in_its_room(robot: Drive, forward: float, turn: float) -> None
     robot.drive(forward, turn, 30.0)
 
 
-def test_driven_robot_stops_before_wall(robot: Drive) -> None:
-    robot.motion._x, robot.motion._y, robot.motion._heading = 6.0, 0.0, 0.0
+def test_driven_robot_stops_before_wall() -> None:
+    robot = Drive(Place(6.0, 0.0, 0.0))
     assert robot.drive(1.0, 0.0, 5.0) == pytest.approx((7.97 - 0.3, 0.0, 0.0), abs=0.11)
     assert robot.motion.velocity == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("place", [(-3.05, 4.9), (7.3, 4.9), (-4.8, -4.8), (1.2, -5.4), (-7.5, -2.0), (7.5, -0.8)])
-def test_it_goes_on_from_anywhere(robot: Drive, place: tuple[float, float]) -> None:
+def test_it_goes_on_from_anywhere(place: tuple[float, float]) -> None:
     """Furniture between it and its goal does not hold it."""
-    robot.motion._x, robot.motion._y = place
+    robot = Drive(Place(*place, 0.0))
+    robot.motion.go(TOUR[1], decided=1.0)
     robot.command(0.0)
     assert robot.wait(9.5)[:2] == place
     assert robot.comes_to(robot.motion.goal, 90.0)

@@ -47,9 +47,18 @@ _XTERM_16 = (
     (255, 255, 255),
 )  # fmt: skip
 """The sixteen colours as xterm has them; other terminals' differ a little."""
+_RICH_16 = (
+    (0, 0, 0), (170, 0, 0), (0, 170, 0), (170, 85, 0), (0, 0, 170), (170, 0, 170), (0, 170, 170), (170, 170, 170),
+    (85, 85, 85), (255, 85, 85), (85, 255, 85), (255, 255, 85), (85, 85, 255), (255, 85, 255), (85, 255, 255),
+    (255, 255, 255),
+)  # fmt: skip
+"""What rich takes for the sixteen colours."""
 _GREYS_OF_16 = {0, 7, 8, 15}
 _LEVELS = (0, 95, 135, 175, 215, 255)
 """Of each primary in the 6 × 6 × 6 colours of a palette of 256."""
+_FIRST_GREY = 232
+_NO_CUBE_GREYS = (59, 102, 145, 188)
+"""Greys of those colours, which rich makes neighbours of; other greys are as near."""
 _LUT_BITS = 5
 """Bits of red, green and blue by which a nearest colour is looked up."""
 
@@ -190,7 +199,7 @@ def _many_colours(cells: Array, shapes: _Shapes, colours: int) -> list[Row]:
         codes = [_dithered(each, 256) + 16 for each in (fore, back)]
     characters = np.array([*shapes.characters, " "])
     shown = np.where(codes[0] == codes[1], len(shapes.characters), best)
-    return _rows(characters[shown], codes[0], codes[1], _hex if colours > 256 else _number)
+    return _rows(characters[shown], codes[0], codes[1], _hex if colours > 256 else _named)
 
 
 def _few_colours(cells: Array, shapes: _Shapes) -> list[Row]:
@@ -213,13 +222,23 @@ def _few_colours(cells: Array, shapes: _Shapes) -> list[Row]:
     shown = np.where(is_sharp, best, len(shapes.characters) + signs[mixed])
     front, behind = np.where(is_sharp, sharp[0], fores[mixed]), np.where(is_sharp, sharp[1], backs[mixed])
     shown = np.where(front == behind, len(characters) - 1, shown)
-    return _rows(characters[shown], front, behind, _number)
+    return _rows(characters[shown], front, behind, _named)
 
 
 @cache
-def _number(code: int) -> str:
-    """Return the name of a palette's colour, which neither rich nor Textual changes to another."""
-    return f"color({code})"
+def _named(code: int) -> str:
+    """Return a colour that rich makes this one of the palette.
+
+    Textual makes true colours of ``color(9)`` before that, by a theme of its own, so that red would become magenta, and
+    the light greys a step darker.
+    """
+    if code < _FEW:
+        red, green, blue = _RICH_16[code]
+    elif code < _FIRST_GREY:
+        red, green, blue = (_LEVELS[(code - _FEW) // part % 6] for part in (36, 6, 1))
+    else:
+        red = green = blue = round(255 * (code - _FIRST_GREY + 1) / 25)  # the middle of what becomes this grey
+    return f"#{red:02x}{green:02x}{blue:02x}"
 
 
 def _hex(code: int) -> str:
@@ -277,7 +296,10 @@ def _colours(palette: int) -> Array:
 
 @cache
 def _lab(palette: int) -> Array:
-    return _oklab(_colours(palette))
+    lab = _oklab(_colours(palette))
+    if palette == 256:
+        lab[[code - _FEW for code in _NO_CUBE_GREYS]] = 9.0  # far from any colour
+    return lab
 
 
 @cache

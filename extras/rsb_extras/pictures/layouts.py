@@ -58,7 +58,10 @@ class Subject(NamedTuple):
     wish: Wish = Wish()
 
 
-class _Entry(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True, rename={"how": "as"}):
+_AS_WRITTEN = {"how": "as"}
+
+
+class _Entry(msgspec.Struct, forbid_unknown_fields=True, rename=_AS_WRITTEN):
     """A tile in the file; its keys are those of the command ``look``."""
 
     topic: _Name | None = None
@@ -132,12 +135,12 @@ LAYOUTS: ConsoleSetting[Mapping[str, Layout]] = ConsoleSetting("layouts", {}, re
 def written(subject: Subject) -> str | dict[str, Any]:
     """Return a tile as console.yaml has it."""
     topics, wish = subject.topics, subject.wish
-    several = topics if len(topics) > 1 else ()
-    of_wish = {each: getattr(wish, each) for each in _OF_WISH}
-    entry = _Entry(topic=None if several else topics[0], topics=several, link=subject.link, **of_wish)
-    found: dict[str, Any] = msgspec.to_builtins(entry)
-    if "fields" in found:
-        found["fields"] = list(found["fields"])
+    found: dict[str, Any] = {"topics": [*topics]} if len(topics) > 1 else {"topic": topics[0]}
+    if subject.link:
+        found["link"] = subject.link
+    for name in _OF_WISH:
+        if (value := getattr(wish, name)) != getattr(Wish(), name):
+            found[_AS_WRITTEN.get(name, name)] = [*value] if isinstance(value, tuple) else value
     return topics[0] if found.keys() == {"topic"} else found
 
 

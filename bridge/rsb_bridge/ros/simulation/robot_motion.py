@@ -29,7 +29,7 @@ _ASKED_LASTS = 2.0
 _AHEAD = 6
 """Poses of its path by which it looks ahead."""
 _THERE, _AT, _TURNED = 0.1, 0.5, 0.05
-"""m at which it has reached a place, m within which it is at the place still, and rad at which it looks ahead."""
+"""m within which it has reached a place, m within which it is still there, and rad to its heading there."""
 
 
 class Motion:
@@ -41,18 +41,18 @@ class Motion:
         wheels: m that its left and its right wheel have rolled.
     """
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, now: Callable[[], float] = time.monotonic, start: Place = TOUR[0]) -> None:
         self._now = now
         self.speed = SPEED
         self.velocity = 0.0, 0.0
         self.wheels = [0.0, 0.0]
-        self._x, self._y, self._heading = TOUR[0]
+        self._x, self._y, self._heading = start
         self._commanded_velocity, self._commanded = (0.0, 0.0), -math.inf
         self._at = now()
         self._tour = 0
-        self._goal = TOUR[0]
+        self._goal = start
         self._decided = -math.inf
-        self._asked, self._asked_at = TOUR[0], -math.inf
+        self._asked, self._asked_at = start, -math.inf
         self._path: Floats = np.empty((0, 2))
         self._reached: float | None = self._at - RESTS
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import re
 import unicodedata
 from itertools import product
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.color import Color
+from rich.color import Color, ColorSystem
+from rich.segment import Segment
+from rich.style import Style
 from tests.support import surroundings
+from textual._ansi_theme import MONOKAI
+from textual.color import Color as TextualColor
+from textual.filter import ANSIToTruecolor
 
+from rsb_extras.pictures.blocks import _XTERM_16 as XTERM_16
 from rsb_extras.pictures.blocks import RAMP, image_rows, wished_pixels
 from rsb_extras.pictures.picture import LONGEST_SIDE, Pixels
 from rsb_extras.pictures.picture_rows import Part, UnreadableError
@@ -29,6 +34,25 @@ def drawn(pixels: Pixels, colours: int, *, sextants: bool = False) -> list[tuple
 
 def text(pixels: Pixels, colours: int, *, sextants: bool = False) -> list[str]:
     return ["".join(part.text for part in row) for row in drawn(pixels, colours, sextants=sextants)]
+
+
+def shown_as(style: str, colours: int) -> int | None:
+    """Return the number in the palette as which rich shows a colour, after Textual's filter of a plain theme."""
+    (segment,) = ANSIToTruecolor(MONOKAI).apply([Segment(" ", Style(color=style))], TextualColor(0, 0, 0))
+    assert segment.style is not None
+    assert segment.style.color is not None
+    return segment.style.color.downgrade(ColorSystem.STANDARD if colours == 16 else ColorSystem.EIGHT_BIT).number
+
+
+def rgb_of(style: str, colours: int) -> tuple[int, ...]:
+    """Return how the terminal shows a colour."""
+    number = shown_as(style, colours)
+    assert number is not None
+    return palette_colour(number)
+
+
+def palette_colour(number: int) -> tuple[int, ...]:
+    return XTERM_16[number] if number < 16 else tuple(Color.parse(f"color({number})").get_truecolor())
 
 
 def quarters(*colours: bytes) -> Pixels:
@@ -87,7 +111,7 @@ def test_neighbours_of_same_colours_are_one_part() -> None:
 def test_palette_of_256_has_nearest_colour(colour: bytes, expected: int) -> None:
     """Rich would make violet of a blue, and olive of wood."""
     ((part,),) = drawn(Pixels(2, 4, colour * 8), 256)
-    assert part.background == f"color({expected})"
+    assert shown_as(part.background, 256) == expected
 
 
 @pytest.mark.parametrize("colours", [16, 256])
@@ -98,9 +122,7 @@ def test_dithering_keeps_brightness_of_greys(brightness: int, colours: int) -> N
     light = []
     for row in drawn(Pixels(2 * side, 4 * side, bytes([brightness] * 3) * 8 * side * side), colours):
         for part in row:
-            fore, back = (
-                (sum(Color.parse(each).get_truecolor()) / 3 / 255) ** 2.2 for each in (part.style, part.background)
-            )
+            fore, back = ((sum(rgb_of(each, colours)) / 3 / 255) ** 2.2 for each in part[1:])
             light += [part_of[each] * fore + (1 - part_of[each]) * back for each in part.text]
     found = 255 * (sum(light) / len(light)) ** (1 / 2.2)
     assert len(light) == side * side
@@ -111,9 +133,17 @@ def test_palettes_give_only_their_own_colours() -> None:
     noise = Pixels(40, 40, np.random.default_rng(1).integers(0, 256, 4800, np.uint8).tobytes())
     for colours, allowed in ((16, range(16)), (256, range(16, 256))):
         used = {each for row in drawn(noise, colours) for part in row for each in (part.style, part.background)}
-        numbers = {int(re.fullmatch(r"color\((\d+)\)", each)[1]) for each in used}  # type: ignore[index]
+        numbers = {shown_as(each, colours) for each in used}
         assert numbers <= set(allowed)
         assert len(numbers) > 5
+
+
+@pytest.mark.parametrize("colours", [16, 256])
+def test_colours_that_rich_and_textual_show_are_the_nearest(colours: int) -> None:
+    """For each colour of the palette as the terminal has it, but the greys of the cube, which rich never shows."""
+    for code in range(16) if colours == 16 else {*range(16, 256)} - {59, 102, 145, 188}:
+        (row,) = drawn(Pixels(2, 4, bytes(palette_colour(code)) * 8), colours)
+        assert {shown_as(row[0].background, colours)} == {code}
 
 
 @given(
