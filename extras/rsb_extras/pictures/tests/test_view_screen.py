@@ -792,7 +792,7 @@ def test_the_keys_of_pictures_and_goals_are_listed() -> None:
     others = [each.key for each in ON_ROBOT.values()]
     labels = {"plus": "+", "minus": "-", "space": "space", "escape": "esc", "enter": "⏎", "less_than_sign": "<",
               "greater_than_sign": ">", "left_square_bracket": "[", "right_square_bracket": "]", "left": "←",
-              "right": "→", "up": "↑", "down": "↓", "equals_sign": "+"}  # fmt: skip
+              "right": "→", "up": "↑", "down": "↓", "equals_sign": "+", "shift+tab": "tab"}  # fmt: skip
     for binding in (*ViewScreen.BINDINGS, *PictureTile.BINDINGS):
         assert isinstance(binding, Binding)
         for each in binding.key.split(","):
