@@ -63,7 +63,7 @@ def why_no_graphics(protocol: str) -> str:
     return f"{protocol} images need Pillow and textual-image: pip install 'rsb-console[look]'"
 
 
-class Frame(NamedTuple):
+class Extent(NamedTuple):
     """The place of an image on the screen.
 
     Attributes:
@@ -79,17 +79,17 @@ class Frame(NamedTuple):
     height: float
 
 
-def frame_of(pixels: Pixels, wish: Wish) -> Frame:
+def frame_of(pixels: Pixels, wish: Wish) -> Extent:
     """Return the place of an image that fills the wished area in its own proportions."""
     width, height = pixels.width / wish.across, pixels.height / wish.down
     factor = min(wish.width / width, wish.height / height)
     width, height = width * factor, height * factor
-    return Frame(max(1, math.ceil(width - 0.01)), max(1, math.ceil(height - 0.01)), width, height)
+    return Extent(max(1, math.ceil(width - 0.01)), max(1, math.ceil(height - 0.01)), width, height)
 
 
 def bands_of(
     pixels: Pixels,
-    frame: Frame,
+    frame: Extent,
     cell: tuple[float, float],
     protocol: Protocol,
     first_id: int,

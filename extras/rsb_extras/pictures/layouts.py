@@ -20,7 +20,7 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.model.wording import Wording
-from rsb_console.notation.console_setting import ConsoleSetting
+from rsb_console.notation.console_setting import ConsoleSetting, placed
 from rsb_extras.pictures.picture import MOST_RATE, TOPICS_AT_ONCE, Wish
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ class LayoutText(Wording):
     NO_MAPPING = "layouts: give names with lists of tiles, like drive: [/camera/image_raw, /map, rates]"
     NO_TILES = "layouts.{name}: give a list of topics, rates or log, or a mapping with robots and tiles"
     NO_TOPIC = "layouts.{name}.tiles[{at}]: give a topic, or topics"
-    WRONG = "layouts.{name}.tiles[{at}]{place}: {problem}"
 
 
 class Subject(NamedTuple):
@@ -121,8 +120,7 @@ def _subject(name: str, at: int, given: object) -> Subject:
     try:
         entry = msgspec.convert(given, _Entry)
     except msgspec.ValidationError as error:
-        problem, _, place = str(error).partition(" - at `$")
-        raise ValueError(LayoutText.WRONG(name=name, at=at, place=place.rstrip("`"), problem=problem)) from None
+        raise ValueError(placed(f"layouts.{name}.tiles[{at}]", error)) from None
     topics = (entry.topic,) if entry.topic is not None else entry.topics
     if not topics:
         raise ValueError(LayoutText.NO_TOPIC(name=name, at=at))

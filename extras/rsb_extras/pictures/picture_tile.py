@@ -88,7 +88,10 @@ class ViewText(Wording):
 
 
 class PictureTile(Tile):
-    """Pictures of topics, of a map with others laid over it, and the goal that an operator sets on it."""
+    """Pictures of topics, of a map with others laid over it, and the goal that an operator sets on it.
+
+    It has more than 40 methods because Textual calls one for each key, and they all change one wish.
+    """
 
     BINDINGS: ClassVar = [
         Binding("g", "goal", show=False),

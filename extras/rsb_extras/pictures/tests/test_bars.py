@@ -9,9 +9,9 @@ import pytest
 from sensor_msgs.msg import BatteryState, JointState
 from tests.support.wording import has_text
 
-from rsb_extras.pictures.bars import BarProblem
 from rsb_extras.pictures.picture import Cells, Picture, Series, Wish
 from rsb_extras.pictures.tests.samples import cells_of, drawn, task
+from rsb_extras.pictures.value_bars import BarProblem
 from rsb_extras.pictures.worker import Artist
 
 WISH = Wish(width=60, height=12)
