@@ -136,8 +136,9 @@ class LookScreen(ModalScreen[tuple[Subject, ...]]):
 
     def _known(self, subject: Subject) -> Subject:
         """Return a tile of a layout with what is known of its topic: its type, and what can be laid over it."""
-        for side, infos in self._found.items():
-            info = next((each for each in infos if each.topic == subject.topics[0]), None)
+        # The side that a topic comes from knows more of what lies on a map than the side that it is bridged to.
+        for side, infos in sorted(self._found.items(), reverse=True):
+            info = next((each for each in infos if each.topic == subject.topics[0] and each.publishers), None)
             if info is not None and subject.link in ("", side):
                 layers = self._layers(side, info) if len(subject.topics) == 1 else ()
                 return subject._replace(link=side, type_name=info.type_name, layers=layers)

@@ -28,7 +28,7 @@ _KEYS = (
             ("[ ] c", "Of points: tilt the view, change what their colours mean"),
             ("h", "Draw it in another way: usual, plot, tree"),
             ("f", "Choose numbers to plot, of this topic and of others"),
-            ("l", "Of a map: lay the other topics over it, or show it alone"),
+            ("l", "Of a map: lay other topics over it, costmaps, too, or show it alone"),
             ("< >", "Fewer or more pictures a second"),
             ("p", "Write the picture to a file: an image in its own resolution, and as this terminal draws it"),
         ),

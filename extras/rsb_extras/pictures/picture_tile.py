@@ -118,8 +118,8 @@ class PictureTile(Tile):
     def __init__(self, console: Console, subject: Subject) -> None:
         super().__init__(console, subject)
         # The map itself is one of them.
-        self._layers = subject.layers[: TOPICS_AT_ONCE - 1] if is_map(subject.type_name) else ()
-        self._shows_layers = bool(self._layers)
+        self._layers: list[tuple[str, ...]] = _sets_of_layers(subject) if is_map(subject.type_name) else [()]
+        """The topics laid over a map: one set after the other, by a key."""
         self._viewer = secrets.token_hex(8)
         self._wish = msgspec.structs.replace(subject.wish, webp=reads_webp())
         self._viewed: Viewed | None = None
@@ -169,7 +169,7 @@ class PictureTile(Tile):
 
     def keys(self) -> list[str]:
         type_name = self.subject.type_name
-        keys = [*(_MAP_KEYS if self._layers else ()), *(_POINT_KEYS if _is_points(type_name) else ())]
+        keys = [*(_MAP_KEYS if len(self._layers) > 1 else ()), *(_POINT_KEYS if _is_points(type_name) else ())]
         keys += ["g goal"] if is_map(type_name) and _PUBLISH and not self.console.readonly else []
         return [*keys, *self.robot_keys(), *_KEYS]
 
@@ -247,7 +247,7 @@ class PictureTile(Tile):
         if of_fields and self._wish.how == "plot":
             return of_fields
         is_usual = not self._wish.how
-        return self.subject.topics + (self._layers if self._shows_layers and is_usual else ())
+        return self.subject.topics + (self._layers[0] if is_usual else ())
 
     async def _show_content(self) -> None:
         """Show the newest picture; an image is drawn on a thread, so that keys do not wait for it."""
@@ -400,8 +400,10 @@ class PictureTile(Tile):
         self._change(zoom=1.0, x=0.0, y=0.0, tilt=0.0)
 
     def action_layers(self) -> None:
-        """Lay the other topics over the map, or show the map alone."""
-        self._shows_layers = not self._shows_layers
+        """Lay other topics over the map, with costmaps or without, or show it alone."""
+        self._layers.append(self._layers.pop(0))
+        if self._asked is not None:
+            self._asked.cancel()
         self._entitle()
 
     def action_rate(self, step: int) -> None:
@@ -511,6 +513,14 @@ class PictureTile(Tile):
             return None
         finally:
             engine.do(EndLook(viewer))
+
+
+def _sets_of_layers(subject: Subject) -> list[tuple[str, ...]]:
+    """Return what may be laid over a map: all but costmaps, which hide the rest; all; nothing."""
+    costs = tuple(topic for topic in subject.layers if "costmap" in topic)
+    others = tuple(topic for topic in subject.layers if topic not in costs)
+    most = TOPICS_AT_ONCE - len(subject.topics)
+    return [*dict.fromkeys((others[:most], (*costs[:2], *others)[:most], ()))]
 
 
 def _is_points(type_name: str) -> bool:

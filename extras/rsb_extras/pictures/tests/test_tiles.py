@@ -119,7 +119,7 @@ async def test_overview_is_camera_map_speed_rates(app: ConsoleApp, pilot: Pilot[
     await overview(pilot)
     assert in_sight(app) == [CAMERA, MAP, ODOMETRY, "rates"]
     asked_of_map = next(each for each in engine_of(app).questions if each.topics[0] == MAP)
-    assert set(asked_of_map.topics) == {MAP, "/global_costmap/costmap", ODOMETRY}
+    assert asked_of_map.topics == (MAP, ODOMETRY)
     assert next(each for each in engine_of(app).questions if each.topics == (ODOMETRY,)).wish.how == "plot"
     for words in (f"of {CAMERA}", f"of {MAP}", f"of {ODOMETRY}", "/robot2/scan"):
         await shown(pilot, words)
@@ -225,6 +225,15 @@ async def test_only_focused_tile_has_keys(app: ConsoleApp, pilot: Pilot[None]) -
         pilot, lambda: any(each.wish.zoom > 1 and each.topics[0] == MAP for each in engine_of(app).questions), "zoom"
     )
     assert not any(each.wish.zoom > 1 and each.topics[0] == CAMERA for each in engine_of(app).questions)
+
+
+@on_tiles()
+async def test_key_lays_costmaps_over_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await choose(pilot, "/map")
+    expected = [(MAP, ODOMETRY), (MAP, "/global_costmap/costmap", ODOMETRY), (MAP,)]
+    for topics in (*expected, expected[0]):
+        await until(pilot, lambda topics=topics: engine_of(app).questions[-1].topics == topics, f"{topics}")
+        await pilot.press("l")
 
 
 # -- the drive box
