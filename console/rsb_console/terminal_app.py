@@ -187,14 +187,19 @@ class TerminalApp(App[ReturnType]):
         if sequence and isinstance(self._driver, ConsoleDriver):
             self._driver.write(sequence)
 
-    async def terminal_has_read(self) -> None:
-        """Wait until the terminal has read all that was written, if it answers questions, but not for long."""
+    async def terminal_has_read(self) -> float:
+        """Wait until the terminal has read all that was written, if it answers questions, but not for long.
+
+        Returns:
+            The seconds that it took.
+        """
         if not isinstance(self._driver, ConsoleDriver):
-            return
+            return 0.0
         began = time.monotonic()
         self._driver.ask()
         while self._driver.pulse.heard_now < began and time.monotonic() - began < _READS_WITHIN:  # noqa: ASYNC110 -- the answer comes on a thread that knows no event loop
             await asyncio.sleep(_LOOK_EVERY)
+        return time.monotonic() - began
 
     # --- what screens ask
 

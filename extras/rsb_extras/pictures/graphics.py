@@ -95,6 +95,8 @@ def bands_of(
     first_id: int,
     paper: tuple[int, int, int],
     before: Sequence[Band] = (),
+    *,
+    few_colours: bool = False,
 ) -> list[Band]:
     """Cut an image into bands. This takes some 10 ms, so call it on a thread.
 
@@ -103,6 +105,7 @@ def bands_of(
         first_id: kitty's first number of `IDS`.
         paper: colour of the rest of the cells at the right and lower edge.
         before: the bands that are shown, whose sequences are used again.
+        few_colours: whether 256 colours have to do, which take a quarter of the bytes in kitty.
 
     Raises:
         UnreadableError: the other side's image is damaged.
@@ -132,14 +135,20 @@ def bands_of(
         if band is None:
             # kitty takes the image of a number away as soon as another one of the same number begins to come.
             image_id = next(each for each in (first_id + number, first_id + BANDS + number) if each not in used)
-            way = sixels(part) if protocol == "sixel" else kitty(png(part), image_id, columns, band_rows)
+            way = (
+                sixels(part)
+                if protocol == "sixel"
+                else kitty(png(part, few_colours=few_colours), image_id, columns, band_rows)
+            )
             band = Band(top, band_rows, content, way, image_id)
         bands.append(band)
     return bands
 
 
-def png(image: Image) -> bytes:
+def png(image: Image, *, few_colours: bool) -> bytes:
     file = io.BytesIO()
+    if few_colours:
+        image = image.quantize()
     image.save(file, "png", compress_level=_PNG_LEVEL)
     return file.getvalue()
 

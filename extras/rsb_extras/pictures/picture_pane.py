@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from rich.segment import Segment
@@ -87,12 +88,15 @@ class PicturePane(Widget, can_focus=True):
             self._take_away()
         self._show_rows(rows)
 
-    async def show_image(self, image: Pixels, wish: Wish, blocks: Callable[[], list[Row]]) -> None:
+    async def show_image(
+        self, image: Pixels, wish: Wish, blocks: Callable[[], list[Row]], *, few_colours: bool = False
+    ) -> None:
         """Show an image in pixels.
 
         Args:
             wish: what it was drawn for.
             blocks: gives the image in characters, on a thread.
+            few_colours: whether bytes to the terminal are dear (`bands_of`).
 
         Raises:
             UnreadableError: the other side's image is damaged.
@@ -100,9 +104,9 @@ class PicturePane(Widget, can_focus=True):
         facts = self.terminal.facts
         cell = facts.cell or USUAL_CELL
         paper = self._paper.background
-        self._bands = await asyncio.to_thread(
-            bands_of, image, frame_of(image, wish), cell, facts.pixels, self._first_id, paper, self._bands
-        )
+        frame, first_id, before = frame_of(image, wish), self._first_id, self._bands
+        make = partial(bands_of, image, frame, cell, facts.pixels, first_id, paper, before, few_colours=few_colours)
+        self._bands = await asyncio.to_thread(make)
         if self._painter is None:
             self._painter = Painter(facts.pixels)
         self._covered = self._rows_under_boxes()

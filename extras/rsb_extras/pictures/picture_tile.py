@@ -69,6 +69,8 @@ _PUBLISH = next((action.with_message for action in ACTIONS if action.with_messag
 _TURN = 15.0
 """Degrees by which a key turns a goal."""
 _GOAL_TOPIC = "/goal_pose"
+_SLOW, _MOST_STRAIN = 0.15, 2
+"""s that a terminal may take for a picture, in which keys wait; and how often its resolution is halved."""
 _COST_OVER = 5.0
 """s over which the cost of a tile is measured."""
 
@@ -138,6 +140,8 @@ class PictureTile(Tile):
         """The publishing side's reason why no picture has come yet."""
         self._cursor: int | None = None
         """Column of a plot whose values are shown."""
+        self._strain = 0
+        """How often the resolution is halved for a terminal that reads slowly."""
         self._goal: Goal | None = None
         self._turns_goal = False
 
@@ -178,7 +182,7 @@ class PictureTile(Tile):
         # The other side refuses a wish beyond these bounds.
         width, height = max(1, min(MOST_COLUMNS, size.width)), max(1, min(MOST_ROWS, size.height))
         if self._shows_pixels and facts.cell is not None:
-            across, down = (round(each) for each in facts.cell)
+            across, down = (round(each / 2**self._strain) for each in facts.cell)
         else:
             across, down = wished_pixels(self._colours, sextants=facts.draws_sextants)
         self._change(
@@ -231,7 +235,17 @@ class PictureTile(Tile):
                 self._viewed, self._came = viewed, time.monotonic()
             self._waiting = picture.waiting
             await self._show_content()
-            await self.terminal.terminal_has_read()
+            self._spare(await self.terminal.terminal_has_read())
+
+    def _spare(self, seconds: float) -> None:
+        """Send fewer bytes to a terminal that took so long for a picture, as keys wait behind it; or more again."""
+        before = self._strain
+        if seconds > _SLOW:
+            self._strain = min(_MOST_STRAIN, self._strain + 1)
+        elif seconds < _SLOW / 10:
+            self._strain = max(0, self._strain - 1)
+        if self._strain != before and self._shows_pixels:
+            self.fit()
 
     async def _next(self) -> Viewed | None:
         engine = self.console.engine
@@ -255,7 +269,8 @@ class PictureTile(Tile):
         if isinstance(content, Pixels):
             try:
                 if self._shows_pixels:
-                    await self.show_image(content, self._wish, partial(self._in_blocks, content))
+                    blocks = partial(self._in_blocks, content)
+                    await self.show_image(content, self._wish, blocks, few_colours=self._strain > 0)
                 else:
                     self._blocks = await asyncio.to_thread(self._in_blocks, content)
             except UnreadableError as error:
