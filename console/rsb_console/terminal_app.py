@@ -182,6 +182,11 @@ class TerminalApp(App[ReturnType]):
         """Whether the terminal reads so slowly that what is written is dropped. The screen is drawn anew after that."""
         return isinstance(self._driver, ConsoleDriver) and self._driver.is_behind
 
+    @property
+    def losses(self) -> int:
+        """How often the terminal may have lost what was drawn: it was cleared, or missed some of it."""
+        return self._driver.losses if isinstance(self._driver, ConsoleDriver) else 0
+
     def write_to_terminal(self, sequence: str) -> None:
         """Write what Textual does not know of, such as an image. It has to leave cursor and colours as they were."""
         if sequence and isinstance(self._driver, ConsoleDriver):

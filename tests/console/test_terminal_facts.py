@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import threading
 from functools import reduce
+from pathlib import Path
 
 import pytest
 from textual.events import Key
 
 from rsb_console.terminal.driver import KeyParser
-from rsb_console.terminal.terminal_facts import TRUE_COLOUR, TerminalFacts, is_answer, may_become_answer
+from rsb_console.terminal.terminal_facts import (
+    TRUE_COLOUR,
+    TerminalFacts,
+    TerminalSettings,
+    ask,
+    facts_before_answers,
+    is_answer,
+    may_become_answer,
+)
 
 UNKNOWN = TerminalFacts(colours=16)
 XTERM = (
@@ -89,3 +101,85 @@ def test_answers_among_keys_lose_none(size: int) -> None:
     keys = [event.key for event in read if event.key != "<terminal-fact>"]
     assert answers == [*XTERM, *KITTY]
     assert keys == ["a", *["up"] * len(answers), "pagedown"]
+
+
+# -- a command asks
+
+
+def asked(kind: str, answers: tuple[str, ...]) -> tuple[TerminalFacts, bytes]:
+    """Return the facts of a terminal that answers so, and what it was asked."""
+    master, slave = pty.openpty()
+    seen = b""
+
+    def answer() -> None:
+        nonlocal seen
+        for ends, reply in ((1, f"typed{kind}\x1b[?62;c"), (2, "".join(f"\x1b{each}" for each in answers))):
+            while seen.count(b"\x1b[c") < ends:
+                try:
+                    seen += os.read(master, 1000)
+                except OSError:
+                    return
+            os.write(master, reply.encode())
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    try:
+        return ask(UNKNOWN, slave, slave), seen
+    finally:
+        os.close(slave)
+        thread.join()
+        os.close(master)
+
+
+def test_command_asks_and_takes_all_answers() -> None:
+    facts, _ = asked("\x1b[>41;379;0c", XTERM)
+    assert (facts.name, facts.colours, facts.cell, facts.kind) == ("XTerm(379)", TRUE_COLOUR, (8, 19), "41;379;0")
+
+
+def test_screen_is_not_asked_what_it_would_print() -> None:
+    facts, seen = asked("\x1b[>83;40900;0c", XTERM)
+    assert facts.colours == 16
+    assert b"\x1bP" not in seen
+    assert b"\x1b_" not in seen
+
+
+# -- what the environment and the user say
+
+
+@pytest.mark.parametrize(
+    ("environ", "colours"),
+    [
+        ({"TERM": "xterm"}, 16),
+        ({"TERM": "xterm-256color"}, 256),
+        ({"TERM": "xterm", "COLORTERM": "truecolor"}, TRUE_COLOUR),
+        ({"TERM": "dumb", "COLORTERM": "truecolor"}, 0),
+        ({"TERM": "alacritty"}, 256),
+        ({}, 0),
+    ],
+)
+def test_environment_is_what_is_known_first(environ: dict[str, str], colours: int) -> None:
+    with Path(os.devnull).open() as no_terminal:
+        assert facts_before_answers(environ, no_terminal.fileno()) == TerminalFacts(colours=colours)
+
+
+def test_user_knows_better_than_terminal() -> None:
+    settings = TerminalSettings.read({"colours": "true", "pixels": "none", "cell": "9x21"})
+    assert settings.over(told(*KITTY)) == TerminalFacts(
+        "kitty(0.26.5)", "", TRUE_COLOUR, (9, 21), "", None, answered=True
+    )
+    assert TerminalSettings.read({}).over(UNKNOWN) == UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("given", "place"),
+    [
+        (3, "terminal:"),
+        ({"colours": 17}, "terminal.colours:"),
+        ({"cell": "0x9"}, "terminal.cell:"),
+        ({"x": 1}, "terminal:"),
+    ],
+)
+def test_mistake_in_terminal_names_its_place(given: object, place: str) -> None:
+    with pytest.raises(ValueError, match="terminal") as refusal:
+        TerminalSettings.read(given)
+    assert str(refusal.value).startswith(place)

@@ -218,12 +218,14 @@ class ConsoleDriver(LinuxDriver):
 
     Attributes:
         is_behind: whether it drops them.
+        losses: how often the terminal may have lost what was drawn.
     """
 
     def __init__(self, app: Any, **options: Any) -> None:
         super().__init__(app, **options)
         self._file: Any = TerminalFile(app.terminal, app.terminal_gone)
         self.is_behind = False
+        self.losses = 0
         self._unwatched = threading.Event()
         self._continuing = False
         self._asks = False
@@ -250,6 +252,7 @@ class ConsoleDriver(LinuxDriver):
         """Pass `data` on to the terminal, or drop it while the queue is full."""
         if self.is_behind and self._queue.empty():
             self.is_behind = False
+            self.losses += 1
             self._app.call_later(self._app.refresh)
         try:
             self._queue.put_nowait(data)
@@ -260,6 +263,7 @@ class ConsoleDriver(LinuxDriver):
 
     def start_application_mode(self) -> None:
         super().start_application_mode()  # type: ignore[no-untyped-call]
+        self.losses += 1
         if self._has_title:
             self.write(_KEEP_TITLE)
             title, self._title = self._title, ""

@@ -184,6 +184,7 @@ class Painter:
         self._protocol = protocol
         self._at = (0, 0)
         self._shown: dict[int, Band] = {}
+        self._is_lost = False
 
     def overwritten(self, top: int, bottom: int) -> None:
         """Note that text was drawn over rows from `top` until before `bottom`; kitty's images stay on it."""
@@ -193,8 +194,8 @@ class Painter:
                     del self._shown[number]
 
     def lost(self) -> None:
-        """Note that the terminal was cleared."""
-        self._shown.clear()
+        """Note that the terminal may have been cleared, or has missed some of what was written."""
+        self._is_lost = True
 
     def painted(self, bands: Sequence[Band], at: tuple[int, int], covered: Container[int]) -> str:
         """Return what shows bands, or an empty string if all is there.
@@ -209,10 +210,11 @@ class Painter:
         for number, band in enumerate(bands):
             if not _is_covered(band, at, covered):
                 self._shown[number] = band
-                if before.get(number) is not band:
+                if before.get(number) is not band or self._is_lost:
                     parts.append(f"\x1b[{at[1] + band.top + 1};{at[0] + 1}H{band.sequence}")
         # After the new ones are in sight, so that nothing flickers.
         parts += [self._freed(band) for number, band in before.items() if self._shown.get(number) is not band]
+        self._is_lost = False
         drawn = "".join(parts)
         return f"\x1b7{drawn}\x1b8" if drawn else ""
 

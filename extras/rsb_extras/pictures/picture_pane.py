@@ -56,6 +56,7 @@ class PicturePane(Widget, can_focus=True):
         self._bands: list[Band] = []
         self._painter: Painter | None = None
         self._covered: frozenset[int] = frozenset()
+        self._losses = 0
         self._first_id = secrets.randbelow(1 << 27) * IDS + 1
 
     class Clicked(TextualMessage):
@@ -73,7 +74,10 @@ class PicturePane(Widget, can_focus=True):
         self.set_interval(_COVERED_EVERY, self._look_for_boxes)
 
     def on_unmount(self) -> None:
-        self._take_away()
+        self.take_image_away()
+
+    def on_resize(self) -> None:
+        self.take_image_away()  # it has the former size
 
     def on_click(self, event: Click) -> None:
         offset = event.get_content_offset(self)
@@ -83,9 +87,7 @@ class PicturePane(Widget, can_focus=True):
     def show(self, rows: list[Row]) -> None:
         """Show rows of characters; only those that differ are drawn."""
         yield_gil()
-        if self._bands:
-            self._bands = []
-            self._take_away()
+        self.take_image_away()
         self._show_rows(rows)
 
     async def show_image(
@@ -126,18 +128,24 @@ class PicturePane(Widget, can_focus=True):
     def _paint(self) -> None:
         """Send what the terminal lacks of the image."""
         if self._painter is None or not self._bands or not self.is_attached or self.terminal.is_behind:
-            return
+            return  # `_look_for_boxes` tries again
+        if self._losses != self.terminal.losses:
+            self._losses = self.terminal.losses
+            self._painter.lost()
         at = self.content_region.offset
         self.terminal.write_to_terminal(self._painter.painted(self._bands, (at.x, at.y), self._covered))
 
-    def _take_away(self) -> None:
+    def take_image_away(self) -> None:
+        self._bands = []
         if self._painter is not None:
             self.terminal.write_to_terminal(self._painter.taken_away())
 
     def _look_for_boxes(self) -> None:
-        if self._bands and (covered := self._rows_under_boxes()) != self._covered:
-            self._covered = covered
-            self._paint()
+        if not self._bands:
+            return
+        before, self._covered = self._covered, self._rows_under_boxes()
+        self._paint()
+        if self._covered != before:
             self.cover_changed()
 
     def cover_changed(self) -> object:
@@ -159,15 +167,6 @@ class PicturePane(Widget, can_focus=True):
                     yield screen.region
                 yield from (each.region for each in screen.children if not isinstance(each, ToastRack))
 
-    def render_lines(self, crop: Region) -> list[Strip]:
-        if self._painter is not None and self._bands:
-            top = self.content_region.y - self.region.y
-            if crop.y <= top and crop.bottom >= top + self.size.height:
-                self._painter.lost()  # perhaps the terminal was cleared
-            self._painter.overwritten(crop.y - top, crop.bottom - top)
-            self.call_after_refresh(self._paint)
-        return super().render_lines(crop)
-
     # -- characters ---------------------------------------------------------------------------------------------------
 
     def entitle(self, title: str) -> None:
@@ -188,6 +187,8 @@ class PicturePane(Widget, can_focus=True):
 
     def render_line(self, y: int) -> Strip:
         """Draw screen row `y` (Textual's line API)."""
+        if self._bands and self._painter is not None:
+            self._painter.overwritten(y, y + 1)  # it is tried again in a moment
         strip = self._strips.get(y)
         if strip is None or strip.cell_length != self.size.width:
             row = self._rows[y] if y < len(self._rows) else ()

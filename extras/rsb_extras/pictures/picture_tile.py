@@ -194,7 +194,10 @@ class PictureTile(Tile):
             down=max(1, min(MOST_DOWN, down)),
             shape=max(0.5, min(8.0, facts.shape)),
         )
-        self._draw()
+        if isinstance(self.content, Pixels):
+            self.cover_changed()  # the picture in sight, in the new size
+        else:
+            self._draw()
 
     @property
     def _colours(self) -> int:
@@ -297,7 +300,7 @@ class PictureTile(Tile):
         facts, wish = self.terminal.facts, self._wish
         return image_rows(content, wish.width, wish.height, colours=self._colours, sextants=facts.draws_sextants)
 
-    @work
+    @work(exclusive=True, group="image")
     async def cover_changed(self) -> None:
         await self._show_content()
 

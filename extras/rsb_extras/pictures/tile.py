@@ -85,6 +85,8 @@ class Tile(PicturePane):
         if on != self.is_on:
             self.is_on = on
             (self.begin if on else self.end)()
+            if not on:
+                self.take_image_away()
 
     def begin(self) -> None:
         raise NotImplementedError
