@@ -17,7 +17,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge import __version__
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route import lease
 from rsb_console.app import ConsoleApp
@@ -108,8 +107,7 @@ async def of_a_robot(album: Album) -> None:
                 demo.robot.mute("/scan")  # the one fault of the pictures, which the lines at the top explain
                 await until(lambda: "stopped" in states(app), pilot)
                 await pilot.pause(1.0)  # the table puts the fault on top, and the cursor stays on its topic
-                # The version is in the log's line about the link, which a busy machine's warnings push out.
-                await album.take(pilot, "main", "g", when=shows("STOPPED", "drops 0", f"rsb-console {__version__}"))
+                await album.take(pilot, "main", "g", when=shows("STOPPED", "drops 0"))
                 await album.take(pilot, "add-topic", "a", when=shows("/battery_state"))
                 await leave(app, pilot)
                 await album.take(pilot, "help", "question_mark", when=shows("Next line"))

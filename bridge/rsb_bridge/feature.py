@@ -42,7 +42,7 @@ BRINGS_ACTIONS: Mapping[str, str] = {
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""
-BRINGS_SETTINGS: Mapping[str, str] = {"commands": "own_commands"}
+BRINGS_SETTINGS: Mapping[str, str] = {"commands": "own_commands", "layouts": "pictures"}
 """The same of settings in ``console.yaml``."""
 
 T = TypeVar("T")

@@ -29,6 +29,9 @@ MAY_START = {
     "extras/rsb_extras/doctor/session_needs.py", "extras/rsb_extras/exporters/fault_hook.py",
     "extras/rsb_extras/bench/loopback.py", "extras/rsb_extras/pictures/confinement_check.py",
     "extras/rsb_extras/pictures/renderer.py",
+    # They run what the operator wrote, in the folder where the operator started the console; and tmux by its path.
+    "extras/rsb_extras/own_commands/interactive.py", "extras/rsb_extras/own_commands/running.py",
+    "console/rsb_console/terminal/desktop_notification.py", "console/rsb_console/terminal/terminal_facts.py",
     "console/rsb_console/child.py", "console/rsb_console/terminal/driver.py", "deb/build.py",
 }  # fmt: skip
 """Modules that start children. A new one belongs here once its child does not look into its working folder."""

@@ -32,6 +32,8 @@ WRITES_OTHERWISE = {
     "bench/loopback.py": "sessions in a temporary folder, mode 0700",
     "simulated/processes.py": "a log in such a folder",
     "fleet/simulated_fleet.py": "likewise",
+    "recording/mcap_file.py": "a file of `new_file`",
+    "recording/record_command.py": "the null device, or what `new_file` made",
     "model/text.py": "standard output itself",
     "cli.py": "crash.log, with `owner_only`",
     "terminal_app.py": "crash.txt, with `owner_only`",

@@ -104,10 +104,10 @@ def with_keys(content: str, landmark: str) -> Decorator:
 
 
 @pytest.mark.usefixtures("folder")
-@with_keys("pause: P\nmove_down: ctrl+n\n", "P pause")
+@with_keys("pause: Z\nmove_down: ctrl+n\n", "Z pause")
 async def test_a_remapped_key_works_and_is_shown(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("p")
-    await pilot.press("ctrl+n", "P")
+    await pilot.press("ctrl+n", "Z")
     await until(pilot, lambda: engine_of(app).commands, "a command")
     assert engine_of(app).commands == [("pause", "/robot1/map", True)]
 

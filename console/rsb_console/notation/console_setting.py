@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -10,6 +11,8 @@ from rsb_bridge.feature import installed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+    import msgspec
 
 T = TypeVar("T")
 
@@ -32,6 +35,13 @@ class ConsoleSetting(Generic[T]):
         """Return the setting's value in the `rsb_console.preferences.Preferences`."""
         value: T = preferences.features.get(self.name, self.default)
         return value
+
+
+def placed(name: str, error: msgspec.ValidationError) -> str:
+    """Return msgspec's text about a part of a setting, with the setting's name before the part's place."""
+    found = re.fullmatch(r"(.*?)(?: - at `\$(.*)`)?", str(error), re.DOTALL)
+    assert found is not None
+    return f"{name}{found[2] or ''}: {found[1]}"
 
 
 @cache

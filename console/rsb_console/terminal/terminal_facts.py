@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import msgspec
 
+from rsb_console.notation.console_setting import placed
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU
 
 if TYPE_CHECKING:
@@ -184,8 +185,7 @@ class TerminalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         try:
             return msgspec.convert(value, cls)
         except msgspec.ValidationError as error:
-            problem, _, place = str(error).partition(" - at `$")
-            raise ValueError(f"terminal{place.rstrip('`')}: {problem}") from None
+            raise ValueError(placed("terminal", error)) from None
 
     def over(self, facts: TerminalFacts) -> TerminalFacts:
         """Return the facts with what the user has set in their place."""

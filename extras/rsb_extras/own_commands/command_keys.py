@@ -32,7 +32,7 @@ MOST = 8
 """Commands at once: a round figure. An operator follows fewer, and a held key starts no more."""
 
 
-class CommandText(Wording):
+class OwnCommandText(Wording):
     """Questions and notes about own commands."""
 
     ASKS = "Run {name}?"
@@ -97,26 +97,26 @@ async def _run(command: OwnCommand, console: Console, values: Mapping[str, str])
     try:
         line = command.line(values)
     except UnsafeValueError as error:
-        text = CommandText.UNSAFE if error.value else CommandText.EMPTY
+        text = OwnCommandText.UNSAFE if error.value else OwnCommandText.EMPTY
         _warn(console, text(name=error.name, value=escape_text(error.value)))
         return
     running = RUNNING.find(line)
     if running is None:
         if len(RUNNING) >= MOST:
-            _warn(console, CommandText.TOO_MANY(most=MOST))
+            _warn(console, OwnCommandText.TOO_MANY(most=MOST))
             return
         # On a late key, too: what runs may move a robot.
-        question = ConfirmScreen(CommandText.ASKS(name=command.description), line, "Run", Effect.MOVES)
+        question = ConfirmScreen(OwnCommandText.ASKS(name=command.description), line, "Run", Effect.MOVES)
         if command.confirm and await console.ask(question) is not True:
             return
         try:
             if command.interactive:
                 code = await run_in_terminal(console, line)
-                console.notify(CommandText.ENDED(name=command.description, end=code_text(code)), markup=False)
+                console.notify(OwnCommandText.ENDED(name=command.description, end=code_text(code)), markup=False)
                 return
             running = RUNNING.start(line, _on_this_loop(partial(_tell_end, console, command)))
         except OSError as error:
-            _warn(console, CommandText.NOT_STARTED(error=error.strerror or error))
+            _warn(console, OwnCommandText.NOT_STARTED(error=error.strerror or error))
             return
     await console.ask(OutputScreen(command.description, running))
 
@@ -135,7 +135,7 @@ def _on_this_loop(tell: Callable[[RunningCommand], None]) -> Callable[[RunningCo
 def _tell_end(console: Console, command: OwnCommand, running: RunningCommand) -> None:
     """Tell how a command has ended whose pane is closed."""
     if not running.is_shown:
-        end = CommandText.ENDED(name=command.description, end=end_of(running))
+        end = OwnCommandText.ENDED(name=command.description, end=end_of(running))
         console.notify(end, severity="warning" if running.code else "information", markup=False, timeout=8)
 
 

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 BANDS = 8
 """Bands of an image at most: each band of sixels has a palette of its own, of up to 4 kB."""
+IDS = 2 * BANDS
+"""Numbers of kitty's images: a band that comes has another one than the band in sight."""
 USUAL_CELL = 10.0, 20.0
 """Pixels of a cell, for terminals that do not tell theirs: most fonts are twice as high as wide."""
 _CHUNK = 4096
@@ -43,12 +45,14 @@ class Band(NamedTuple):
         rows: cells in height.
         pixels: its content, to be compared.
         sequence: draws it at the cursor.
+        image_id: kitty's number of it.
     """
 
     top: int
     rows: int
     pixels: bytes
     sequence: str
+    image_id: int
 
 
 def why_no_graphics(protocol: str) -> str:
@@ -59,7 +63,7 @@ def why_no_graphics(protocol: str) -> str:
     return f"{protocol} images need Pillow and textual-image: pip install 'rsb-console[look]'"
 
 
-class Frame(NamedTuple):
+class Extent(NamedTuple):
     """The place of an image on the screen.
 
     Attributes:
@@ -75,17 +79,17 @@ class Frame(NamedTuple):
     height: float
 
 
-def frame_of(pixels: Pixels, wish: Wish) -> Frame:
+def frame_of(pixels: Pixels, wish: Wish) -> Extent:
     """Return the place of an image that fills the wished area in its own proportions."""
     width, height = pixels.width / wish.across, pixels.height / wish.down
     factor = min(wish.width / width, wish.height / height)
     width, height = width * factor, height * factor
-    return Frame(max(1, math.ceil(width - 0.01)), max(1, math.ceil(height - 0.01)), width, height)
+    return Extent(max(1, math.ceil(width - 0.01)), max(1, math.ceil(height - 0.01)), width, height)
 
 
 def bands_of(
     pixels: Pixels,
-    frame: Frame,
+    frame: Extent,
     cell: tuple[float, float],
     protocol: Protocol,
     first_id: int,
@@ -96,7 +100,7 @@ def bands_of(
 
     Args:
         cell: pixels of the terminal in a cell.
-        first_id: kitty's number of the first band; a terminal keeps one image of each number.
+        first_id: kitty's first number of `IDS`.
         paper: colour of the rest of the cells at the right and lower edge.
         before: the bands that are shown, whose sequences are used again.
 
@@ -117,6 +121,7 @@ def bands_of(
     sheet.paste(image)
     most = -(-rows // BANDS)
     known = {(band.top, band.rows, band.pixels): band for band in before}
+    used = {band.image_id for band in before}
     bands = []
     for number, top in enumerate(range(0, rows, most)):
         band_rows = min(most, rows - top)
@@ -125,8 +130,10 @@ def bands_of(
         content = part.tobytes()
         band = known.get((top, band_rows, content))
         if band is None:
-            way = sixels(part) if protocol == "sixel" else kitty(png(part), first_id + number, columns, band_rows)
-            band = Band(top, band_rows, content, way)
+            # kitty takes the image of a number away as soon as another one of the same number begins to come.
+            image_id = next(each for each in (first_id + number, first_id + BANDS + number) if each not in used)
+            way = sixels(part) if protocol == "sixel" else kitty(png(part), image_id, columns, band_rows)
+            band = Band(top, band_rows, content, way, image_id)
         bands.append(band)
     return bands
 
@@ -138,7 +145,7 @@ def png(image: Image) -> bytes:
 
 
 def kitty(image: bytes, image_id: int, columns: int, rows: int) -> str:
-    """Return the sequence that transmits a PNG file and displays it; one of the same id replaces the one before."""
+    """Return the sequence that transmits a PNG file and displays it."""
     encoded = base64.b64encode(image).decode()
     chunks = [encoded[at : at + _CHUNK] for at in range(0, len(encoded), _CHUNK)]
     # C=1 leaves the cursor where it is. q=2 keeps the terminal from answers, which would be read as keys.
@@ -162,15 +169,10 @@ def sixels(image: Image) -> str:
 
 
 class Painter:
-    """Shows an image in a region of the screen, and sends only the bands that the terminal lacks.
+    """Shows an image in a region of the screen, and sends only the bands that the terminal lacks."""
 
-    Args:
-        first_id: of kitty's images, for `BANDS` of them.
-    """
-
-    def __init__(self, protocol: Protocol, first_id: int) -> None:
+    def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
-        self._first_id = first_id
         self._at = (0, 0)
         self._shown: dict[int, Band] = {}
 
@@ -194,23 +196,24 @@ class Painter:
         """
         parts = [self.taken_away()] if self._at != at else []
         self._at = at
-        for number in [*self._shown]:
-            if number >= len(bands) or _is_covered(bands[number], at, covered):
-                del self._shown[number]
-                parts.append(kitty_freed(self._first_id + number) if self._protocol == "kitty" else "")
+        before, self._shown = self._shown, {}
         for number, band in enumerate(bands):
-            if not _is_covered(band, at, covered) and self._shown.get(number) is not band:
+            if not _is_covered(band, at, covered):
                 self._shown[number] = band
-                parts.append(f"\x1b[{at[1] + band.top + 1};{at[0] + 1}H{band.sequence}")
+                if before.get(number) is not band:
+                    parts.append(f"\x1b[{at[1] + band.top + 1};{at[0] + 1}H{band.sequence}")
+        # After the new ones are in sight, so that nothing flickers.
+        parts += [self._freed(band) for number, band in before.items() if self._shown.get(number) is not band]
         drawn = "".join(parts)
         return f"\x1b7{drawn}\x1b8" if drawn else ""
 
     def taken_away(self) -> str:
         """Return what takes the image away; sixels go with the text that is drawn over them."""
         shown, self._shown = self._shown, {}
-        if self._protocol != "kitty":
-            return ""
-        return "".join(kitty_freed(self._first_id + number) for number in shown)
+        return "".join(map(self._freed, shown.values()))
+
+    def _freed(self, band: Band) -> str:
+        return kitty_freed(band.image_id) if self._protocol == "kitty" else ""
 
 
 def _is_covered(band: Band, at: tuple[int, int], covered: Container[int]) -> bool:

@@ -20,7 +20,7 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.model.wording import Wording
-from rsb_console.notation.console_setting import ConsoleSetting
+from rsb_console.notation.console_setting import ConsoleSetting, placed
 from rsb_extras.pictures.picture import MOST_RATE, TOPICS_AT_ONCE, Wish
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ class LayoutText(Wording):
     NO_MAPPING = "layouts: give names with lists of tiles, like drive: [/camera/image_raw, /map, rates]"
     NO_TILES = "layouts.{name}: give a list of topics, rates or log, or a mapping with robots and tiles"
     NO_TOPIC = "layouts.{name}.tiles[{at}]: give a topic, or topics"
-    WRONG = "layouts.{name}.tiles[{at}]{place}: {problem}"
 
 
 class Subject(NamedTuple):
@@ -58,7 +57,10 @@ class Subject(NamedTuple):
     wish: Wish = Wish()
 
 
-class _Entry(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True, rename={"how": "as"}):
+_AS_WRITTEN = {"how": "as"}
+
+
+class _Entry(msgspec.Struct, forbid_unknown_fields=True, rename=_AS_WRITTEN):
     """A tile in the file; its keys are those of the command ``look``."""
 
     topic: _Name | None = None
@@ -118,8 +120,7 @@ def _subject(name: str, at: int, given: object) -> Subject:
     try:
         entry = msgspec.convert(given, _Entry)
     except msgspec.ValidationError as error:
-        problem, _, place = str(error).partition(" - at `$")
-        raise ValueError(LayoutText.WRONG(name=name, at=at, place=place.rstrip("`"), problem=problem)) from None
+        raise ValueError(placed(f"layouts.{name}.tiles[{at}]", error)) from None
     topics = (entry.topic,) if entry.topic is not None else entry.topics
     if not topics:
         raise ValueError(LayoutText.NO_TOPIC(name=name, at=at))
@@ -132,12 +133,12 @@ LAYOUTS: ConsoleSetting[Mapping[str, Layout]] = ConsoleSetting("layouts", {}, re
 def written(subject: Subject) -> str | dict[str, Any]:
     """Return a tile as console.yaml has it."""
     topics, wish = subject.topics, subject.wish
-    several = topics if len(topics) > 1 else ()
-    of_wish = {each: getattr(wish, each) for each in _OF_WISH}
-    entry = _Entry(topic=None if several else topics[0], topics=several, link=subject.link, **of_wish)
-    found: dict[str, Any] = msgspec.to_builtins(entry)
-    if "fields" in found:
-        found["fields"] = list(found["fields"])
+    found: dict[str, Any] = {"topics": [*topics]} if len(topics) > 1 else {"topic": topics[0]}
+    if subject.link:
+        found["link"] = subject.link
+    for name in _OF_WISH:
+        if (value := getattr(wish, name)) != getattr(Wish(), name):
+            found[_AS_WRITTEN.get(name, name)] = [*value] if isinstance(value, tuple) else value
     return topics[0] if found.keys() == {"topic"} else found
 
 

@@ -275,7 +275,8 @@ class _Group:
             message = "" if status is None else status.message
             name = f"{inner._name}  "
             lines.append([(f"{word:<6}", style), (f"{indent}{sign}", "axis"), (name, "strong"), (message, "")])
-            if status is not None and status.level:
+            # Those of a group repeat what is below it.
+            if status is not None and status.level and not inner._inner:
                 lines += [[(f"       {indent}{key}: ", "axis"), (value, "")] for key, value in status.values]
             if is_open:
                 lines += inner.lines(opened, depth + 1)

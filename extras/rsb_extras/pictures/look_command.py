@@ -26,7 +26,7 @@ from rsb_console.notation import formats
 from rsb_console.notation.glyphs import to_ascii
 from rsb_console.terminal.terminal_facts import ask, facts_before_answers
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
-from rsb_extras.pictures.graphics import BANDS, USUAL_CELL, Painter, bands_of, frame_of, why_no_graphics
+from rsb_extras.pictures.graphics import IDS, USUAL_CELL, Painter, bands_of, frame_of, why_no_graphics
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import MOST_ACROSS, MOST_COLUMNS, MOST_DOWN, MOST_ROWS, Picture, Pixels, Wish, in_full
@@ -258,7 +258,7 @@ def _wish(arguments: Namespace) -> Wish:
         width=max(1, min(MOST_COLUMNS, arguments.width or size.columns)),
         height=max(1, min(MOST_ROWS, arguments.height or size.lines - 1)),
         rate=arguments.rate,
-        how=arguments.how,
+        how=arguments.how or ("plot" if arguments.field else ""),
         fields=tuple(arguments.field),
         zoom=arguments.zoom,
         tilt=arguments.tilt,
@@ -362,9 +362,9 @@ class ImagePrinter:
         self._protocol = protocol
         self._cell = facts.cell or USUAL_CELL
         # The images of former commands stay on the screen.
-        self._first_id = secrets.randbelow(1 << 28) * BANDS + 1
+        self._first_id = secrets.randbelow(1 << 27) * IDS + 1
         self._bands: list[Band] = []
-        self._painter = Painter(protocol, self._first_id)
+        self._painter = Painter(protocol)
 
     def printed(self, pixels: Pixels, wish: Wish) -> str:
         """Return the sequence that shows an image in the upper left corner.

@@ -129,7 +129,9 @@ class LookScreen(ModalScreen[tuple[Subject, ...]]):
 
     def _other(self, name: str, shown: str, *subjects: Subject) -> Suggestion:
         self._subjects[name] = subjects
-        line: Line = ((f"{name:<{_TOPIC + _SIDE}} ", "strong"), (shown, "dim"))
+        # A search for a topic finds that, and not what contains it.
+        contents = "" if self.text.value else shown
+        line: Line = ((f"{name:<{_TOPIC + _SIDE}} ", "strong"), (contents, "dim"))
         return Suggestion(name, name, lambda _width: line)
 
     def _known(self, subject: Subject) -> Subject:

@@ -15,7 +15,7 @@ from rsb_extras.pictures.grids import Grid, Sheet, ground, lay_under, read_grid
 from rsb_extras.pictures.markers import Markers, draw_markers, points_of
 from rsb_extras.pictures.picture import TOPICS_AT_ONCE, Scale
 from rsb_extras.pictures.points import cloud_points, put_dots, scan_points
-from rsb_extras.pictures.transforms import FrameTree, Transform, coordinate, pose, transform
+from rsb_extras.pictures.transforms import FrameTree, Transform, coordinate, pose, stamp_of, transform
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -40,7 +40,7 @@ _MOST_ROBOTS = 8
 """Robots of a tree of frames that are drawn, as namespaces may have one each: a round figure."""
 _LOST = 5.0
 """s after which a robot's transform is named as old. A round figure: a localization sends several a second."""
-_OTHERS = {"path": ("path", "ok", "warning"), "scan": ("scan", "warning", "ok")}
+_OTHERS = {"path": ("path", "warning", "strong"), "scan": ("scan", "warning", "ok")}
 """Styles of several layers of the same kind, one after the other."""
 _LOW = 3
 """Rows of a picture that has none to spare for a legend."""
@@ -62,6 +62,7 @@ class _Layer(NamedTuple):
         sign: its character in the legend.
         x: of points, m.
         y: of points, m.
+        stamp: s, its own, by which its frame is placed, or 0.
         is_line: whether the points are joined.
         pose: a pose with a direction, or None.
         robot: frame of the pose, if it is a robot's, or an empty string.
@@ -73,6 +74,7 @@ class _Layer(NamedTuple):
     grid: Grid | None = None
     x: Floats = np.empty(0)
     y: Floats = np.empty(0)
+    stamp: float = 0.0
     is_line: bool = False
     pose: Transform | None = None
     robot: str = ""
@@ -106,9 +108,9 @@ class MapView(View):
                 self._marked.append(received.topic)
             self._markers.receive(received)
         elif (read := _LAYERS.get(name)) is not None:
-            layer = self._layers[received.topic] = read(message, received.topic)
+            layer = self._layers[received.topic] = read(message, received.topic)._replace(stamp=stamp_of(message))
             if layer.pose is not None and layer.robot not in self._broadcast:
-                self._tree.add(layer.robot, layer.frame, layer.pose, received.time)
+                self._tree.add(layer.robot, layer.frame, layer.pose, layer.stamp, received.time)
         else:
             raise UndrawableError(f"{received.topic}: {received.type_name} has no place on a map")
 
@@ -118,7 +120,7 @@ class MapView(View):
         for each in elements(received.message, "transforms"):
             # As tf2 does, since older nodes begin the names of frames with a /.
             child, parent = (text(each, name).removeprefix("/") for name in ("child_frame_id", "header.frame_id"))
-            self._tree.add(child, parent, transform(each, "transform"), time)
+            self._tree.add(child, parent, transform(each, "transform"), stamp_of(each), time)
             if child in self._tree:  # no more of them are remembered
                 self._broadcast.add(child)
 
@@ -169,7 +171,7 @@ class MapView(View):
         used: dict[str, int] = {}
         markers, lost = self._markers.placed(self._tree, target)
         for topic, layer in self._layers.items():
-            place = self._tree.place(layer.frame, target)
+            place = self._tree.place(layer.frame, target, layer.stamp)
             if place is None:
                 lost[topic] = layer.frame
                 continue
@@ -185,6 +187,8 @@ class MapView(View):
         spaces: set[str] = set()
         for name in _ROBOTS:
             for frame in self._tree:
+                if frame not in self._broadcast:  # an odometry's, which is a layer of its own
+                    continue
                 space, slash, last = frame.rpartition("/")
                 if last != name or space + slash in spaces or frame == target or len(found) >= _MOST_ROBOTS:
                     continue
@@ -232,9 +236,16 @@ _Placed = tuple[str, _Layer, Transform]
 
 def _write_legend(canvas: Canvas, column: int, legend: list[tuple[str, str, str]]) -> None:
     """Write as many entries as have room, with the last part of names if whole ones have none."""
-    short = sum(len(name) + 2 + _GAP for _, _, name in legend) > canvas.width - column
-    for sign, style, name in legend:
-        shown = single_cells(sanitize_text(name.rpartition("/")[2] if short else name))
+    names = [name for _, _, name in legend]
+    if sum(len(name) + 2 + _GAP for name in names) > canvas.width - column:
+        last = [name.rpartition("/")[2] for name in names]
+        # Of /local_costmap/costmap and /global_costmap/costmap, the first part says more.
+        names = [
+            name.strip("/").partition("/")[0] if last.count(short) > 1 else short
+            for name, short in zip(names, last, strict=True)
+        ]
+    for (sign, style, _), name in zip(legend, names, strict=True):
+        shown = single_cells(sanitize_text(name))
         column += _GAP
         if column + 2 + len(shown) > canvas.width:
             canvas.write(column, canvas.height - 1, "…", "axis")

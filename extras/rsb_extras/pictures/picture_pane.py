@@ -21,7 +21,7 @@ from textual.widgets._toast import Toast, ToastRack
 
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
-from rsb_extras.pictures.graphics import BANDS, USUAL_CELL, Painter, bands_of, frame_of
+from rsb_extras.pictures.graphics import IDS, USUAL_CELL, Painter, bands_of, frame_of
 from rsb_extras.pictures.paper import Paper
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class PicturePane(Widget, can_focus=True):
         self._bands: list[Band] = []
         self._painter: Painter | None = None
         self._covered: frozenset[int] = frozenset()
-        self._first_id = secrets.randbelow(1 << 28) * BANDS + 1
+        self._first_id = secrets.randbelow(1 << 27) * IDS + 1
 
     class Clicked(TextualMessage):
         """A cell was clicked."""
@@ -104,7 +104,7 @@ class PicturePane(Widget, can_focus=True):
             bands_of, image, frame_of(image, wish), cell, facts.pixels, self._first_id, paper, self._bands
         )
         if self._painter is None:
-            self._painter = Painter(facts.pixels, self._first_id)
+            self._painter = Painter(facts.pixels)
         self._covered = self._rows_under_boxes()
         self._show_rows(await asyncio.to_thread(blocks) if self._covered else [])
         self.call_after_refresh(self._paint)

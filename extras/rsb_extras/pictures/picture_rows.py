@@ -19,7 +19,8 @@ COLOURS = {None: 0, "standard": 16, "windows": 16, "256": 256, "truecolor": 1 <<
 _FEW = 16
 _COST = "·"
 """A cell with a cost, on a terminal without colours."""
-_CURVE_STYLES = ("curve", "path", "goal", "ok", "warning", "error", "robot", "strong")
+_CURVE_STYLES = ("curve", "goal", "ok", "scan", "strong", "path", "error", "dim")
+"""Those that all themes colour differently."""
 _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE = 0x2800
 _DOTS_ACROSS, _DOTS_DOWN = 2, 4
@@ -28,6 +29,8 @@ AXIS = 10
 _TICK_ROWS, _TICK_COLUMNS = 4, 16
 """Least rows and columns from one label to the next. A label of time takes up to eleven columns."""
 _TICK_STEPS = (1, 2, 5)
+_MINUTE, _IN_MINUTES = 60.0, 240.0
+"""s; and length of a time axis, from which on it has minutes."""
 
 
 class Part(NamedTuple):
@@ -232,10 +235,11 @@ def _time_axis(series: Series, across: int) -> list[Row]:
     """Return the line of the time axis, and its labels in seconds before the newest message."""
     columns = max((len(curve.lows) for curve in series.curves), default=0) or 1
     seconds = series.step * columns
+    unit, name = (_MINUTE, "min") if seconds >= _IN_MINUTES else (1.0, "s")
     line, labels = ["─"] * across, [" "] * across
-    for tick in _ticks(-seconds, 0.0, max(1, across // _TICK_COLUMNS)):
-        at = min(across - 1, round((tick + seconds) / seconds * (across - 1)))
-        text = "now" if abs(tick) < 1e-9 else f"{_number(tick)} s"
+    for tick in _ticks(-seconds / unit, 0.0, max(1, across // _TICK_COLUMNS)):
+        at = min(across - 1, round((tick * unit + seconds) / seconds * (across - 1)))
+        text = "now" if abs(tick) < 1e-9 else f"{_number(tick)} {name}"
         line[at] = "┴"
         begin = max(0, min(across - len(text), at - len(text) // 2))
         labels[begin : begin + len(text)] = text

@@ -49,6 +49,7 @@ from rsb_extras.pictures.tile import FRAME, Tile, joined
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from concurrent.futures import Future
 
     from rsb_console.console_api import Console
     from rsb_extras.pictures.layouts import Subject
@@ -87,7 +88,10 @@ class ViewText(Wording):
 
 
 class PictureTile(Tile):
-    """Pictures of topics, of a map with others laid over it, and the goal that an operator sets on it."""
+    """Pictures of topics, of a map with others laid over it, and the goal that an operator sets on it.
+
+    It has more than 40 methods because Textual calls one for each key, and they all change one wish.
+    """
 
     BINDINGS: ClassVar = [
         Binding("g", "goal", show=False),
@@ -126,6 +130,7 @@ class PictureTile(Tile):
         """When pictures came lately, and their bytes."""
         self._goes_on = asyncio.Event()
         self._goes_on.set()
+        self._asked: Future[Viewed | None] | None = None
         self._problem = ""
         self._unreadable = ""
         """The damage of the image in sight, or an empty string."""
@@ -176,8 +181,7 @@ class PictureTile(Tile):
             across, down = (round(each) for each in facts.cell)
         else:
             across, down = wished_pixels(self._colours, sextants=facts.draws_sextants)
-        self._wish = msgspec.structs.replace(
-            self._wish,
+        self._change(
             width=width,
             height=height,
             across=max(1, min(MOST_ACROSS, across)),
@@ -208,6 +212,10 @@ class PictureTile(Tile):
             try:
                 viewed = await self._next()
                 self._problem = ""
+            except asyncio.CancelledError:
+                if (task := asyncio.current_task()) is None or task.cancelling():
+                    raise
+                continue  # another wish takes the question's place
             except EngineError as error:
                 self._problem = str(error)
                 self._draw()
@@ -230,11 +238,13 @@ class PictureTile(Tile):
         if engine is None:
             raise EngineError("no session runs")
         asked = LookAtTopics(self._viewer, self._topics, self._wish, self.subject.link)
-        return await asyncio.wrap_future(engine.do(asked))
+        self._asked = engine.do(asked)
+        return await asyncio.wrap_future(self._asked)
 
     @property
     def _topics(self) -> tuple[str, ...]:
-        if of_fields := tuple(dict.fromkeys(filter(None, (split_field(each)[0] for each in self._wish.fields)))):
+        of_fields = tuple(dict.fromkeys(filter(None, (split_field(each)[0] for each in self._wish.fields))))
+        if of_fields and self._wish.how == "plot":
             return of_fields
         is_usual = not self._wish.how
         return self.subject.topics + (self._layers if self._shows_layers and is_usual else ())
@@ -333,7 +343,10 @@ class PictureTile(Tile):
     # -- keys ---------------------------------------------------------------------------------------------------------
 
     def _change(self, **changes: object) -> None:
-        self._wish = msgspec.structs.replace(self._wish, **changes)
+        wish = msgspec.structs.replace(self._wish, **changes)
+        if wish != self._wish and self._asked is not None:
+            self._asked.cancel()  # so that the key has its effect with the next picture
+        self._wish = wish
         self._entitle()
 
     def action_way(self) -> None:

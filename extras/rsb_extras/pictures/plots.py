@@ -198,9 +198,11 @@ class NumbersView(View):
                 self._numbers[key] = value
 
     def draw(self, wish: Wish) -> Drawn:
+        # Those that count or hardly change come last.
+        listed = sorted(self._numbers.items(), key=lambda each: _NOT_FIRST.search(each[0][1]) is not None)
         numbers = (
             FieldNumber(topic, path, value if abs(value) <= MOST_VALUE else None)
-            for (topic, path), value in self._numbers.items()
+            for (topic, path), value in listed
             if wish.match in path
         )
         return Drawn(numbers=tuple(numbers))
@@ -232,6 +234,8 @@ def _numbers(value: Value, path: str, names: list[str]) -> Iterator[tuple[str, f
 def _summary(items: Items, path: str) -> Iterator[tuple[str, float]]:
     """Yield what one number says of many: the distance to the nearest obstacle, of a scan."""
     if items.raw is None or items.code[-1:] not in ("f", "d") or not _ITEMS < items.total <= _SUMMED:
+        return
+    if _NOT_FIRST.search(path):  # of a covariance, they say nothing
         return
     values = [
         each

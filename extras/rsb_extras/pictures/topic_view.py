@@ -266,7 +266,7 @@ class TopicView:
     def _frames(self, topics: tuple[str, ...]) -> tuple[str, ...]:
         """Return the topics of transforms that a map needs, and that its viewer may look at but did not name."""
         first = self._feeds.get(topics[0])
-        how = self.wish.how or ("plot" if self.wish.fields else "" if first is None else first.viewable.type_name)
+        how = self.wish.how or ("" if first is None else first.viewable.type_name)
         if not (how == "map" or is_map(how)):
             return ()
         return tuple(topic for topic in FRAMES if topic not in topics and self._may_look(topic))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
+from collections import deque
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rsb_extras.pictures.drawing import number
@@ -21,6 +23,10 @@ FRAMES = 500
 """Frames that are remembered: a round figure."""
 FAR = 1e7
 """m, a quarter of the way around the Earth: coordinates beyond are wrong."""
+_POSES = 100
+"""Poses of a frame that are remembered: 1 s at 100 Hz, while a scan takes 0.1 s. A round figure."""
+_BEFORE = 1.0
+"""s: a message older than the oldest pose by more than this was not meant for where the robot was then."""
 _DEPTH = 64
 """Transforms from a frame to another at most: a round figure."""
 
@@ -48,17 +54,36 @@ class Transform(NamedTuple):
         return Transform(-cos * self.x - sin * self.y, sin * self.x - cos * self.y, -self.yaw)
 
 
-class _Frame(NamedTuple):
-    """A frame.
+class _Frame:
+    """A frame, and its poses in its parent.
 
     Attributes:
-        at: pose in the parent.
-        time: s since the epoch, when its newest transform came, or infinity if that is static.
+        came: s since the epoch, when its newest transform came, or infinity if that is static.
     """
 
-    parent: str
-    at: Transform
-    time: float
+    def __init__(self, parent: str) -> None:
+        self.parent = parent
+        self.came = math.inf
+        self._poses: deque[tuple[float, Transform]] = deque(maxlen=_POSES)
+
+    def add(self, stamp: float, pose: Transform, came: float) -> None:
+        self.came = came
+        if self._poses and stamp < self._poses[-1][0]:  # a simulation began anew
+            self._poses.clear()
+        self._poses.append((stamp, pose))
+
+    def at(self, stamp: float) -> Transform:
+        """Return its pose at a time of messages' stamps; the newest if that is 0, or before what is remembered."""
+        (first, oldest), (last, newest) = self._poses[0], self._poses[-1]
+        if not 0 < stamp < last or stamp < first - _BEFORE:
+            return newest
+        if stamp <= first:
+            return oldest
+        after = bisect_left(self._poses, stamp, key=lambda each: each[0])
+        (begin, one), (end, other) = self._poses[after - 1], self._poses[after]
+        part = (stamp - begin) / (end - begin)
+        turn = math.remainder(other.yaw - one.yaw, math.tau)
+        return Transform(one.x + (other.x - one.x) * part, one.y + (other.y - one.y) * part, one.yaw + turn * part)
 
 
 class FrameTree:
@@ -73,25 +98,40 @@ class FrameTree:
     def __contains__(self, frame: str) -> bool:
         return frame in self._frames
 
-    def add(self, child: str, parent: str, at: Transform, time: float) -> None:
-        if child and (child in self._frames or len(self._frames) < FRAMES):
-            self._frames[child] = _Frame(parent, at, time)
+    def add(self, child: str, parent: str, pose: Transform, stamp: float, came: float) -> None:
+        """Take a transform.
 
-    def place(self, frame: str, target: str) -> Transform | None:
-        """Return the pose of a frame in another, or None if the transforms between them are unknown."""
+        Args:
+            stamp: s, its own.
+            came: s since the epoch, when it came, or infinity if it is static.
+        """
+        if not child or (child not in self._frames and len(self._frames) >= FRAMES):
+            return
+        frame = self._frames.get(child)
+        if frame is None or frame.parent != parent:
+            frame = self._frames[child] = _Frame(parent)
+        frame.add(stamp, pose, came)
+
+    def place(self, frame: str, target: str, stamp: float = 0.0) -> Transform | None:
+        """Return the pose of a frame in another, or None if the transforms between them are unknown.
+
+        Args:
+            stamp: s, that of the message which is to be placed, or 0 for the newest pose.
+        """
         if frame == target:
             return Transform()
-        up, up_target = self._to_root(frame), self._to_root(target)
+        up, up_target = self._to_root(frame, stamp), self._to_root(target, stamp)
         for common, at in up.items():
             if common in up_target:
                 return up_target[common].inverse().after(at)
         return None
 
     def oldest(self, frame: str) -> float:
-        """Return the time of the oldest transform between a frame and its root, or infinity if all are static."""
-        return min((self._frames[name].time for name in self._to_root(frame) if name in self._frames), default=math.inf)
+        """Return when the oldest transform between a frame and its root came, or infinity if all are static."""
+        frames = self._to_root(frame, 0.0)
+        return min((self._frames[name].came for name in frames if name in self._frames), default=math.inf)
 
-    def _to_root(self, frame: str) -> dict[str, Transform]:
+    def _to_root(self, frame: str, stamp: float) -> dict[str, Transform]:
         """Return the poses of a frame in itself, in its parent, in its parent's parent …."""
         poses, at = {frame: Transform()}, Transform()
         for _ in range(_DEPTH):
@@ -99,9 +139,15 @@ class FrameTree:
             # A hostile node, or two that disagree, may publish a circle.
             if found is None or found.parent in poses:
                 break
-            frame, at = found.parent, found.at.after(at)
+            frame, at = found.parent, found.at(stamp).after(at)
             poses[frame] = at
         return poses
+
+
+def stamp_of(message: Message) -> float:
+    """Return a message's own time stamp in s, or 0."""
+    stamp = number(message, "header.stamp.sec") + number(message, "header.stamp.nanosec") * 1e-9
+    return stamp if math.isfinite(stamp) else 0.0
 
 
 def yaw(message: Message, path: str) -> float:

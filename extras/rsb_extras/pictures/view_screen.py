@@ -38,6 +38,7 @@ _LEAST = Size(36, 9)
 _WIDE = 3.2
 """Width of a tile over its height, in cells, above which two stand side by side: a camera's picture is twice as wide
 as high, in characters that are twice as high as wide."""
+_ROOM_EVERY = 0.1  # s; a round figure
 _KEYS = ("tab next", "z zoom", "V add", "x close", "w keep")
 
 
@@ -65,7 +66,11 @@ class _NameScreen(FormScreen[str]):
 
 
 class ViewScreen(FullScreen[bool]):
-    """Shows tiles until it is closed. The result is true if messages are to be shown in another way."""
+    """Shows tiles until it is closed. The result is true if messages are to be shown in another way.
+
+    Attributes:
+        pane: the tile that keys are for.
+    """
 
     BINDINGS: ClassVar = [
         Binding("escape", "leave", show=False),
@@ -75,6 +80,8 @@ class ViewScreen(FullScreen[bool]):
         Binding("V", "add", show=False),
         Binding("x", "close_tile", show=False),
         Binding("z", "zoom_tile", show=False),
+        Binding("tab", "next_tile(1)", show=False),
+        Binding("shift+tab", "next_tile(-1)", show=False),
         Binding("w", "keep", show=False),
     ]
     CSS = """
@@ -90,6 +97,8 @@ class ViewScreen(FullScreen[bool]):
         self._first = [_tile(console, subject) for subject in subjects[:TILES]]
         self._box = Container(*self._first, id="tiles")
         self._is_zoomed = False
+        self._given = Spacing()
+        self.pane = self._first[0]
 
     def compose(self) -> ComposeResult:
         yield self._box
@@ -99,35 +108,26 @@ class ViewScreen(FullScreen[bool]):
         return list(self._box.query(Tile))
 
     @property
-    def pane(self) -> Tile:
-        """The tile that keys are for."""
-        focused = self.focused
-        return focused if isinstance(focused, Tile) else self.tiles[0]
-
-    @property
     def content(self) -> Cells | Pixels | Series | None:
         """The picture in the tile that keys are for, or None."""
         return self.pane.content if isinstance(self.pane, PictureTile) else None
 
     def on_mount(self) -> None:
-        self._first[0].focus()
+        self.pane.focus()
         self.call_after_refresh(self._lay_out)
+        self.set_interval(_ROOM_EVERY, self._follow_box)
 
     def on_resize(self) -> None:
         self.call_after_refresh(self._lay_out)
-
-    def on_screen_suspend(self) -> None:
-        self.call_after_refresh(self._lay_out)
-
-    on_screen_resume = on_screen_suspend
 
     # -- layout -------------------------------------------------------------------------------------------------------
 
     def _lay_out(self) -> None:
         """Arrange the tiles, and end those that are out of sight."""
-        if not self.is_attached:
+        tiles = self.tiles
+        if not tiles:  # it is being closed
             return
-        room, tiles = self._room(), self.tiles
+        self._given = room = self._room()
         self._box.styles.margin = room
         size = Size(self.size.width - room.width, self.size.height - room.height)
         columns = _columns(len(tiles), size)
@@ -148,15 +148,30 @@ class ViewScreen(FullScreen[bool]):
             tile.turn(on=tile in shown)
         self._show_keys()
 
+    def _follow_box(self) -> None:
+        """Lay out anew if the box beside the tiles has come, gone or grown."""
+        if self._room() != self._given:
+            self._lay_out()
+
     def _room(self) -> Spacing:
         """Return the room that a box beside the tiles takes."""
         top = self.app.screen
         return top.room(self.size) if isinstance(top, SideBox) else Spacing()
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
-        if not all(tile.display for tile in self.tiles):
-            self._lay_out()
+        if isinstance(event.widget, Tile):
+            self.pane = event.widget
         self._show_keys()
+
+    def _go_to(self, tile: Tile) -> None:
+        """Give a tile the keys, and lay out anew: it may have been hidden, or is new."""
+        self.pane = tile
+        self._lay_out()
+        tile.focus()
+
+    def action_next_tile(self, step: int) -> None:
+        tiles = self.tiles
+        self._go_to(tiles[(tiles.index(self.pane) + step) % len(tiles)])
 
     def _show_keys(self) -> None:
         tiles = self.tiles
@@ -204,8 +219,7 @@ class ViewScreen(FullScreen[bool]):
             return
         self._is_zoomed = False
         await self._box.mount(*tiles)
-        tiles[0].focus()
-        self._lay_out()
+        self._go_to(tiles[0])
 
     async def action_close_tile(self) -> None:
         """Close the tile that keys are for, or the screen with the last one."""
@@ -213,10 +227,9 @@ class ViewScreen(FullScreen[bool]):
         if len(tiles) == 1:
             self.dismiss(None)
             return
-        tiles[tiles.index(tile) - 1].focus()
         await tile.remove()
         self._is_zoomed = False
-        self._lay_out()
+        self._go_to(tiles[tiles.index(tile) - 1])
 
     @work(group=DIALOG)
     async def action_keep(self) -> None:

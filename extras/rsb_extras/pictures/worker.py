@@ -209,7 +209,7 @@ class Artist:
 
 
 def _how(task: Task) -> str:
-    return task.wish.how or ("plot" if task.wish.fields else task.type_name)
+    return task.wish.how or task.type_name
 
 
 def _missing(module: str, task: Task) -> str:

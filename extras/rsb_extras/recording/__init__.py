@@ -41,7 +41,7 @@ def record_limits(session: Any) -> RecordLimits | None:
     return RecordLimits() if value is True else value or None
 
 
-class Recording(Feature):
+class RecordingFeature(Feature):
     name = "recording"
     libraries: ClassVar[Mapping[str, str]] = {"record": "mcap"}
 
@@ -82,15 +82,18 @@ class Recording(Feature):
         complete(parser.add_argument("--output", metavar="FILE", help=output), "files")
 
     def actions(self) -> Iterable[Action]:
-        from rsb_console.actions.action import Action, Group, late  # noqa: PLC0415
+        from rsb_console.actions.action import Action, Group, OnRobot, late  # noqa: PLC0415
 
+        place = "rsb_extras.recording.record_key"
+        # On pictures, too, whose line of keys has no room for it.
+        on_robot = OnRobot("P", lambda _: False, late(f"{place}:record_beside"))
         return (
             Action(
                 "record", "P", "record", "Write the last seconds of all bridged topics to a file", Group.OPERATE,
-                changes=True, also="keep, mcap, bag, rosbag, black box",
-                run=late("rsb_extras.recording.record_key:record_last"),
+                changes=True, also="keep, mcap, bag, rosbag, black box", run=late(f"{place}:record_last"),
+                on_robot=on_robot,
             ),
         )  # fmt: skip
 
 
-FEATURE = Recording()
+FEATURE = RecordingFeature()

@@ -10,11 +10,19 @@ from rsb_extras.recording.keep_last import KeepLast
 from rsb_extras.recording.record_command import lines_about
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.console_api import Console
     from rsb_console.screens.main import MainScreen
 
 
 async def record_last(screen: MainScreen) -> None:
-    console = screen.console
+    await record_beside(screen.console, ())
+
+
+async def record_beside(console: Console, _: Sequence[RouteSnapshot]) -> None:
+    """Record all topics, whichever robot a screen shows."""
     if console.engine is None:
         return
     try:

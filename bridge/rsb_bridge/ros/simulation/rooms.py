@@ -63,7 +63,7 @@ class Room(NamedTuple):
     floor: str
 
 
-class Place(NamedTuple):
+class Stop(NamedTuple):
     """A pose that the robot visits."""
 
     x: float
@@ -83,17 +83,17 @@ ROOMS = (
 _HALL_DOORS = ((1.175, (-5.2, 0.0, 5.2)), (-1.175, (-5.5, 0.8, 5.5)))
 _ROOM_DOORS = ((-2.5, 1.25, 6.0, 3.0), (2.5, 1.25, 6.0, 2.6), (3.0, -6.0, -1.25, -3.6), (-3.0, -6.0, -1.25, None))
 """Walls across: x, lower and upper end, and the middle of the door, if there is one."""
-DOCK = Place(6.25, -5.2, 1.2)
+DOCK = Stop(6.25, -5.2, 1.2)
 TOUR = (
-    Place(-6.0, 0.0, 0.0),
-    Place(-4.6, 3.4, 2.7),
-    Place(-1.0, 3.4, 0.9),
-    Place(4.6, 3.6, 0.3),
-    Place(5.2, 0.0, math.pi),
+    Stop(-6.0, 0.0, 0.0),
+    Stop(-4.6, 3.4, 2.7),
+    Stop(-1.0, 3.4, 0.9),
+    Stop(4.6, 3.6, 0.3),
+    Stop(5.2, 0.0, math.pi),
     DOCK,
-    Place(0.8, -3.0, -2.4),
-    Place(0.0, 0.0, math.pi),
-    Place(-5.2, -3.0, -2.2),
+    Stop(0.8, -3.0, -2.4),
+    Stop(0.0, 0.0, math.pi),
+    Stop(-5.2, -3.0, -2.2),
 )
 """The robot begins at the first place."""
 

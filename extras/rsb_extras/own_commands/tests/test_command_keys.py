@@ -38,7 +38,7 @@ from rsb_console.screens.links_screen import LinksScreen
 from rsb_console.screens.main import MainText
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_extras.own_commands import command_keys
-from rsb_extras.own_commands.command_keys import CommandText, robot_of
+from rsb_extras.own_commands.command_keys import OwnCommandText, robot_of
 from rsb_extras.own_commands.output_screen import OutputScreen
 from rsb_extras.own_commands.own_command import CommandMistake
 from rsb_extras.own_commands.running import KEPT_LINES, RUNNING
@@ -103,7 +103,7 @@ async def test_key_shows_what_its_command_prints(app: ConsoleApp, pilot: Pilot[N
 @with_commands(X='{run: "echo ran >> ran.txt", where: link, confirm: true, description: restart it}')
 async def test_question_shows_the_whole_command_first(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("X")
-    await shown(pilot, CommandText.ASKS, name="restart it")
+    await shown(pilot, OwnCommandText.ASKS, name="restart it")
     await shown(pilot, "echo ran >> ran.txt")
     assert app.focused is not None
     assert app.focused.id == "no"
@@ -120,7 +120,7 @@ async def test_question_shows_the_whole_command_first(app: ConsoleApp, pilot: Pi
 async def test_hostile_name_runs_nothing(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
     put(app, route(name))
     await pilot.press("X")
-    await notified(pilot, CommandText.UNSAFE, name="topic")
+    await notified(pilot, OwnCommandText.UNSAFE, name="topic")
     assert app.screen is app.main
     assert not Path("made").exists()
     assert not Path("injected").exists()
@@ -130,7 +130,7 @@ async def test_hostile_name_runs_nothing(app: ConsoleApp, pilot: Pilot[None], na
 async def test_unknown_type_is_said(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route("/scan", type_name=""))
     await pilot.press("X")
-    await notified(pilot, CommandText.EMPTY, name="type")
+    await notified(pilot, OwnCommandText.EMPTY, name="type")
 
 
 @with_commands(X='{run: "echo here; sleep 1000"}')
@@ -152,7 +152,7 @@ async def test_end_behind_a_closed_pane_is_told(app: ConsoleApp, pilot: Pilot[No
     await shown(pilot, "s stop")
     await pilot.press("escape")
     Path("go").touch()
-    await notified(pilot, CommandText.ENDED, name="waits")
+    await notified(pilot, OwnCommandText.ENDED, name="waits")
     assert "exit code 4" in notices(app)[-1].message
 
 
@@ -175,7 +175,7 @@ async def test_commands_at_once_are_limited(app: ConsoleApp, pilot: Pilot[None])
     await until(pilot, lambda: len(RUNNING) == command_keys.MOST, "as many as possible")
     put(app, route("/one_more"))
     await pilot.press("X")
-    await notified(pilot, CommandText.TOO_MANY, most=command_keys.MOST)
+    await notified(pilot, OwnCommandText.TOO_MANY, most=command_keys.MOST)
     assert app.screen is app.main
 
 

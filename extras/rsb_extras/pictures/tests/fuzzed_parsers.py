@@ -13,6 +13,7 @@ from rsb_extras.pictures.picture import (
     MOST_COLUMNS,
     Cells,
     Curve,
+    FieldNumber,
     Picture,
     PictureError,
     Pixels,
@@ -66,6 +67,7 @@ _PICTURES = (
     Picture(Pixels(1, 1, b"RIFF\x1a\0\0\0WEBPVP8L", "webp")),
     Picture(Cells(("ab", "⣿▲"), bytes((0, 1, 0, 2)), ("", "dim", "#102030"), Scale("map", 0.0, 1.0, 0.1, 0.2))),
     Picture(Cells(("▀⠠█",), bytes((1, 2, 3)), ("", "@#102030", "free", "occupied"), None, bytes((2, 2, 1)))),
+    Picture(numbers=(FieldNumber("/odom", "twist.x", 0.5), FieldNumber("/odom", '["ö"]'))),
     Picture(Series(1.0, 0.5, (Curve("x", (1.0, None), (2.0, None), 1.5, 1.5),)), problem="late"),
 )
 

@@ -9,9 +9,9 @@ import pytest
 from sensor_msgs.msg import BatteryState, JointState
 from tests.support.wording import has_text
 
-from rsb_extras.pictures.bars import BarProblem
 from rsb_extras.pictures.picture import Cells, Picture, Series, Wish
 from rsb_extras.pictures.tests.samples import cells_of, drawn, task
+from rsb_extras.pictures.value_bars import BarProblem
 from rsb_extras.pictures.worker import Artist
 
 WISH = Wish(width=60, height=12)
@@ -49,7 +49,7 @@ def test_battery_has_its_state_and_its_figures() -> None:
     )  # fmt: skip
     picture = drawn(WISH, message)
     text = "\n".join(rows(picture))
-    for part in ("62%", "discharging", "OVERHEATED", "24.5 V", "-49 W", "6 Ah of 10 Ah", "3 h", "3.500 to 3.600 V"):
+    for part in ("62%", "discharging", "OVERHEATED", "24.5 V", "-49 W", "6 Ah of 10 Ah", "3.0 h", "3.500 to 3.600 V"):
         assert part in text
     assert "°C" not in text
 
@@ -100,4 +100,6 @@ def test_joints_without_names_or_values() -> None:
 
 
 def test_chosen_numbers_of_joints_are_plotted() -> None:
-    assert isinstance(drawn(msgspec.structs.replace(WISH, fields=("position[elbow]",)), JOINTS).content, Series)
+    assert isinstance(
+        drawn(msgspec.structs.replace(WISH, how="plot", fields=("position[elbow]",)), JOINTS).content, Series
+    )

@@ -21,8 +21,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Vector3
 from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry
 from rcl_interfaces.msg import Log
-from sensor_msgs.msg import CompressedImage, Image, JointState, LaserScan, NavSatFix
+from sensor_msgs.msg import BatteryState, CompressedImage, Image, JointState, LaserScan, NavSatFix
 from std_msgs.msg import Header
+from visualization_msgs.msg import Marker
 
 from rsb_extras.pictures.confinement import Confinement
 from rsb_extras.pictures.picture import Wish
@@ -181,6 +182,8 @@ async def test_the_drawing_process_is_confined_and_draws(renderer: Renderer, mon
         OccupancyGrid(info=MapMetaData(width=8, height=8, resolution=0.1), data=[0] * 64),
         Odometry(header=Header(frame_id="odom"), child_frame_id="base"),
         JointState(name=["elbow"], position=[1.0]),
+        BatteryState(percentage=0.5),
+        Marker(type=Marker.SPHERE, header=Header(frame_id="map")),
         DiagnosticArray(status=[DiagnosticStatus(name="motor")]),
         Log(msg="started"),
         NavSatFix(latitude=1.0, longitude=1.0),

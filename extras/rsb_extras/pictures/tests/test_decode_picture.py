@@ -10,11 +10,13 @@ import pytest
 from rsb_extras.pictures.picture import (
     LONGEST_SIDE,
     MOST_COLUMNS,
+    MOST_NUMBERS,
     MOST_ROWS,
     MOST_VALUE,
     PICTURE_LIMIT,
     Cells,
     Curve,
+    FieldNumber,
     Picture,
     PictureError,
     Pixels,
@@ -27,6 +29,7 @@ from rsb_extras.pictures.tests import picture_places
 
 WHOLE = [
     Picture(),
+    Picture(numbers=(FieldNumber("/t", "x", 0.5), FieldNumber("/t", "y[a]"))),
     Picture(None, 1, 2, 3, 4, "std_msgs/msg/String", ("a", "b"), "no message"),
     Picture(Pixels(2, 2, bytes(12))),
     Picture(Pixels(LONGEST_SIDE, LONGEST_SIDE, b"any bytes", "webp")),
@@ -124,6 +127,10 @@ def test_parts_that_do_not_fit_are_refused(content: Any) -> None:
         {"notes": ["x"] * 17},
         {"type_name": "a\rb"},
         {"type_name": "x" * 256},
+        {"numbers": [{"topic": "/t", "path": "x\x1b[2J"}]},
+        {"numbers": [{"topic": "/t" * 200, "path": "x"}]},
+        {"numbers": [{"topic": "/t", "path": "x", "value": float("inf")}]},
+        {"numbers": [{"topic": "/t", "path": "x"}] * (MOST_NUMBERS + 1)},
         {"taken": "now"},
         {"messages": 1.5},
     ],

@@ -97,7 +97,7 @@ def changed(pixels: Pixels, row: int) -> Pixels:
 @pytest.mark.parametrize("protocol", ["kitty", "sixel"])
 def test_only_bands_that_differ_are_sent(protocol: str) -> None:
     pixels, area = noise(160, 320), wish(16, 16)
-    painter, frame = Painter(protocol, 1), frame_of(pixels, area)  # type: ignore[arg-type]
+    painter, frame = Painter(protocol), frame_of(pixels, area)  # type: ignore[arg-type]
     bands = bands_of(pixels, frame, _CELL, protocol, 1, PAPER)  # type: ignore[arg-type]
     assert len(bands) == BANDS
     first = painter.painted(bands, (3, 5), ())
@@ -109,9 +109,21 @@ def test_only_bands_that_differ_are_sent(protocol: str) -> None:
     assert [place[0] for place in _PLACE.findall(painter.painted(after, (3, 5), ()))] == ["14"]
 
 
+def test_kitty_band_goes_after_its_successor_came() -> None:
+    pixels = noise(160, 320)
+    painter, frame = Painter("kitty"), frame_of(pixels, wish(16, 16))
+    bands = bands_of(pixels, frame, _CELL, "kitty", 1, PAPER)
+    painter.painted(bands, (0, 0), ())
+    after = bands_of(changed(pixels, 9), frame, _CELL, "kitty", 1, PAPER, bands)
+    keys = [keys for keys, _ in _COMMAND.findall(painter.painted(after, (0, 0), ())) if "a=" in keys]
+    assert [each.partition(",")[0] for each in keys] == ["a=T", "a=d"]
+    assert f"i={after[4].image_id}," in keys[0]
+    assert keys[1] == f"a=d,d=I,i={bands[4].image_id},q=2"
+
+
 def test_covered_bands_are_taken_away_and_come_back() -> None:
     pixels = noise(160, 320)
-    painter = Painter("kitty", 1)
+    painter = Painter("kitty")
     bands = bands_of(pixels, frame_of(pixels, wish(16, 16)), _CELL, "kitty", 1, PAPER)
     painter.painted(bands, (0, 0), ())
     covered = painter.painted(bands, (0, 0), {2, 3, 4})
@@ -124,7 +136,7 @@ def test_covered_bands_are_taken_away_and_come_back() -> None:
 def test_sixels_under_text_are_drawn_again() -> None:
     pixels = noise(160, 320)
     bands = bands_of(pixels, frame_of(pixels, wish(16, 16)), _CELL, "sixel", 1, PAPER)
-    painter = Painter("sixel", 1)
+    painter = Painter("sixel")
     painter.painted(bands, (0, 0), ())
     painter.overwritten(3, 5)
     assert [place[0] for place in _PLACE.findall(painter.painted(bands, (0, 0), ()))] == ["3", "5"]
@@ -136,7 +148,7 @@ def test_sixels_under_text_are_drawn_again() -> None:
 def test_image_at_another_place_is_drawn_anew() -> None:
     pixels = noise(160, 320)
     bands = bands_of(pixels, frame_of(pixels, wish(16, 16)), _CELL, "kitty", 1, PAPER)
-    painter = Painter("kitty", 1)
+    painter = Painter("kitty")
     painter.painted(bands, (0, 0), ())
     moved = painter.painted(bands, (20, 0), ())
     assert sum(keys.startswith("a=d") for keys, _ in _COMMAND.findall(moved)) == BANDS

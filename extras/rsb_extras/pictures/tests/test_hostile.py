@@ -46,7 +46,7 @@ def check(picture: Picture, wish: Wish) -> None:
 WISHES = st.builds(
     Wish, width=st.integers(1, 60), height=st.integers(1, 30), zoom=st.floats(0.01, 1000), x=st.floats(-9, 9),
     y=st.floats(-9, 9), tilt=st.floats(0, 90), colour=st.sampled_from(["height", "intensity"]),
-    how=st.sampled_from(["", "", "plot", "tree", "map"]), match=st.sampled_from(["", "", "a"]),
+    how=st.sampled_from(["", "", "plot", "tree", "map", "fields"]), match=st.sampled_from(["", "", "a"]),
 )  # fmt: skip
 
 

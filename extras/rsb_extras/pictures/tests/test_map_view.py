@@ -10,6 +10,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from sensor_msgs.msg import LaserScan
+from tests.support.held import held_by
 from tests.support.wording import has_text
 
 from rsb_bridge.cdr.decoder import Items, Message
@@ -18,7 +19,7 @@ from rsb_extras.pictures.grids import GridProblem
 from rsb_extras.pictures.map_view import MapProblem, MapView
 from rsb_extras.pictures.picture import Picture, Wish
 from rsb_extras.pictures.tests.samples import cells_of, task
-from rsb_extras.pictures.transforms import Transform
+from rsb_extras.pictures.transforms import FrameTree, Transform
 from rsb_extras.pictures.worker import Artist
 
 WISH = Wish(width=40, height=20)
@@ -285,6 +286,15 @@ def test_legend_names_topics_as_room_allows() -> None:
     assert "topic" not in cells_of(low).rows[-1]
 
 
+def test_topics_of_one_name_differ_in_legend() -> None:
+    view, path = MapView(), Items("", 0)
+    for topic in ("/local/plan", "/global/plan"):
+        view.receive(TakenMessage(topic, "nav_msgs/msg/Path", {"header": {"frame_id": "map"}, "poses": path}, 1.0))
+    view.receive(TakenMessage("/goal", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "map"}}, 1.0))
+    legend = cells_of(view.draw(Wish(width=56, height=20))).rows[-1]
+    assert {"local", "global", "goal"} <= set(legend.split())
+
+
 # -- robots and frames
 
 
@@ -324,6 +334,34 @@ def test_robot_of_frames_is_not_drawn_twice() -> None:
     odometry: Message = {"header": {"frame_id": "map"}, "child_frame_id": "base_link", "pose": {"pose": {}}}
     view = on_grid(frame("base_link", "map", 5.0), TakenMessage("/odom", "nav_msgs/msg/Odometry", odometry, 1.0))
     assert shown(view).count("▶") == 2
+
+
+def turning(*poses: tuple[float, float]) -> FrameTree:
+    """Return the frames of a robot with its headings at some times."""
+    tree = FrameTree()
+    for stamp, yaw in poses:
+        tree.add("base_link", "map", Transform(yaw=yaw), stamp, stamp)
+    return tree
+
+
+@pytest.mark.parametrize(
+    ("stamp", "yaw"),
+    [(10.1, 0.5), (10.3, 2.0), (10.5, math.pi), (9.9, 0.0), (0.0, -3.0), (99.0, -3.0), (5.0, -3.0)],
+)
+def test_layer_is_placed_by_its_own_time(stamp: float, yaw: float) -> None:
+    """A scan is older than the newest transform, and the robot turns meanwhile."""
+    tree = turning((10.0, 0.0), (10.2, 1.0), (10.4, 3.0), (10.6, -3.0))
+    found = tree.place("base_link", "map", stamp)
+    assert found is not None
+    assert math.remainder(found.yaw - yaw, math.tau) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_poses_of_frame_are_bounded() -> None:
+    assert held_by(turning(*((float(at), 1.0) for at in range(1000)))) <= 101
+
+
+def test_times_that_go_back_begin_anew() -> None:
+    assert turning((900.0, 1.0), (1.0, 0.0)).place("base_link", "map", 900.0) == pytest.approx(Transform())
 
 
 def test_names_of_frames_are_shown_if_asked_for() -> None:

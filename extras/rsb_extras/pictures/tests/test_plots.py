@@ -57,7 +57,7 @@ def test_a_column_keeps_the_lowest_and_the_highest() -> None:
 
 def test_chosen_fields_and_joints_by_name() -> None:
     message = JointState(name=["arm", "hand"], position=[1.0, 2.0])
-    wish = Wish(width=20, height=10, fields=("position[hand]",))
+    wish = Wish(width=20, height=10, how="plot", fields=("position[hand]",))
     assert [(curve.name, curve.last) for curve in series(drawn(wish, message)).curves] == [("position[hand]", 2.0)]
 
 

@@ -69,6 +69,7 @@ from rsb_extras.pictures.picture_rows import AXIS
 from rsb_extras.pictures.picture_tile import PictureTile, ViewText
 from rsb_extras.pictures.tests import picture_places
 from rsb_extras.pictures.tests.looking_engine import LookingEngine
+from rsb_extras.pictures.tile import ON_ROBOT
 from rsb_extras.pictures.view_screen import ViewScreen
 
 SCAN = "/robot2/scan"
@@ -788,10 +789,11 @@ async def test_a_picture_larger_than_the_pane_is_cut(app: ConsoleApp, pilot: Pil
 
 def test_the_keys_of_pictures_and_goals_are_listed() -> None:
     listed = " ".join(keys for chapter in LOOK.chapters for keys, _ in chapter.keys).split()
+    others = [each.key for each in ON_ROBOT.values()]
     labels = {"plus": "+", "minus": "-", "space": "space", "escape": "esc", "enter": "⏎", "less_than_sign": "<",
               "greater_than_sign": ">", "left_square_bracket": "[", "right_square_bracket": "]", "left": "←",
-              "right": "→", "up": "↑", "down": "↓", "equals_sign": "+"}  # fmt: skip
+              "right": "→", "up": "↑", "down": "↓", "equals_sign": "+", "shift+tab": "tab"}  # fmt: skip
     for binding in (*ViewScreen.BINDINGS, *PictureTile.BINDINGS):
         assert isinstance(binding, Binding)
         for each in binding.key.split(","):
-            assert labels.get(each, each) in [*listed, "d"], each
+            assert labels.get(each, each) in [*listed, *others], each

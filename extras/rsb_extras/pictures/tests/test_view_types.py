@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from diagnostic_msgs.msg import KeyValue
 from sensor_msgs.msg import LaserScan
+from std_msgs.msg import ColorRGBA
 
 from rsb_extras.pictures.picture import Wish
-from rsb_extras.pictures.tests.samples import task
+from rsb_extras.pictures.tests.samples import cells_of, task
 from rsb_extras.pictures.worker import Undrawable
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from rsb_extras.pictures.picture import Picture
     from rsb_extras.pictures.renderer import Renderer
     from rsb_extras.pictures.worker import Task
@@ -61,6 +63,19 @@ def drawn(renderer: Renderer, of: Task) -> Picture:
 def test_view_of_other_package_draws_confined(renderer: Renderer) -> None:
     picture = drawn(renderer, task(Wish(), KeyValue(key="k", value="v")))
     assert (picture.notes, picture.problem) == (("keys: k",), "")
+
+
+def test_view_of_the_docs_draws(package: Path, renderer: Renderer) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "views.md").read_text(encoding="utf-8")
+    blocks = dict(re.findall(r"^```(toml|python)\n# \S+\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
+    entries = tomllib.loads(blocks["toml"])["project"]["entry-points"]["rsb_console.views"]
+    lines = "\n".join(f"{name} = {place}" for name, place in entries.items())
+    (package / "added_view-1.0.dist-info" / "entry_points.txt").write_text(f"[rsb_console.views]\n{lines}\n")
+    (package / "my_package").mkdir()
+    (package / "my_package" / "swatch.py").write_text(blocks["python"], encoding="utf-8")
+    picture = drawn(renderer, task(Wish(width=4, height=2), ColorRGBA(r=1.0, b=0.5)))
+    assert (picture.notes, picture.problem) == (("#ff0080",), "")
+    assert cells_of(picture).rows == ("████",) * 2
 
 
 def test_this_programs_views_stay(renderer: Renderer) -> None:

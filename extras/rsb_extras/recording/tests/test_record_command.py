@@ -15,7 +15,8 @@ from tests.support.wording import says
 
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Session
-from rsb_extras.recording import Recording, RecordLimits, record_limits
+from rsb_extras.pictures.tests.test_view_screen import comes, looking, viewed
+from rsb_extras.recording import RecordingFeature, RecordLimits, record_limits
 from rsb_extras.recording.keep_last import KeepLast
 from rsb_extras.recording.keeping import KeepProblem
 from rsb_extras.recording.mcap_file import McapText
@@ -109,6 +110,15 @@ async def test_key_says_where_it_is(app: ConsoleApp, pilot: Pilot[None]) -> None
     await shown(pilot, "/recordings/")
 
 
+@looking()
+async def test_key_works_beside_a_picture(app: ConsoleApp, pilot: Pilot[None], answer: Any) -> None:
+    asked = answer(KEPT)
+    await comes(pilot, viewed())
+    await pilot.press("P")
+    await shown(pilot, "/recordings/")
+    assert asked == [KeepLast()]
+
+
 @on_main()
 async def test_key_says_how_to_switch_it_on(app: ConsoleApp, pilot: Pilot[None], answer: Any) -> None:
     asked = answer(KeepProblem.OFF())
@@ -155,6 +165,6 @@ def test_session_says_whether_and_how_much(value: object, limits: RecordLimits |
 
 def test_check_advises_to_install_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    advice = [*Recording().advice(session(True), None)]
+    advice = [*RecordingFeature().advice(session(True), None)]
     assert advice == [("record", McapText.NOT_INSTALLED())]
-    assert not [*Recording().advice(session(False), None)]
+    assert not [*RecordingFeature().advice(session(False), None)]

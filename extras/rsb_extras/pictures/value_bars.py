@@ -29,7 +29,7 @@ _VALUE = 9
 """Cells of a value, such as -1.23e-05."""
 _NAME = 24
 """Most cells of a joint's name."""
-_NARROW = 8
+_NARROW = 6
 """Cells of a bar; with fewer, values stand alone."""
 _EIGHTHS = "▏▎▍▌▋▊▉█"
 
@@ -92,7 +92,7 @@ def _facts(message: Message, supply: str) -> list[tuple[str, str]]:
         ("current", _shown(current, "A")),
         ("power", _shown(power, "W")),
         ("charge", _shown(charge, "Ah") + of if math.isfinite(charge) else ""),
-        ("left", _shown(hours, "h at this current") if supply != _SUPPLY[1] else ""),
+        ("left", f"{hours:.1f} h at this current" if supply != _SUPPLY[1] and math.isfinite(hours) else ""),
         ("temperature", _shown(temperature, "°C")),
         ("cells", between),
     ]
@@ -157,11 +157,11 @@ def _write_value(canvas: Canvas, left: int, row: int, width: int, value: float, 
     middle = left + _VALUE + 1 + half
     canvas.write(middle, row, "│", "axis")
     filled = abs(value) / largest if largest else 0.0
-    length = round(min(1.0, filled) * half)
+    whole, rest = divmod(round(min(1.0, filled) * half * 2), 2)
     if value > 0:
-        canvas.write(middle + 1, row, "█" * length, "path")
+        canvas.write(middle + 1, row, "█" * whole + "▌" * rest, "path")
     else:
-        canvas.write(middle - length, row, "█" * length, "goal")
+        canvas.write(middle - whole - rest, row, "▐" * rest + "█" * whole, "goal")
 
 
 def _bar(part: float, across: int) -> str:
