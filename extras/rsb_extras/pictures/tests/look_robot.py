@@ -1,9 +1,9 @@
 """The robot of `look_cost`: publishes in one domain, listens in the other, and obeys lines on its standard input.
 
 ``publish steady camera`` publishes these topics, and no others. ``photograph FILE`` is the camera's image from now on.
-``figures`` prints the figures of the steady topic
-since the last time. With an argument it is another node on the robot's computer: ``subscribe`` takes the camera's
-images and drops them, ``listen`` takes the steady topic and prints its figures.
+``figures`` prints the figures of the steady topic since the last time. With an argument it is another node on the
+robot's computer: ``subscribe`` takes the camera's images and drops them, ``listen`` takes the steady topic and prints
+its figures.
 """
 
 from __future__ import annotations
