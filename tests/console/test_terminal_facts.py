@@ -163,7 +163,7 @@ def test_environment_is_what_is_known_first(environ: dict[str, str], colours: in
 
 
 def test_user_knows_better_than_terminal() -> None:
-    settings = TerminalSettings.read({"colours": "true", "pixels": "none", "cell": "9x21"})
+    settings = TerminalSettings.read({"colours": True, "pixels": "none", "cell": "9x21"})
     assert settings.over(told(*KITTY)) == TerminalFacts(
         "kitty(0.26.5)", "", TRUE_COLOUR, (9, 21), "", None, answered=True
     )

@@ -166,12 +166,12 @@ class TerminalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the user knows better than the terminal tells, or None.
 
     Attributes:
-        colours: the number, or ``true``.
+        colours: the number, or true for true colours.
         pixels: protocol for images.
         cell: pixels of a character, ``8x19``.
     """
 
-    colours: Literal[0, 16, 256, "true"] | None = None
+    colours: bool | Literal[0, 16, 256] | None = None
     pixels: Literal["kitty", "sixel", "none"] | None = None
     cell: Annotated[str, msgspec.Meta(pattern=r"\A[1-9]\d{0,2}x[1-9]\d{0,2}\Z")] | None = None
 
@@ -190,7 +190,7 @@ class TerminalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def over(self, facts: TerminalFacts) -> TerminalFacts:
         """Return the facts with what the user has set in their place."""
         if self.colours is not None:
-            facts = replace(facts, colours=TRUE_COLOUR if self.colours == "true" else self.colours)
+            facts = replace(facts, colours=TRUE_COLOUR if self.colours is True else int(self.colours))
         if self.pixels is not None:
             facts = replace(facts, pixels="" if self.pixels == "none" else self.pixels)
         if self.cell is not None:

@@ -1,7 +1,7 @@
 """Images as characters: blocks in two colours a cell, of the shapes and colours that differ least from the image.
 
 Colours are compared in Oklab (Ottosson, 2020), where equal distances look equal. No library does this for a console
-that runs for months: term-image and textual-image have half blocks only, and chafa.py 1.2 never frees its pictures, 0.2
+that runs for months: term-image and textual-image have half blocks only, and chafa.py 1.2 never frees its pictures, 0.3
 MB each (docs/picture-costs.md). Without numpy, which the extra ``look`` brings, there are half blocks.
 """
 

@@ -34,7 +34,7 @@ _QUALITIES = (90, 60, 10)
 last quality 850 kB."""
 _DOUBLED_BELOW, _QUALITY_DOUBLED = 200, 60
 """Pixels in width below which a picture is doubled for WebP, which halves the resolution of colours. In this quality,
-it takes as many bytes as before, and its colours are a fifth less wrong (docs/picture-costs.md)."""
+it takes a tenth more bytes, and its worst colours are a fourth to a third less wrong (docs/picture-costs.md)."""
 _FAST_FROM = 4 * MOST_COLUMNS * MOST_ROWS
 """Pixels from which on WebP is made by the fastest method, which takes a third of the time."""
 _LOW, _HIGH = 2.0, 98.0

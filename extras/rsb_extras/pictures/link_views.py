@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
@@ -54,8 +53,6 @@ _ANSWERED_WITHIN = 15.0
 _LOOK_EVERY = 0.5
 """s after which a viewer that waits finds out that its route has another opening. A round figure: a restart takes as
 long."""
-_WHOLE_EVERY = 5.0
-"""s after which a content is sent again though it has not changed: the link may have dropped it."""
 _ENDED = "the view is closed"
 
 
@@ -151,7 +148,7 @@ class LinkViews(Extension):
         self._questions: Questions[LookAnswer] = Questions(link, _ANSWERED_WITHIN)
         self._request = 0
         self._number = 0
-        self._drawing: dict[int, tuple[TopicView, asyncio.Task[None]]] = {}
+        self._drawing: dict[int, tuple[TopicView, asyncio.Task[None], _Sender]] = {}
         """Views that are drawn for the peer, by the id of their route's opening."""
 
     # --- for the peer
@@ -194,23 +191,27 @@ class LinkViews(Extension):
             raise LinkError(refusal)
         wish = self._limited(look.topics, look.wish)
         if (drawing := self._drawing.get(look.route)) is not None:
-            drawing[0].change(look.topics, wish)
+            view, _, sender = drawing
+            # The same wish again comes from a viewer that lacks a content.
+            sender.send_whole()
+            view.change(look.topics, wish, again=True)
             return
         await self._internal.opened(route, look.route)  # the peer may have found it open before this side does
         if (source := self._internal.source(route)) is None:
             raise LinkError(ViewRefused.NO_VIEW())
+        sender = _Sender(self._context, source)
         view = TopicView(
             self._context,
             look.topics,
             wish,
-            _Sender(self._context, source).send,
+            sender.send,
             may_look=lambda topic: not self._refusal((topic,), route),
         )
         await view.check()
         if self._link.ids.open_route(look.route) is not route:  # it was closed while the graph was asked
             view.close()
             raise LinkError(ViewRefused.NO_VIEW())
-        self._drawing[look.route] = view, view.start(self._link.spawn)
+        self._drawing[look.route] = view, view.start(self._link.spawn), sender
         self._log(look.topics[0], begins=True)
 
     def _refusal(self, topics: tuple[str, ...], route: Route) -> str:
@@ -230,7 +231,7 @@ class LinkViews(Extension):
 
     def tick(self) -> None:
         """End views whose routes are closed, or whose topics the peer may no longer look at."""
-        for opening, (view, task) in list(self._drawing.items()):
+        for opening, (view, task, _) in list(self._drawing.items()):
             route = self._link.ids.open_route(opening)
             if route is not None and (refusal := self._refusal(view.topics, route)):
                 self._link.table.deny(route, refusal)
@@ -239,7 +240,7 @@ class LinkViews(Extension):
                 self._end(opening)
 
     def _end(self, opening: int) -> None:
-        view, task = self._drawing.pop(opening)
+        view, task, _ = self._drawing.pop(opening)
         task.cancel()
         self._log(view.topics[0], begins=False)
 
@@ -327,6 +328,7 @@ class LinkViews(Extension):
         if picture.is_unchanged:
             number, content = view.content
             if number != picture.number:
+                view.asked = None  # the link has dropped the content: ask for it
                 return None
             picture = msgspec.structs.replace(picture, content=content)
         else:
@@ -350,7 +352,8 @@ class LinkViews(Extension):
             raise LinkError(
                 str(route.life.refusal) or ViewRefused.NOT_OPENED(reason=trouble.text if trouble is not None else "")
             )
-        if view.sink is not sink:  # each opening has its own
+        if view.sink is not sink:  # each opening has its own, and numbers contents anew
+            view.unseen, view.content = [], (0, None)
             view.sink, sink.taken = sink, partial(self._arrived, view)
 
     def _arrived(self, view: PeerView, encoded: bytes) -> None:
@@ -359,26 +362,27 @@ class LinkViews(Extension):
 
 
 class _Sender:
-    """Sends one view's pictures, and a content that stays the same only from time to time."""
+    """Sends one view's pictures, and a content that stays the same only once."""
 
     def __init__(self, context: Context, source: BytesSource) -> None:
         self._context, self._source = context, source
         self._content: Cells | Pixels | Series | None = None
         self._number = 0
-        self._sent_at = -math.inf
+
+    def send_whole(self) -> None:
+        """Send the next picture with its content, which the viewer may lack."""
+        self._content = None
 
     async def send(self, picture: Picture) -> None:
         """Send a picture, on a thread that may wait for the link's queue.
 
         The link counts from now: the time before, in which the picture was drawn, is no sign that the link is full.
         """
-        now = self._context.now()
-        is_same = picture.content is not None and picture.content == self._content
-        if is_same and now - self._sent_at < _WHOLE_EVERY:
+        if picture.content is not None and picture.content == self._content:
             picture = msgspec.structs.replace(picture, content=None, number=self._number, is_unchanged=True)
         else:
-            self._number += not is_same
-            self._content, self._sent_at = picture.content, now
+            self._number += 1
+            self._content = picture.content
             picture = msgspec.structs.replace(picture, number=self._number)
         encoded = encode_picture(picture)
         assert len(encoded) <= PICTURE_LIMIT

@@ -110,7 +110,7 @@ class LookScreen(ModalScreen[tuple[Subject, ...]]):
         for side in self._found:
             if tiles := self._overview(side):
                 shown = ", ".join(tile.topics[0] for tile in tiles)
-                yield self._other(f"overview {side}".rstrip(), escape_text(shown), *tiles)
+                yield self._other(f"overview {side or 'here'}", escape_text(shown), *tiles)
         yield from self._topics(found)
         yield self._other(RATES, "of all bridged topics", Subject((RATES,)))
         yield self._other(LOG, "of this bridge", Subject((LOG,)))

@@ -19,6 +19,7 @@ from textual.binding import Binding
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
 from rsb_bridge.model.names import other_side
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.all_actions import ACTIONS
@@ -78,6 +79,7 @@ _COST_OVER = 5.0
 
 class ViewText(Wording):
     WAITING = "waiting for a picture, {waited}"
+    AWAY = "OLD PICTURE: {link} is not linked: {reason}"
     HELD = "HELD: space goes on"
     OLD = "{age} old"
     SIDE = "drawn by {side}"
@@ -332,11 +334,16 @@ class PictureTile(Tile):
     def _reasons(self) -> str:
         """Return why there is no picture, or why it is incomplete or old, or an empty string."""
         problem = "" if self._viewed is None else self._viewed.picture.problem
-        return self._problem or self._unreadable or problem
+        # A picture stays in sight while its link is away, and must not look like a new one.
+        links = self.console.snapshot().links
+        away = next((link for link in links if link.name == self.where and link.state is not State.OK), None)
+        lost = "" if away is None else ViewText.AWAY(link=away.name, reason=away.reason)
+        return self._problem or self._unreadable or lost or problem
 
     def _entitle(self) -> None:
         """Show what the picture is of, and how old it is."""
-        topics = () if self._goal is not None else (", ".join(self._topics),)
+        first, *others = self._topics
+        topics = () if self._goal is not None else (f"{first} +{len(others)}" if others else first,)
         parts = [escape_text(part) for part in (*topics, *self._status()) if part]
         self.entitle(f" {joined(parts, self.size.width - FRAME)} ")
 

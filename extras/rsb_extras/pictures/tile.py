@@ -107,7 +107,8 @@ class Tile(PicturePane):
 
     def show_keys(self, more: Sequence[str]) -> None:
         """Show its keys, and those of the screen, on its frame; none if they are for another tile."""
-        keys = ["esc", *self.keys(), *more] if self.has_focus else []
+        first = more[:2] if len(more) > 1 else ()  # how to leave a tile for the next one comes before what it can do
+        keys = ["esc", *first, *self.keys(), *more[len(first) :]] if self.has_focus else []
         text = joined(keys, self.size.width - FRAME)
         self.border_subtitle = Content(f" {text} " if text else "")
 

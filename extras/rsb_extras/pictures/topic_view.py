@@ -151,9 +151,9 @@ class TopicView:
         """Whether a view that is drawn again lacks the messages that publishers keep, since they come only once."""
         self._latched_at = -math.inf
 
-    def change(self, topics: tuple[str, ...], wish: Wish) -> None:
-        """Draw other topics, or in another way."""
-        if (topics, wish) != (self.topics, self.wish):
+    def change(self, topics: tuple[str, ...], wish: Wish, *, again: bool = False) -> None:
+        """Draw other topics, or in another way, or the same again without waiting for a message."""
+        if again or (topics, wish) != (self.topics, self.wish):
             self._lacks_latched |= wish.how != self.wish.how
             self.topics, self.wish = topics, wish
             self._news.set()

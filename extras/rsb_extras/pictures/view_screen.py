@@ -176,6 +176,8 @@ class ViewScreen(FullScreen[bool]):
     def _show_keys(self) -> None:
         tiles = self.tiles
         more = _KEYS if len(tiles) > 1 else _KEYS[2:3]
+        if not all(tile.display for tile in tiles):
+            more = (f"{tiles.index(self.pane) + 1} of {len(tiles)}", *more)
         for tile in tiles:
             tile.show_keys(more)
 

@@ -1,6 +1,7 @@
 """Prints the cost of pictures: ``python -m rsb_extras.pictures.tests.look_cost [rounds]``, 4 min and 1.5 min a round.
 
-``python -m rsb_extras.pictures.tests.look_cost 3 link`` prints the last part only.
+``python -m rsb_extras.pictures.tests.look_cost 3 link`` prints the last part only, and ``... 1 still FILE`` what a
+camera costs that sees nothing but a photograph.
 
 Two headless sides between two domains. A node on the client's side has a camera, a point cloud and a map, which are not
 bridged, and a topic of 20 Hz, which is. A viewer attaches to the server. It prints
@@ -27,6 +28,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 from bench import bed
 from bench.small import _threads
 from tests.support.relay import Relay
@@ -56,6 +58,15 @@ _VIEW_ENDS = 8.0
 _WITHIN = 60.0
 _VIEW_RATE = 5.0
 _WORKER = "rsb_extras.pictures.worker"
+USUAL = Wish(width=80, height=24, webp=True)
+_LARGE = Wish(width=120, height=40, webp=True, shape=2.0)
+STILL = {
+    "no view": None,
+    "blocks, 120×40": msgspec.structs.replace(_LARGE, across=2, down=4),
+    "pixels, 120×40": msgspec.structs.replace(_LARGE, across=8, down=16),
+}
+"""What a still camera is looked at with."""
+_STILL = 20.0
 KINDS = {
     "camera": "640×480 rgb8",
     "large": "1920×1080 rgb8",
@@ -67,7 +78,10 @@ KINDS = {
 
 def main() -> None:
     rounds, *only = sys.argv[1:] or [str(ROUNDS)]
-    report(int(rounds), costs=only != ["link"])
+    if only[:1] == ["still"]:
+        report_still(only[1])
+    else:
+        report(int(rounds), costs=only != ["link"])
 
 
 def report(rounds: int, *, costs: bool) -> None:
@@ -78,6 +92,28 @@ def report(rounds: int, *, costs: bool) -> None:
                 _print_costs(bridge)
         with running(Path(name), LINK) as bridge:
             _print_slow_link(bridge, rounds)
+
+
+def report_still(photograph: str) -> None:
+    """Print the bytes of a view at 2 Hz of a camera that sees a photograph, beside those of the link without it."""
+    with tempfile.TemporaryDirectory() as name:
+        os.environ["XDG_STATE_HOME"] = os.environ["XDG_RUNTIME_DIR"] = name
+        with running(Path(name)) as bridge:
+            bridge.robot.tell(f"photograph {Path(photograph).absolute()}")
+            bridge.robot.tell("publish camera")
+            for about, wish in STILL.items():
+                if wish is None:
+                    time.sleep(_OPENS)
+                else:
+                    bridge.look("/camera", 2.0, _OPENS, about, wish)
+                carried, began = bridge.relay.carried, time.monotonic()
+                if wish is None:
+                    time.sleep(_STILL)
+                    seen = []
+                else:
+                    seen = bridge.look("/camera", 2.0, _STILL, about, wish)
+                rate = (bridge.relay.carried - carried) / (time.monotonic() - began) / 1e3
+                print(f"{about:<20}{rate:>8.2f} kB/s {len(seen) / _STILL:>8.1f} pictures/s", flush=True)
 
 
 class Bridge:
@@ -92,9 +128,11 @@ class Bridge:
         self.robot = robot
         self.engine = engine
 
-    def look(self, topic: str, rate: float, seconds: float, viewer: str) -> list[tuple[Viewed, float]]:
+    def look(
+        self, topic: str, rate: float, seconds: float, viewer: str, wish: Wish = USUAL
+    ) -> list[tuple[Viewed, float]]:
         """Look for some time; return the pictures, and how old each was when it came."""
-        wish, seen = Wish(width=80, height=24, rate=rate, webp=True), []
+        wish, seen = msgspec.structs.replace(wish, rate=rate), []
         ends = time.monotonic() + seconds
         while time.monotonic() < ends:
             viewed = self.engine.do(LookAtTopics(viewer, (topic,), wish)).result(_WITHIN)

@@ -1,8 +1,9 @@
 """The robot of `look_cost`: publishes in one domain, listens in the other, and obeys lines on its standard input.
 
-``publish steady camera`` publishes these topics, and no others. ``figures`` prints the figures of the steady topic
-since the last time. With an argument it is another node on the robot's computer: ``subscribe`` takes the camera's
-images and drops them, ``listen`` takes the steady topic and prints its figures.
+``publish steady camera`` publishes these topics, and no others. ``photograph FILE`` is the camera's image from now on.
+``figures`` prints the figures of the steady topic since the last time. With an argument it is another node on the
+robot's computer: ``subscribe`` takes the camera's images and drops them, ``listen`` takes the steady topic and prints
+its figures.
 """
 
 from __future__ import annotations
@@ -64,6 +65,9 @@ class Robot:
         if line.startswith("publish"):
             self._chosen = line.split()[1:]
             return
+        if line.startswith("photograph"):
+            self._messages["camera"] = _photograph(line.partition(" ")[2])
+            return
         self.listener.report(self._sent)
         self._sent = 0
 
@@ -88,6 +92,12 @@ class Listener:
         }
         self._latencies.clear()
         print(json.dumps(answer), flush=True)
+
+
+def _photograph(file: str) -> Image:
+    image = Pillow.open(file).convert("RGB")
+    data = array.array("B", image.tobytes())
+    return Image(width=image.width, height=image.height, encoding="rgb8", step=3 * image.width, data=data)
 
 
 def _messages() -> dict[str, Any]:

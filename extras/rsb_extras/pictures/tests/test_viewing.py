@@ -33,10 +33,10 @@ from rsb_bridge.config.name_rules import NameMistake
 from rsb_bridge.config.rights import DeniedText
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Grant, Topic
-from rsb_extras.pictures.link_views import VIEW, VIEWS_OF_PEER, LinkViews, ViewCode, ViewRefused
+from rsb_extras.pictures.link_views import VIEW, VIEWS_OF_PEER, LinkViews, PeerView, ViewCode, ViewRefused
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.map_view import MapProblem
-from rsb_extras.pictures.picture import Cells, Picture, Wish
+from rsb_extras.pictures.picture import Cells, Picture, Wish, decode_picture
 from rsb_extras.pictures.renderer import Renderer, renderer_of
 from rsb_extras.pictures.tests import picture_places
 from rsb_extras.pictures.topic_view import TopicView, ViewProblem
@@ -657,3 +657,95 @@ def test_publishers_are_not_looked_up_for_each_picture(
             future = look_at(server, "me", topics, WISH)
     # To find its side, to subscribe, and then now and then.
     assert max(asked.values()) <= 2 + (time.monotonic() - began) / picture_places.VIEW_RESOLVE_EVERY.value
+
+
+# -- contents that stay the same
+
+
+class Still:
+    """Publishes the same pose for as long as somebody waits for a picture."""
+
+    def __init__(self, domain: Domain, topic: str, x: float = 7.0) -> None:
+        self._topic, self.x = topic, x
+        self._publisher = domain.publisher(topic, PoseStamped)
+        eventually(partial(agree, domain.id, topic))
+
+    def looked_at(self, engine: Engine) -> Viewed | None:
+        """Return the next picture of any kind."""
+        future = look_at(engine, "me", (self._topic,), WISH, "robot1")
+        deadline = time.monotonic() + 60
+        while not future.done():
+            assert time.monotonic() < deadline
+            self._publisher.publish(pose(self.x))
+            time.sleep(0.02)
+        return future.result()
+
+    def drawn(self, engine: Engine) -> Viewed | None:
+        """Return the next picture if it has a content."""
+        viewed = self.looked_at(engine)
+        return viewed if viewed is not None and viewed.picture.content is not None else None
+
+
+@pytest.fixture
+def dropped(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+    """Pictures that views drop: the first one with a content, each time that the list is empty."""
+    lost: list[bytes] = []
+    receive = PeerView.receive
+
+    def receive_but_one(view: PeerView, encoded: bytes) -> None:
+        if not lost and decode_picture(encoded).content is not None:
+            lost.append(encoded)
+        else:
+            receive(view, encoded)
+
+    monkeypatch.setattr(PeerView, "receive", receive_but_one)
+    return lost
+
+
+def test_content_that_stays_crosses_once(pair: tuple[Engine, Engine], robot: Domain) -> None:
+    """Further pictures show it, too, with another number of messages, and take few bytes."""
+    (server, _), still = pair, Still(robot, "/still")
+    first = eventually(lambda: still.drawn(server))
+
+    def unchanged() -> Viewed | None:
+        return viewed if (viewed := still.drawn(server)) is not None and viewed.picture.is_unchanged else None
+
+    second = eventually(unchanged)
+    assert rows(second) == rows(first)
+    assert second.encoded < first.encoded / 2
+    assert second.picture.messages > first.picture.messages
+    still.x = 8.0
+    eventually(lambda: "x: 8" in rows(viewed) if (viewed := still.drawn(server)) is not None else None)
+
+
+def test_content_that_link_dropped_is_asked_for(
+    pair: tuple[Engine, Engine], robot: Domain, dropped: list[bytes]
+) -> None:
+    """Otherwise the viewer would see none for as long as nothing moves."""
+    (server, _), still = pair, Still(robot, "/dropped")
+    viewed = eventually(lambda: still.drawn(server))
+    assert dropped
+    assert "x: 7" in rows(viewed)
+    assert not viewed.picture.is_unchanged
+
+
+def test_content_of_former_opening_is_not_shown(bridge: Bridge, robot: Domain, dropped: list[bytes]) -> None:
+    """Each opening numbers contents from 1."""
+    server, client = bridge.server(), bridge.client()
+    eventually(lambda: linked(client) and linked(server))
+    dropped.append(b"")
+    still = Still(robot, "/still")
+    eventually(lambda: still.drawn(server))
+    client.restart(lambda _: None).result(60)
+    eventually(lambda: linked(client) and linked(server))
+    still.x = 9.0
+    dropped.clear()
+
+    def drawn() -> Viewed | None:
+        try:
+            return still.drawn(server)
+        except EngineError:  # the link comes back
+            return None
+
+    assert "x: 9" in rows(eventually(drawn))
+    assert dropped
