@@ -516,10 +516,10 @@ def test_a_view_goes_on_over_a_new_connection(pair: tuple[Engine, Engine], robot
     server, client = pair
     looked_while(talker, server, "/pose")
     (link,), context = inside(client).role.links(), inside(client).context
-    before = {view for view, _ in views_drawn_by(link).values()}
+    before = {view for view, *_ in views_drawn_by(link).values()}
     assert before
     context.call(link.fail)
-    eventually(lambda: before.isdisjoint(view for view, _ in views_drawn_by(link).values()))
+    eventually(lambda: before.isdisjoint(view for view, *_ in views_drawn_by(link).values()))
     eventually(lambda: linked(client) and linked(server))
 
     def looked_again() -> bool:
