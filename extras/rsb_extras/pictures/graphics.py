@@ -203,7 +203,8 @@ class Painter:
                 self._shown[number] = band
                 parts.append(f"\x1b[{at[1] + band.top + 1};{at[0] + 1}H{band.sequence}")
         drawn = "".join(parts)
-        return f"\x1b7{drawn}\x1b8" if drawn else ""
+        # Shown at once: kitty takes an image away as its next one begins to come.
+        return f"\x1b[?2026h\x1b7{drawn}\x1b8\x1b[?2026l" if drawn else ""
 
     def taken_away(self) -> str:
         """Return what takes the image away; sixels go with the text that is drawn over them."""
